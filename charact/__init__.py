@@ -1,0 +1,3 @@
+"""Characterize image-intensified cameras: measurements with posteriors, validation against simulation, reports."""
+
+__version__ = "0.1.0"

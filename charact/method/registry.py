@@ -1,0 +1,123 @@
+"""Registered methods, and `auto`: the cheapest method whose measured error is inside the tolerance."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from labdata.errors import BadInput
+from labdata.measurement import Result
+from labdata.sensor import Sensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Context:
+    """What every method is told besides its frames.
+
+    Parameters
+    ----------
+    seed
+        Seed of every random step.
+    quick
+        No Markov chain: intervals from the curvature at the maximum.
+    sensor
+        Description of the camera, for its pitches and priors; None if unknown.
+    interlaced
+        Whether odd and even rows were exposed one after the other.
+    full_scale_dn
+        Highest code, DN; None: found from the data.
+    progress
+        Called with a sentence and the share done (0..1) on long work.
+    """
+
+    seed: int = 0
+    quick: bool = False
+    sensor: Sensor | None = None
+    interlaced: bool = False
+    full_scale_dn: float | None = None
+    progress: Callable[[str, float], None] = lambda sentence, share: None
+
+    @property
+    def pitch_ratio(self) -> float:
+        """Row pitch over column pitch; 1 where the sensor is unknown."""
+        if self.sensor is None:
+            return 1.0
+        return float(self.sensor.ccd.pitch_y_um) / float(self.sensor.ccd.pitch_x_um)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A registered estimator.
+
+    Parameters
+    ----------
+    kind
+        What it works on: "edge", "bars", "point", "flats", "bloom".
+    name
+        Its name on the command line.
+    quantities
+        The quantities it measures; the first is the one it is charted by.
+    scope
+        One sentence: where it holds, and what breaks it.
+    function
+        The estimator. Its arguments depend on the kind, see the package of that kind.
+    """
+
+    kind: str
+    name: str
+    quantities: tuple[str, ...]
+    scope: str
+    function: Callable[..., Result]
+
+
+METHODS: dict[tuple[str, str], Method] = {}
+
+
+def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -> Callable[[Any], Any]:
+    """Register a function as a method of a kind under a name."""
+
+    def enter(function: Callable[..., Result]) -> Callable[..., Result]:
+        METHODS[kind, name] = Method(kind=kind, name=name, quantities=quantities, scope=scope, function=function)
+        return function
+
+    return enter
+
+
+def of_kind(kind: str) -> dict[str, Method]:
+    """Methods of a kind by name."""
+    return {name: method for (of, name), method in METHODS.items() if of == kind}
+
+
+def chart_table(quantity: str) -> list[dict[str, Any]]:
+    """Rows of the measured speed-against-accuracy table of a quantity; empty if it was never measured."""
+    path = resources.files("charact.method") / "tables" / f"{quantity}.json"
+    return json.loads(path.read_text())["methods"] if path.is_file() else []
+
+
+def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Method:
+    """Return the method of a name, or for "auto" the cheapest whose measured error meets the tolerance.
+
+    Parameters
+    ----------
+    within_percent
+        Tolerance on the 95th percentile of the relative error over the chart's cases, percent. If no method meets
+        it, the most accurate one is taken.
+
+    Raises
+    ------
+    BadInput
+        If the name is not registered.
+    """
+    methods = of_kind(kind)
+    if name != "auto":
+        if name not in methods:
+            raise BadInput(f"--method must be auto or one of {', '.join(sorted(methods))}, got {name!r}")
+        return methods[name]
+    first = next(iter(methods.values()))
+    rows = [row for row in chart_table(first.quantities[0]) if row["method"] in methods]
+    if not rows:
+        return first
+    inside = [row for row in rows if row["error_percent"] <= within_percent]
+    best = min(inside, key=lambda row: row["seconds"]) if inside else min(rows, key=lambda row: row["error_percent"])
+    return methods[best["method"]]

@@ -1,0 +1,49 @@
+"""The conditions frames were taken under: gain, gate, exposure, light and temperature."""
+
+from dataclasses import dataclass
+
+from labdata.errors import BadInput
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """Settings of one stack, each None when unknown. Units are in the names.
+
+    Parameters
+    ----------
+    exposure_s
+        Exposure of the camera (one field of interlaced video), s.
+    mcp_v
+        Voltage across the microchannel plate, V.
+    gate_ns
+        Time that the gate is open in one exposure, ns.
+    illuminance_lux
+        Illuminance on the photocathode from the brightest large area of the target, 2856 K, lux.
+    illuminance_relative_sd
+        Relative standard uncertainty of the illuminance, dimensionless; one meter for the whole session, so the
+        error is common to all its stacks.
+    photons_per_px
+        Photons that fall on one pixel in one exposure.
+    camera_gain_db
+        Gain of the camera behind the intensifier, dB.
+    temperature_c
+        Temperature of the camera or tube, degrees Celsius.
+    wavelength_nm
+        Wavelength of the light where it is narrow, nm.
+    """
+
+    exposure_s: float | None = None
+    mcp_v: float | None = None
+    gate_ns: float | None = None
+    illuminance_lux: float | None = None
+    illuminance_relative_sd: float | None = None
+    photons_per_px: float | None = None
+    camera_gain_db: float | None = None
+    temperature_c: float | None = None
+    wavelength_nm: float | None = None
+
+    def __post_init__(self) -> None:
+        signed = {"camera_gain_db", "temperature_c"}
+        for name, value in vars(self).items():
+            if value is not None and name not in signed and not value >= 0:
+                raise BadInput(f"{name} must not be negative, got {value:g}")

@@ -1,0 +1,41 @@
+"""The closed vocabulary of flags: each names one reason to distrust a number, with its sentence for the report."""
+
+from collections.abc import Iterable
+
+FLAGS: dict[str, str] = {
+    "correlated-noise": "Neighbouring pixels share noise, which this method takes for white.",
+    "lag": "Light of earlier frames is still in this one.",
+    "agc": "An automatic gain or brightness control moved during the series: the mean does not follow the light.",
+    "flicker": "The light changes periodically from frame to frame.",
+    "drift": "The level moves steadily through the stack.",
+    "clipped": "Pixels sit at the lowest or the highest code.",
+    "saturated": "The signal is beyond the linear range of the camera.",
+    "nonlinear": "The response departs from a straight line by more than its noise.",
+    "gamma": "The response is curved like a gamma correction.",
+    "quantised": "The noise is smaller than the steps of the digitiser.",
+    "defects": "Hot, dead or stuck pixels are inside the region.",
+    "no-darks": "There are no dark frames; the offset was assumed.",
+    "too-few-frames": "There are too few frames for the spread to be trusted.",
+    "low-signal": "The signal is barely above the noise.",
+    "no-target": "The expected target was not found.",
+    "several-targets": "More than one target lies in the region.",
+    "curved-edge": "The edge is not straight.",
+    "gradient": "The illumination changes across the region.",
+    "tilt-too-small": "The edge or bar is too parallel to the pixel grid to be oversampled.",
+    "window-too-small": "The region cuts off part of the target or of its blur.",
+    "aliased": "The frequency is too near the sampling limit to be told from its alias.",
+    "interlace-motion": "The two fields of the frame do not agree: something moved between them.",
+    "model-misfit": "The data depart from the fitted model by more than their noise.",
+    "not-converged": "The Markov chain did not meet its convergence rule; the interval comes from the curvature.",
+    "prior-bound": "The posterior leans on a bound of its prior.",
+    "several-modes": "The posterior has more than one peak.",
+    "unlike-conditions": "The stacks compared were taken under different conditions.",
+}
+
+
+def checked(flags: Iterable[str]) -> tuple[str, ...]:
+    """Return the flags in vocabulary order, without repeats; a word outside the vocabulary is a ValueError."""
+    given = set(flags)
+    if unknown := given - FLAGS.keys():
+        raise ValueError(f"a flag must be one of labdata.flags.FLAGS, got {sorted(unknown)}")
+    return tuple(flag for flag in FLAGS if flag in given)

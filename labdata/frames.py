@@ -1,0 +1,90 @@
+"""Frames as they were recorded: a read-only stack (frame, row, col) with its time stamps and gaps."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+
+
+def read_only(array: NDArray) -> NDArray:
+    """Return a view of the array that cannot be written through."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameStack:
+    """A stack of frames taken under one set of conditions.
+
+    Parameters
+    ----------
+    data
+        Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only.
+    unit
+        Unit of the pixel values.
+    time_s
+        Time stamp of each frame, shape (frame,), s; empty if unknown.
+    frame_number
+        The camera's own number of each frame, shape (frame,); empty if unknown.
+    lost_frames
+        Frames that the camera numbered and that never arrived.
+    black_level_dn
+        Black level recorded with the frames, DN; None if unknown. Never subtracted on reading.
+    full_scale_dn
+        Highest code of the digitiser, DN; None if unknown.
+    plane
+        Colour plane of a mosaic ("r", "g1", "g2", "b") or "mono".
+    notes
+        What a reader should know of how the frames were read.
+
+    Raises
+    ------
+    BadInput
+        If data is not three-dimensional, is empty or holds a value that is not finite.
+    """
+
+    data: NDArray
+    unit: str = "DN"
+    time_s: NDArray = field(default_factory=lambda: np.empty(0))
+    frame_number: NDArray = field(default_factory=lambda: np.empty(0, np.int64))
+    lost_frames: int = 0
+    black_level_dn: float | None = None
+    full_scale_dn: float | None = None
+    plane: str = "mono"
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        data = np.asarray(self.data)
+        if data.ndim != 3:
+            raise BadInput(f"a frame stack must have the axes (frame, row, col), got shape {data.shape}")
+        if data.size == 0:
+            raise BadInput(f"a frame stack must hold at least one pixel, got shape {data.shape}")
+        if data.dtype.kind == "f" and not np.isfinite(data).all():
+            bad = int(np.size(data) - np.count_nonzero(np.isfinite(data)))
+            raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite of {data.size}")
+        if data.dtype.kind not in "uif":
+            raise BadInput(f"pixels must be whole or real numbers, got the type {data.dtype}")
+        object.__setattr__(self, "data", read_only(data))
+
+    def __len__(self) -> int:
+        return self.data.shape[0]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Frames, rows and columns."""
+        frames, rows, cols = self.data.shape
+        return frames, rows, cols
+
+    def region(self, row: int, col: int, height: int, width: int) -> "FrameStack":
+        """Return the frames cut to a rectangle; one that leaves the image is a BadInput."""
+        _, rows, cols = self.shape
+        inside = row >= 0 and col >= 0 and height > 0 and width > 0 and row + height <= rows and col + width <= cols
+        if not inside:
+            raise BadInput(
+                f"a region ROW,COL,HEIGHT,WIDTH must lie inside the image of {rows} rows and {cols} columns, "
+                f"got {row},{col},{height},{width}"
+            )
+        return replace(self, data=self.data[:, row : row + height, col : col + width])

@@ -1,0 +1,270 @@
+"""Results: a number with its intervals, verdict and provenance, the curves and the posterior behind it."""
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata import flags as vocabulary
+from labdata.frames import read_only
+from labdata.quantity import QUANTITIES
+
+Status = Literal["ok", "suspect", "refused"]
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Posterior:
+    """Draws of a posterior distribution with the evidence that they may be trusted.
+
+    Parameters
+    ----------
+    names, units
+        Name and unit of each parameter.
+    draws
+        Thinned draws, shape (draw, parameter). Made read-only.
+    autocorrelation_time
+        Integrated autocorrelation time of each parameter, steps, shape (parameter,).
+    acceptance
+        Mean acceptance fraction, dimensionless.
+    r_hat
+        Split R-hat over independent ensembles, shape (parameter,).
+    effective_sample_size
+        Effective number of independent draws of each parameter, shape (parameter,).
+    sampler
+        "emcee", or "laplace" where draws come from the curvature at the maximum.
+    seed
+        Seed of the draws.
+    flags
+        Reasons to distrust it.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    draws: NDArray[np.float64]
+    autocorrelation_time: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    acceptance: float | None = None
+    r_hat: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    effective_sample_size: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    sampler: Literal["emcee", "laplace"] = "emcee"
+    seed: int = 0
+    flags: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        draws = np.asarray(self.draws, float)
+        if draws.ndim != 2 or draws.shape[1] != len(self.names) or len(self.names) != len(self.units):
+            raise ValueError(f"draws must be (draw, {len(self.names)}) with a unit each, got shape {draws.shape}")
+        object.__setattr__(self, "draws", read_only(draws))
+        object.__setattr__(self, "flags", vocabulary.checked(self.flags))
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """Draws of one parameter, shape (draw,)."""
+        return self.draws[:, self.names.index(name)]
+
+
+def intervals_of(draws: ArrayLike) -> tuple[float, Interval, Interval]:
+    """Return the median and the equal-tailed 68 % and 95 % intervals of draws."""
+    low95, low68, middle, high68, high95 = np.quantile(np.asarray(draws, float), QUANTILES)
+    return float(middle), (float(low68), float(high68)), (float(low95), float(high95))
+
+
+# 68 and 95 % as the contract names them.
+QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """How a number came about: enough to make it again.
+
+    Parameters
+    ----------
+    version
+        Version of charact.
+    seed
+        Seed of every random step.
+    settings
+        Settings of the method, by name.
+    inputs
+        SHA-256 of each input file, by path as given.
+    """
+
+    version: str
+    seed: int | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
+    inputs: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """One measured quantity of the contract. Build it with `measured`, `from_draws` or `refused`.
+
+    Parameters
+    ----------
+    quantity, unit
+        A name of `labdata.quantity.QUANTITIES` and one of its units.
+    value, interval68, interval95
+        The number and its equal-tailed intervals; all None when refused.
+    status
+        "ok" (no flags), "suspect" (flags say what to distrust) or "refused" (no number; `reason` says why).
+    method, seconds
+        Name of the method and the time it took, s.
+    stack, region, frequency_cy_per_px, orientation_deg
+        Where they apply: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees.
+    posterior
+        The posterior the intervals are views of, if there is one.
+    """
+
+    quantity: str
+    unit: str
+    value: float | None
+    interval68: Interval | None
+    interval95: Interval | None
+    status: Status
+    method: str
+    seconds: float | None = None
+    flags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    reason: str | None = None
+    stack: str | None = None
+    region: tuple[int, int, int, int] | None = None
+    frequency_cy_per_px: float | None = None
+    orientation_deg: float | None = None
+    posterior: Posterior | None = None
+    provenance: Provenance | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "flags", vocabulary.checked(self.flags))
+        known = QUANTITIES.get(self.quantity)
+        if known is None or self.unit not in known.units:
+            raise ValueError(f"no quantity {self.quantity!r} with the unit {self.unit!r} in labdata.quantity")
+        if self.status == "refused" and (self.value is not None or not self.reason):
+            raise ValueError(f"a refused {self.quantity} carries a reason and no value")
+        if self.status != "refused" and (self.value is None or not np.isfinite(self.value)):
+            raise ValueError(f"{self.quantity} must be a finite number, got {self.value}")
+        if self.status != "refused" and (self.status == "ok") == bool(self.flags):
+            raise ValueError(f"{self.quantity} is {self.status} with flags {self.flags}")
+
+    def with_(self, **changes: Any) -> "Measurement":
+        """Return a copy with fields changed; flags given here are added and make an ok measurement suspect."""
+        flags = vocabulary.checked((*self.flags, *changes.pop("flags", ())))
+        status = self.status if self.status == "refused" else ("suspect" if flags else "ok")
+        return replace(self, flags=flags, status=status, **changes)
+
+
+def measured(
+    quantity: str,
+    unit: str,
+    value: float,
+    interval68: Interval | None,
+    interval95: Interval | None,
+    *,
+    method: str,
+    flags: tuple[str, ...] = (),
+    **fields: Any,
+) -> Measurement:
+    """Return a measurement that carries a number: ok without flags, suspect with them."""
+    return Measurement(
+        quantity=quantity,
+        unit=unit,
+        value=float(value),
+        interval68=interval68,
+        interval95=interval95,
+        status="suspect" if flags else "ok",
+        method=method,
+        flags=flags,
+        **fields,
+    )
+
+
+def from_draws(quantity: str, unit: str, draws: ArrayLike, *, method: str, **fields: Any) -> Measurement:
+    """Return a measurement whose value is the median of draws and whose intervals are their quantiles."""
+    value, interval68, interval95 = intervals_of(draws)
+    return measured(quantity, unit, value, interval68, interval95, method=method, **fields)
+
+
+def from_sd(quantity: str, unit: str, value: float, sd: float, *, method: str, **fields: Any) -> Measurement:
+    """Return a measurement with Gaussian intervals of a standard deviation in the unit of the value."""
+    half68, half95 = 0.994458 * sd, 1.959964 * sd
+    return measured(
+        quantity,
+        unit,
+        value,
+        (value - half68, value + half68),
+        (value - half95, value + half95),
+        method=method,
+        **fields,
+    )
+
+
+def refused(quantity: str, unit: str, reason: str, *, method: str, **fields: Any) -> Measurement:
+    """Return a measurement without a number and with the sentence that says why."""
+    return Measurement(
+        quantity=quantity,
+        unit=unit,
+        value=None,
+        interval68=None,
+        interval95=None,
+        status="refused",
+        reason=reason,
+        method=method,
+        **fields,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Curve:
+    """A quantity against spatial frequency with its pointwise intervals.
+
+    Parameters
+    ----------
+    frequency_cy_per_px
+        Increasing frequencies, shape (n,), cycles per pixel along the measured direction.
+    value
+        Values, shape (n,).
+    interval68, interval95
+        Lower and upper bounds, shape (2, n), or None.
+    stack
+        Label of the stack it was measured on.
+    """
+
+    frequency_cy_per_px: NDArray[np.float64]
+    value: NDArray[np.float64]
+    interval68: NDArray[np.float64] | None = None
+    interval95: NDArray[np.float64] | None = None
+    stack: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What one analysis found.
+
+    Parameters
+    ----------
+    measurements
+        The quantities.
+    curves
+        Curves by name ("mtf", "mtf_vertical", ...). Two stacks' curves of a session are told apart by a
+        suffix ":label".
+    evidence
+        What the report draws, by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals).
+    """
+
+    measurements: tuple[Measurement, ...] = ()
+    curves: dict[str, Curve] = field(default_factory=dict)
+    evidence: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def __add__(self, other: "Result") -> "Result":
+        return Result(
+            measurements=self.measurements + other.measurements,
+            curves={**self.curves, **other.curves},
+            evidence={**self.evidence, **other.evidence},
+        )
+
+    def find(self, quantity: str, **where: Any) -> tuple[Measurement, ...]:
+        """Return the measurements of a quantity whose fields equal those given."""
+        return tuple(
+            m
+            for m in self.measurements
+            if m.quantity == quantity and all(getattr(m, key) == value for key, value in where.items())
+        )

@@ -1,0 +1,108 @@
+"""What can be measured: the name, units and meaning of every quantity, and the conversion of spatial frequency."""
+
+from dataclasses import dataclass
+
+from labdata.errors import BadInput
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A measurable quantity of the command-line contract.
+
+    Parameters
+    ----------
+    units
+        The units a measurement of it may carry; the first is the usual one.
+    title
+        How a report names it.
+    """
+
+    units: tuple[str, ...]
+    title: str
+
+
+def _entry(title: str, *units: str) -> Quantity:
+    return Quantity(units=units, title=title)
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "mtf50": _entry("Frequency where the MTF is 0.5", "cy/px"),
+    "mtf10": _entry("Frequency where the MTF is 0.1", "cy/px"),
+    "mtf": _entry("Modulation transfer at one frequency", "1"),
+    "edge_angle": _entry("Angle of the edge to the pixel grid", "deg"),
+    "system_gain": _entry("System gain K, from the variance", "DN/e-"),
+    "photoelectron_gain": _entry("Gain k per photoelectron", "DN/pe"),
+    "detected_photoelectron_gain": _entry("Mean pulse height of detected events, k/p", "DN"),
+    "covariance_gain": _entry("Covariance gain K + kF²", "DN"),
+    "blur_factor": _entry("Blur factor: variance over covariance sum", "1"),
+    "read_noise": _entry("Read noise", "DN", "e-"),
+    "excess_noise_factor": _entry("Excess noise factor F²", "1"),
+    "ebi": _entry("Equivalent background illumination", "pe/s/px", "lm/cm2"),
+    "snr_max": _entry("Largest signal-to-noise ratio", "1"),
+    "dynamic_range": _entry("Dynamic range", "1"),
+    "noise_t": _entry("3-D noise: frame to frame", "DN"),
+    "noise_v": _entry("3-D noise: row to row", "DN"),
+    "noise_h": _entry("3-D noise: column to column", "DN"),
+    "noise_tv": _entry("3-D noise: rows, changing", "DN"),
+    "noise_th": _entry("3-D noise: columns, changing", "DN"),
+    "noise_vh": _entry("3-D noise: fixed pattern", "DN"),
+    "noise_tvh": _entry("3-D noise: random", "DN"),
+    "quantum_efficiency": _entry("Quantum efficiency", "%"),
+    "dark_signal": _entry("Dark signal", "DN", "e-", "e-/s"),
+    "saturation": _entry("Saturation level (variance peak)", "DN"),
+    "saturation_capacity": _entry("Saturation capacity", "e-"),
+    "dsnu": _entry("Dark signal non-uniformity", "e-", "DN"),
+    "prnu": _entry("Photoresponse non-uniformity", "%"),
+    "linearity_error": _entry("Linearity error", "%"),
+    "halo_diameter": _entry("Halo diameter, outer edge before blur", "px"),
+    "bloom_diameter": _entry("Bloom diameter at half of full scale", "px"),
+    "streak_length": _entry("Length of the bright column", "px"),
+}
+
+FREQUENCY_UNITS = ("cy/px", "lp/mm", "tvl/ph", "cy/mrad")
+
+
+def convert_frequency(
+    frequency_cy_per_px: float,
+    unit: str,
+    *,
+    pitch_um: float | None = None,
+    picture_height_px: float | None = None,
+    focal_length_mm: float | None = None,
+) -> float:
+    """Convert a spatial frequency from cycles per pixel to another unit.
+
+    Parameters
+    ----------
+    frequency_cy_per_px
+        Frequency at the detector, cycles per pixel.
+    unit
+        One of `FREQUENCY_UNITS`.
+    pitch_um
+        Pixel pitch along the frequency's direction, um; needed for lp/mm and cy/mrad.
+    picture_height_px
+        Picture height in the same pitches, px; needed for television lines per picture height (two lines a cycle).
+    focal_length_mm
+        Focal length, mm; needed for cy/mrad.
+
+    Raises
+    ------
+    BadInput
+        If the unit is unknown or a length that it needs is missing.
+    """
+    if unit == "cy/px":
+        return frequency_cy_per_px
+    if unit == "lp/mm":
+        return frequency_cy_per_px / _needed(pitch_um, "pitch_um", unit) * 1e3
+    if unit == "tvl/ph":
+        return 2.0 * frequency_cy_per_px * _needed(picture_height_px, "picture_height_px", unit)
+    if unit == "cy/mrad":
+        milliradian_per_px = _needed(pitch_um, "pitch_um", unit) / _needed(focal_length_mm, "focal_length_mm", unit)
+        return frequency_cy_per_px / milliradian_per_px
+    raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {unit!r}")
+
+
+def _needed(length: float | None, name: str, unit: str) -> float:
+    if length is None or not length > 0:
+        raise BadInput(f"{unit} needs a positive {name}, got {length}")
+    return length

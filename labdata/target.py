@@ -1,0 +1,42 @@
+"""The targets put before the camera."""
+
+from dataclasses import dataclass
+
+from labdata.errors import BadInput
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """What stood before the camera; only the fields of the stack's kind are set.
+
+    Parameters
+    ----------
+    bars
+        Number of bars of a bar target.
+    frequency_cy_per_px
+        Frequency of the bars at the detector, cycles per column pitch.
+    angle_deg
+        Direction across the bars or along the edge's normal, degrees from the row direction: 0 is horizontal
+        frequency (vertical bars or edge), 90 is vertical frequency.
+    pinhole_px
+        Diameter of the pinhole's image, column pitches.
+    contrast
+        (bright - dark) / (bright + dark) of bars or edge, dimensionless.
+    region
+        ROW, COL, HEIGHT, WIDTH of the target in the frame, px.
+    """
+
+    bars: int | None = None
+    frequency_cy_per_px: float | None = None
+    angle_deg: float | None = None
+    pinhole_px: float | None = None
+    contrast: float | None = None
+    region: tuple[int, int, int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if self.bars is not None and self.bars < 2:
+            raise BadInput(f"a bar target must have at least 2 bars, got {self.bars}")
+        if self.frequency_cy_per_px is not None and not self.frequency_cy_per_px > 0:
+            raise BadInput(f"frequency_cy_per_px must be positive, got {self.frequency_cy_per_px:g}")
+        if self.contrast is not None and not 0 < self.contrast <= 1:
+            raise BadInput(f"contrast must lie in (0, 1], got {self.contrast:g}")

@@ -1,0 +1,1 @@
+"""The model of the rig: radiance of a scene, the intensified camera that sees it, and virtual instruments."""

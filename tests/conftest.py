@@ -1,0 +1,34 @@
+"""Shared fixtures: the seed of every statistical test, chosen or taken from outside."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+DEFAULT_SEED = 20261121
+
+
+def pytest_report_header() -> str:
+    return f"charact test seed: {test_seed()} (set CHARACT_TEST_SEED to choose another)"
+
+
+def test_seed() -> int:
+    return int(os.environ.get("CHARACT_TEST_SEED", DEFAULT_SEED))
+
+
+test_seed.__test__ = False
+
+
+@pytest.fixture(scope="session")
+def seed() -> int:
+    """Seed of statistical tests; their tolerances hold for seeds that nobody chose."""
+    return test_seed()
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of real frames made elsewhere; a test that needs them skips where they are absent."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("the real frames are not beside this checkout")
+    return folder
