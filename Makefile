@@ -1,0 +1,45 @@
+# Each target does all its own set-up: nothing is needed but Python 3.11 or later (and, for Aravis, the right to install it).
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/ready
+WORKERS ?= 2
+
+.PHONY: demo test test-seeds check bench study lock clean
+
+demo: $(READY)
+	$(BIN)/charact demo demo
+
+test: $(READY)
+	$(BIN)/pytest -n $(WORKERS) --dist loadfile
+
+# Statistical tests again with three seeds that nobody chose.
+test-seeds: $(READY)
+	for i in 1 2 3; do \
+	  seed=$$(date +%N | sed 's/^0*//'); echo "seed from the clock: $$seed"; \
+	  CHARACT_TEST_SEED=$$seed $(BIN)/pytest -q -n $(WORKERS) --dist loadfile || exit 1; \
+	done
+
+check: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+
+bench: $(READY)
+	$(BIN)/python -m benchmarks
+
+# Speed against accuracy, and where methods fail: measured again, tables for `auto` rewritten.
+study: $(READY)
+	$(BIN)/charact chart mtf50 --update --out study
+	$(BIN)/charact stability mtf50 --out study
+
+lock:
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	  --all-extras --group dev pyproject.toml -o requirements.lock
+
+clean:
+	rm -rf .venv demo study
+
+$(READY): requirements.lock pyproject.toml .ci/setup
+	PYTHON=$(PYTHON) sh .ci/setup
+	touch $@
