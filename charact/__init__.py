@@ -1,3 +1,31 @@
-"""Characterize image-intensified cameras: measurements with posteriors, validation against simulation, reports."""
+"""Characterize image-intensified cameras: measurements with posteriors, validation against simulation, reports.
+
+import charact, labdata
+
+session = labdata.open_session("day1")
+result = charact.measure(session)
+for measurement in result.find("mtf50"):
+    print(measurement.value, measurement.interval95, measurement.status)
+"""
+
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from charact.fit import fit_sensor
+    from charact.measuring import measure
+    from charact.validation import validate
+
+__all__ = ["fit_sensor", "measure", "validate"]
+
+_HOMES = {"measure": "charact.measuring", "fit_sensor": "charact.fit", "validate": "charact.validation"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import the analysis only when it is asked for: the command line must answer at once."""
+    if name in _HOMES:
+        from importlib import import_module
+
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'charact' has no attribute {name!r}")

@@ -1,0 +1,19 @@
+"""`make bench`: every benchmark, one line each; exit code 1 if a promised time is missed."""
+
+import sys
+
+from benchmarks import command_line, simulator, storage
+
+
+def main() -> int:
+    """Run all benchmarks and print a line for each."""
+    kept = True
+    for module in (command_line, storage, simulator):
+        for row in module.rows():
+            print(row.text(), flush=True)
+            kept &= row.kept
+    return 0 if kept else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

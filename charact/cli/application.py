@@ -1,0 +1,54 @@
+"""The command `charact`: its verbs, and nothing heavy imported before one runs."""
+
+import signal
+import sys
+from typing import Annotated
+
+import typer
+
+from charact import __version__
+from charact.cli import acquisition, importing, loop, mtf, reference, sessions, studies
+
+app = typer.Typer(
+    name="charact",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help=__doc__,
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"charact {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def charact(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Characterize, simulate and validate image-intensified cameras, with a posterior on every number.
+
+    First steps: charact demo; charact mtf edge my-edge.tif; charact measure my-session
+    """
+
+
+app.add_typer(mtf.app, name="mtf")
+app.add_typer(importing.app, name="import")
+for verbs in (loop, acquisition, sessions, studies, reference):
+    verbs.add_to(app)
+
+
+def run() -> None:
+    """Run the command; an interrupt ends with exit code 130 and one sentence."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        app()
+    except KeyboardInterrupt:
+        print("charact: interrupted", file=sys.stderr)
+        sys.exit(130)

@@ -1,0 +1,59 @@
+"""The verbs `import emva1288|frames`: a session of frames made elsewhere."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from charact.cli.output import bad_input_ends
+
+app = typer.Typer(no_args_is_help=True, help="Make a session of frames made elsewhere.")
+
+Out = Annotated[Path, typer.Argument(help="Folder of the session to make.")]
+
+
+@app.command()
+def emva1288(file: Annotated[Path, typer.Argument(help="EMVA 1288 descriptor file.")], out: Out) -> None:
+    """A photon-transfer series from its EMVA 1288 descriptor.
+
+    Example: charact import emva1288 EMVA1288_Data.txt ccd12
+    """
+    with bad_input_ends(str(file)):
+        from labdata.importers import import_emva1288
+
+        _summarise(import_emva1288(file, out), out, f"charact noise {out}")
+
+
+@app.command()
+def frames(
+    files: Annotated[list[Path], typer.Argument(help="Frames, then the session's folder: FILES... OUT")],
+    kind: Annotated[str, typer.Option(help="What they show: dark, flat, edge, bars, point or scene.")] = "scene",
+    name: Annotated[
+        str | None, typer.Option(help="Conditions in the file names, such as '{mcp_v}V_{gate_ns}ns_*'.")
+    ] = None,
+) -> None:
+    """Frames in files of known kinds, one stack a file.
+
+    Example: charact import frames 780V_*.tif mine --kind flat --name '{mcp_v}V_*'
+    """
+    *sources, out = files
+    with bad_input_ends(" ".join(map(str, sources))):
+        from labdata.errors import BadInput
+        from labdata.importers import import_frames
+
+        if not sources:
+            raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
+        _summarise(import_frames(sources, out, kind=kind, name_pattern=name), out, f"charact measure {out}")
+
+
+def _summarise(session, out: Path, next_verb: str) -> None:
+    kinds: dict[str, int] = {}
+    for stack in session.stacks:
+        kinds[stack.kind] = kinds.get(stack.kind, 0) + 1
+    print(f"{out}: {len(session.stacks)} stacks ({', '.join(f'{count} {kind}' for kind, count in kinds.items())})")
+    unknown = sorted({name for s in session.stacks for name, value in vars(s.conditions).items() if value is None})
+    if unknown:
+        print(f"conditions not known for every stack: {', '.join(unknown)}")
+    for note in session.notes:
+        print(f"note: {note}")
+    print(f"Next: {next_verb}")

@@ -1,0 +1,35 @@
+"""Options that several verbs share, each declared once."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labdata.errors import BadInput
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
+Events = Annotated[bool, typer.Option("--events", help="Progress and messages as one JSON object a line on stderr.")]
+Seed = Annotated[int, typer.Option(help="Seed of every random step; the same seed gives the same bytes.")]
+Quick = Annotated[bool, typer.Option("--quick", help="No posterior: intervals from the curvature of the fit.")]
+MethodName = Annotated[str, typer.Option("--method", help="auto, or a name that `charact methods` lists.")]
+Within = Annotated[float, typer.Option("--within", help="Error that auto must meet, percent.", min=0.0)]
+Roi = Annotated[str | None, typer.Option("--roi", help="Region ROW,COL,HEIGHT,WIDTH in px; else the target is found.")]
+Plane = Annotated[str | None, typer.Option(help="Colour plane: r, g1, g2, b or mono.")]
+SensorName = Annotated[str | None, typer.Option("--sensor", help="A shipped sensor's name, or a path to its TOML.")]
+Units = Annotated[
+    str, typer.Option(help="Frequency unit for people: cy/px, lp/mm, tvl/ph or cy/mrad. JSON stays cy/px.")
+]
+PitchUm = Annotated[float | None, typer.Option("--pitch-um", help="Pixel pitch for lp/mm and cy/mrad, um.")]
+Annotate = Annotated[Path | None, typer.Option(help="Write the image with the regions and their MTF50 drawn in, PNG.")]
+
+
+def parsed_region(text: str | None) -> tuple[int, int, int, int] | None:
+    """Return ROW, COL, HEIGHT, WIDTH of an --roi, or None; anything but four whole numbers is a BadInput."""
+    if text is None:
+        return None
+    parts = text.split(",")
+    try:
+        row, col, height, width = (int(part) for part in parts)
+    except ValueError:
+        raise BadInput(f"--roi must be four whole numbers ROW,COL,HEIGHT,WIDTH, got {text!r}") from None
+    return row, col, height, width

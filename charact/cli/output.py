@@ -1,0 +1,124 @@
+"""What a verb says: one JSON object, or lines for people; and the exit code that goes with it."""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+import typer
+from labdata.document import to_json
+
+from charact import __version__
+from labdata.errors import BadInput
+from labdata.flags import FLAGS
+from labdata.measurement import Measurement, Result
+from labdata.quantity import convert_frequency
+
+Frequency = Callable[[float], tuple[float, str]]
+
+
+def in_cycles_per_pixel(frequency_cy_per_px: float) -> tuple[float, str]:
+    """The frequency and unit of the contract."""
+    return frequency_cy_per_px, "cy/px"
+
+
+def say(sentence: str, *, events: bool = False) -> None:
+    """Say one sentence on stderr, as an event if asked."""
+    print(json.dumps({"message": sentence}) if events else sentence, file=sys.stderr)
+
+
+def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> NoReturn:
+    """End with exit code 1 and one sentence."""
+    one_line = " ".join(sentence.split())
+    if as_json:
+        print(json.dumps({"charact": __version__, "input": given, "error": one_line}))
+    say(one_line if events else f"charact: {one_line}", events=events)
+    raise typer.Exit(1)
+
+
+@contextmanager
+def bad_input_ends(given: str, *, as_json: bool = False, events: bool = False) -> Iterator[None]:
+    """Turn bad input, a failing bench and a file system that refuses into one sentence and exit code 1."""
+    try:
+        yield
+    except BadInput as error:
+        fail(str(error), given=given, as_json=as_json, events=events)
+    except OSError as error:
+        named = f" ({error.filename})" if error.filename else ""
+        fail(f"the file system refused: {error.strerror or error}{named}", given=given, as_json=as_json, events=events)
+
+
+def show(
+    result: Result,
+    *,
+    given: str,
+    as_json: bool,
+    events: bool = False,
+    frequency: Frequency = in_cycles_per_pixel,
+    next_verb: str | None = None,
+) -> None:
+    """Print a result; exit with 1 and a sentence if no measurement carries a number.
+
+    Parameters
+    ----------
+    frequency
+        Converts a frequency in cy/px to the unit people asked for. JSON stays in cy/px.
+    next_verb
+        The next sensible command, named on a terminal.
+    """
+    if as_json:
+        print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
+    else:
+        for measurement in result.measurements:
+            print("\n".join(lines_of(measurement, frequency)))
+    if all(m.value is None for m in result.measurements):
+        reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
+        say(f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events)
+        raise typer.Exit(1)
+    if next_verb and sys.stdout.isatty() and not as_json:
+        print(f"\nNext: {next_verb}")
+
+
+def lines_of(measurement: Measurement, frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
+    """One line for a measurement, then one for each flag and note."""
+    m = measurement
+    where = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px))
+    where += f" of {m.stack}" if m.stack else ""
+    spent = f", {m.seconds:.1f} s" if m.seconds is not None else ""
+    if m.value is None:
+        yield f"{m.quantity}{where}: refused: {m.reason} ({m.method}{spent})"
+    else:
+        convert = frequency if m.unit == "cy/px" else lambda value: (value, "" if m.unit == "1" else m.unit)
+        value, unit = convert(m.value)
+        band = (
+            "[{:.4g}, {:.4g}] 95 %".format(*(convert(end)[0] for end in m.interval95))
+            if m.interval95
+            else "no interval"
+        )
+        yield f"{m.quantity}{where} {value:.4g} {unit} {band}, {m.status}, {m.method}{spent}".replace("  ", " ")
+    for flag in m.flags:
+        yield f"    {flag}: {FLAGS[flag]}"
+    for note in m.notes:
+        yield f"    note: {note}"
+
+
+def frequency_converter(
+    unit: str, pitch_um: float | None, rows: int | None, focal_length_mm: float | None
+) -> Frequency:
+    """Return the conversion of a frequency in cy/px to a unit; raises BadInput now if a length is missing."""
+
+    def convert(frequency_cy_per_px: float) -> tuple[float, str]:
+        return (
+            convert_frequency(
+                frequency_cy_per_px,
+                unit,
+                pitch_um=pitch_um,
+                picture_height_px=rows,
+                focal_length_mm=focal_length_mm,
+            ),
+            unit,
+        )
+
+    convert(0.1)
+    return convert

@@ -1,0 +1,28 @@
+"""Progress of long work: a bar on a terminal, JSON lines if asked, nothing on a pipe."""
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Progress = Callable[[str, float], None]
+
+
+@contextmanager
+def progress_bar(*, events: bool = False) -> Iterator[Progress]:
+    """Yield a function that takes a sentence and the share done (0..1)."""
+    if events:
+        yield lambda sentence, share: print(
+            json.dumps({"progress": round(share, 4), "message": sentence}), file=sys.stderr
+        )
+        return
+    if not sys.stderr.isatty():
+        yield lambda sentence, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda sentence, share: bar.update(task, description=sentence, completed=share)

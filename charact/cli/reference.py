@@ -1,0 +1,58 @@
+"""The verbs `methods` and `schema`: what there is to choose from, and the file formats for editors."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from charact.cli import options
+from charact.cli.output import bad_input_ends
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs to the command."""
+    app.command()(methods)
+    app.command()(schema)
+
+
+def methods(as_json: options.Json = False) -> None:
+    """Every registered method: what it measures, where it holds, its measured error and time.
+
+    Example: charact methods
+    """
+    from charact import bloom, mtf, noise  # noqa: F401  (importing registers)
+    from charact.method import METHODS
+    from charact.method.registry import chart_table
+
+    rows = []
+    for method in METHODS.values():
+        charted = [r for q in method.quantities for r in chart_table(q) if r["method"] == method.name]
+        measured = {key: charted[0][key] for key in ("error_percent", "seconds")} if charted else {}
+        rows.append(
+            {
+                "kind": method.kind,
+                "name": method.name,
+                "quantities": method.quantities,
+                "scope": method.scope,
+                **measured,
+            }
+        )
+    if as_json:
+        print(json.dumps({"methods": rows}))
+        return
+    for row in rows:
+        cost = f"{row['error_percent']:.3g} % in {row['seconds']:.2g} s" if "seconds" in row else "not charted"
+        print(f"{row['kind']:6} {row['name']:16} {cost:22} {', '.join(row['quantities'])}\n{'':24}{row['scope']}")
+
+
+def schema(
+    kind: Annotated[str, typer.Argument(help="session, sensor or plan.")],
+) -> None:
+    """JSON Schema of a file format, for completion and checking in editors.
+
+    Example: charact schema plan > plan.schema.json
+    """
+    with bad_input_ends(kind):
+        from labdata.border import file_schema
+
+        print(json.dumps(file_schema(kind), indent=2))

@@ -1,0 +1,176 @@
+"""The verbs that take a session: noise, bloom, measure, fit, validate, report."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from charact.cli import options
+from charact.cli.output import bad_input_ends, say, show
+from charact.cli.progress import progress_bar
+
+SessionFolder = Annotated[Path, typer.Argument(help="Folder of a session.")]
+FITTED = "fitted.toml"
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verbs to the command."""
+    for verb in (noise, bloom, measure, fit, validate, report):
+        app.command()(verb)
+
+
+def noise(
+    session: SessionFolder,
+    method: options.MethodName = "auto",
+    within: options.Within = 2.0,
+    quick: options.Quick = False,
+    seed: options.Seed = 0,
+    as_json: options.Json = False,
+    events: options.Events = False,
+) -> None:
+    """Noise and gain from flats and darks.
+
+    Example: charact noise ccd12 --json
+    """
+    _analyse("noise", session, method, within, quick, seed, as_json, events)
+
+
+def bloom(
+    session: SessionFolder,
+    method: options.MethodName = "auto",
+    within: options.Within = 2.0,
+    quick: options.Quick = False,
+    seed: options.Seed = 0,
+    as_json: options.Json = False,
+    events: options.Events = False,
+) -> None:
+    """Halo and blooming extent from point sources.
+
+    Example: charact bloom day1
+    """
+    _analyse("bloom", session, method, within, quick, seed, as_json, events)
+
+
+def _analyse(
+    room: str, folder: Path, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool
+) -> None:
+    with bad_input_ends(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
+        from importlib import import_module
+
+        from charact.measuring import context_of
+        from labdata.session import open_session
+
+        opened = open_session(folder)
+        context = context_of(opened, quick=quick, seed=seed, progress=progress)
+        analysis = import_module(f"charact.{room}")
+        result = analysis.measure(opened, method=method, within_percent=within, context=context)
+        show(result, given=str(folder), as_json=as_json, events=events, next_verb=f"charact measure {folder}")
+
+
+def measure(
+    session: SessionFolder,
+    within: options.Within = 2.0,
+    quick: options.Quick = False,
+    seed: options.Seed = 0,
+    as_json: options.Json = False,
+    events: options.Events = False,
+) -> None:
+    """All that the session's stacks allow; the result is kept in the session for report and fit.
+
+    Example: charact measure day1 --quick
+    """
+    with bad_input_ends(str(session), as_json=as_json, events=events):
+        result = measured_and_kept(session, quick=quick, seed=seed, within=within, events=events)
+        show(result, given=str(session), as_json=as_json, events=events, next_verb=f"charact report {session}")
+
+
+def measured_and_kept(folder: Path, *, quick: bool = False, seed: int = 0, within: float = 2.0, events: bool = False):
+    """Measure a session and keep the result in it."""
+    from charact.measuring import measure as measure_session
+    from labdata import document
+    from labdata.session import open_session
+
+    opened = open_session(folder)
+    with progress_bar(events=events) as progress:
+        result = measure_session(opened, quick=quick, seed=seed, within_percent=within, progress=progress)
+    document.save(result, opened.folder)
+    return result
+
+
+def kept_or_measured(folder: Path, *, seed: int, events: bool):
+    """The result kept in a session; measured now if there is none."""
+    from labdata import document
+    from labdata.session import open_session
+
+    if (result := document.load(open_session(folder).folder)) is not None:
+        return result
+    say(f"{folder} has not been measured yet: measuring it first", events=events)
+    return measured_and_kept(folder, seed=seed, events=events)
+
+
+def fit(
+    session: SessionFolder,
+    sensor_out: Annotated[Path, typer.Option("--sensor-out", help="TOML file for the fitted sensor.")],
+    seed: options.Seed = 0,
+    events: options.Events = False,
+) -> None:
+    """Fit the sensor: identified parameters with joint posterior draws, every other one at its prior and marked.
+
+    Example: charact fit day1 --sensor-out day1/fitted.toml
+    """
+    with bad_input_ends(str(session), events=events):
+        from charact.fit import fit_sensor
+        from labdata.sensors import save_sensor
+        from labdata.session import open_session
+
+        result = kept_or_measured(session, seed=seed, events=events)
+        with progress_bar(events=events) as progress:
+            fitted = fit_sensor(open_session(session), result, seed=seed, progress=progress)
+        save_sensor(fitted, sensor_out)
+        for path, parameter in fitted.parameters().items():
+            if parameter.standing in ("fitted", "prior"):
+                print(
+                    f"{path} {parameter.value:.4g} [{parameter.low:.4g}, {parameter.high:.4g}] 95 %, {parameter.standing}"
+                )
+        print(f"{sensor_out}\nNext: charact validate {session} --sensor {sensor_out}")
+
+
+def validate(
+    session: SessionFolder,
+    sensor: options.SensorName = None,
+    seed: options.Seed = 0,
+    as_json: options.Json = False,
+    events: options.Events = False,
+) -> None:
+    """Simulated beside measured frames, from the fitted sensor alone, under statistics that can fail.
+
+    Example: charact validate day1 --sensor day1/fitted.toml
+    """
+    with bad_input_ends(str(session), as_json=as_json, events=events):
+        from charact.cli.validating import shown, validated_and_kept
+
+        shown(
+            validated_and_kept(session, sensor or session / FITTED, seed=seed, events=events), session, as_json=as_json
+        )
+
+
+def report(
+    session: SessionFolder,
+    out: Annotated[Path | None, typer.Option(help="HTML file; else report.html in the session.")] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF beside it.")] = False,
+    seed: options.Seed = 0,
+    events: options.Events = False,
+) -> None:
+    """One self-contained HTML file: figures, quantities with intervals and verdicts, validation, provenance.
+
+    Example: charact report day1 --pdf
+    """
+    with bad_input_ends(str(session), events=events):
+        from charact.cli.validating import kept_validation
+        from charact.report import write
+        from labdata.session import open_session
+
+        opened = open_session(session)
+        result = kept_or_measured(session, seed=seed, events=events)
+        path = write(opened, result, out or session / "report.html", validation=kept_validation(opened), pdf=pdf)
+        print(path)
