@@ -1,0 +1,126 @@
+"""Speed against accuracy: the methods of a quantity on the same cases, a figure and the table that `auto` reads."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import charact
+from charact.method import Context, Method
+from charact.study.harness import Progress, Row, Summary, run, summary
+from charact.study.quantities import STUDIES, methods_of
+
+TABLES = Path(__file__).resolve().parents[1] / "method" / "tables"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """Speed against accuracy of the methods of one quantity.
+
+    Parameters
+    ----------
+    quantity
+        What was measured.
+    seed, quick
+        Seed of the cases, and whether the methods ran without Markov chains.
+    summaries
+        One for each method, the quickest first.
+    rows
+        Every method on every case.
+    files
+        What was written: the rows as JSON and the figure.
+    """
+
+    quantity: str
+    seed: int
+    quick: bool
+    summaries: tuple[Summary, ...]
+    rows: tuple[Row, ...]
+    files: tuple[Path, ...] = ()
+
+    @property
+    def table(self) -> dict[str, Any]:
+        """The table that `auto` reads: one row for each method, and how to make it again."""
+        return {
+            "quantity": self.quantity,
+            "methods": [asdict(row) for row in self.summaries],
+            "error_percent_means": "95th percentile of |value - truth| / truth; a refusal counts as 100",
+            "seconds_means": "median over the cases, one process",
+            "provenance": {"charact": charact.__version__, "seed": self.seed, "quick": self.quick},
+        }
+
+    @property
+    def text(self) -> str:
+        """The summaries as a plain table."""
+        head = f"{'method':<20}{'error p95':>11}{'seconds':>9}{'cases':>7}{'ok':>6}{'silent':>8}{'missed 95 %':>13}"
+        lines = [
+            f"{s.method:<20}{s.error_percent:>9.2f} %{s.seconds:>9.3f}{s.cases:>7}{s.ok_fraction:>6.0%}{s.silent:>8}"
+            f"{s.missed_fraction:>13.0%}"
+            for s in self.summaries
+        ]
+        return "\n".join([f"{self.quantity}: error against time on the same cases", head, *lines])
+
+
+def chart(
+    quantity: str,
+    *,
+    seed: int = 0,
+    out: str | Path | None = None,
+    progress: Progress = lambda sentence, share: None,
+    update: bool = False,
+    quick: bool = False,
+    cases: int | None = None,
+    methods: tuple[Method, ...] | None = None,
+) -> Chart:
+    """Measure error and time of every method of a quantity on the same cases of known truth.
+
+    Parameters
+    ----------
+    quantity
+        A name of `charact.study.STUDIES`.
+    seed
+        Seed of the cases.
+    out
+        Folder for `chart-QUANTITY.json` and `.svg`; None: nothing is written there.
+    progress
+        Called with a sentence and the share done.
+    update
+        Write the table that `charact.method.choose` reads.
+    quick
+        A cut for a first look: few cases and no Markov chains.
+    cases
+        Number of cases; None: as the study says.
+    methods
+        The methods; None: all that are registered for the quantity.
+
+    Raises
+    ------
+    BadInput
+        If no study of the quantity exists.
+    """
+    methods = methods_of(quantity) if methods is None else methods
+    study = STUDIES[quantity]
+    count = cases or (study.quick_count if quick else study.chart_count)
+    drawn = study.chart_cases(seed, count)
+    for method in methods:  # what a method imports or compiles on its first call is not its time on a frame
+        run([method], drawn[:1], context=Context(quick=quick))
+    rows = run(methods, drawn, context=Context(quick=quick), progress=progress)
+    summaries = sorted((summary(rows, method.name) for method in methods), key=lambda s: s.seconds)
+    result = Chart(quantity=quantity, seed=seed, quick=quick, summaries=tuple(summaries), rows=rows)
+    if update:
+        write_json(TABLES / f"{quantity}.json", result.table)
+    if out is None:
+        return result
+    from charact.study.draw import draw_chart
+
+    data = {**result.table, "rows": [row.as_json() for row in rows]}
+    written = write_json(Path(out) / f"chart-{quantity}.json", data)
+    files = (written, draw_chart(result, Path(out) / f"chart-{quantity}.svg"))
+    return Chart(**{**vars(result), "files": files})
+
+
+def write_json(path: Path, data: dict[str, Any]) -> Path:
+    """Write a study's data, one row a line being too long for eyes, indented by one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n")
+    return path

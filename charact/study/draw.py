@@ -1,0 +1,128 @@
+"""Figures of a study: error against time, and a map of truth beside estimate along every axis."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from charact.study.chart import Chart
+from charact.study.harness import Row
+from charact.study.stability import Stability, axes_of
+from labdata.quantity import QUANTITIES
+
+# Colours that differ in lightness too (Okabe and Ito), and a mark for each verdict.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
+MARKS = {"ok": "o", "suspect": "^", "refused": "x", "crashed": "P"}
+
+
+def _pyplot() -> Any:
+    """Matplotlib without a screen, text kept as text."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as pyplot
+
+    pyplot.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "charact", "font.size": 9, "axes.grid": True})
+    pyplot.rcParams.update({"grid.alpha": 0.25, "axes.spines.top": False, "axes.spines.right": False})
+    return pyplot
+
+
+def _save(figure: Any, path: Path) -> Path:
+    """Write the figure as its SVG and, beside it, as PNG."""
+    figure.savefig(path, metadata={"Date": None})
+    figure.savefig(path.with_suffix(".png"), dpi=110)
+    _pyplot().close(figure)
+    return path
+
+
+def draw_chart(result: Chart, path: Path) -> Path:
+    """Draw relative error (95th percentile as a mark, every case as a dot) against time, both logarithmic."""
+    figure, axes = _pyplot().subplots(figsize=(7.5, 4.6), layout="constrained")
+    for colour, one in zip(_cycled(len(result.summaries)), result.summaries, strict=True):
+        own = [row for row in result.rows if row.method == one.method and row.error_percent is not None]
+        errors = np.maximum([row.error_percent for row in own], 1e-3)
+        axes.scatter([row.seconds for row in own], errors, s=9, color=colour, alpha=0.35, linewidths=0)
+        label = f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, {one.ok_fraction:.0%} ok"
+        axes.scatter([one.seconds], [one.error_percent], s=90, color=colour, edgecolor="black", label=label, zorder=3)
+    axes.set(xscale="log", yscale="log", xlabel="time for one stack (s)")
+    axes.set_ylabel(f"error of {result.quantity} (% of the truth)")
+    cases = result.summaries[0].cases if result.summaries else 0
+    axes.set_title(
+        f"{QUANTITIES[result.quantity].title}\nlarge: median time, 95th percentile of {cases} cases", fontsize=10
+    )
+    axes.legend(frameon=False, fontsize=8)
+    return _save(figure, path)
+
+
+def _cycled(count: int) -> list[str]:
+    return [COLOURS[number % len(COLOURS)] for number in range(count)]
+
+
+def draw_stability(result: Stability, path: Path) -> Path:
+    """Draw value over truth along every axis with its 95 % interval, verdict as the mark, lies in red."""
+    names = axes_of(result.rows)
+    columns = 3
+    lines = -(-len(names) // columns)
+    figure, grid = _pyplot().subplots(
+        lines, columns, figsize=(13, 2.9 * lines + 0.5), layout="constrained", squeeze=False, sharey=True
+    )
+    for panel, name in zip(grid.flat, names, strict=False):
+        _draw_axis(panel, [row for row in result.rows if row.axis == name], result.methods, result.quantity)
+    for panel in grid.flat[len(names) :]:
+        panel.set_visible(False)
+    figure.legend(handles=_legend(result.methods), loc="outside upper center", ncols=4, frameon=False)
+    return _save(figure, path)
+
+
+def _draw_axis(panel: Any, rows: list[Row], methods: tuple[str, ...], quantity: str) -> None:
+    """One panel: positions side by side, methods next to each other within a position."""
+    positions = list(dict.fromkeys(row.position for row in rows))
+    inside = [n for n, p in enumerate(positions) if any(row.in_scope for row in rows if row.position == p)]
+    if inside:
+        panel.axvspan(inside[0] - 0.45, inside[-1] + 0.45, color="#009e73", alpha=0.09, linewidth=0)
+    panel.axhline(1.0, color="black", linewidth=0.8)
+    for number, (method, colour) in enumerate(zip(methods, _cycled(len(methods)), strict=True)):
+        own = [row for row in rows if row.method == method]
+        shift = (number - (len(methods) - 1) / 2) * 0.8 / len(methods)
+        for place, row in _spread(own, positions):
+            _draw_row(panel, place + shift, row, colour)
+    panel.set(ylim=(0.45, 1.6), title=rows[0].axis, xlabel=f"{rows[0].axis} ({rows[0].unit})")
+    panel.set_ylabel(f"{quantity}: value / truth")
+    panel.set_xticks(range(len(positions)), [f"{p:g}" for p in positions])
+    panel.title.set_fontsize(10)
+
+
+def _spread(rows: list[Row], positions: list[float]) -> list[tuple[float, Row]]:
+    """Places of the draws at a position, side by side."""
+    placed = []
+    for number, position in enumerate(positions):
+        at = [row for row in rows if row.position == position]
+        steps = np.linspace(-0.1, 0.1, len(at)) if len(at) > 1 else np.zeros(1)
+        placed += [(number + float(step), row) for step, row in zip(steps, at, strict=True)]
+    return placed
+
+
+def _draw_row(panel: Any, place: float, row: Row, colour: str) -> None:
+    """One estimate over its truth; what has no number stands at the lower rim, what lies beyond it at the rim."""
+    mark = MARKS[row.status]
+    if row.value is None or row.truth is None:
+        height = 0.5 if row.value is None else 1.55
+        panel.plot(place, height, mark, color="red" if row.silent else colour, markersize=5, alpha=0.8)
+        return
+    ratio = row.value / row.truth
+    if row.low95 is not None and row.high95 is not None:
+        panel.plot([place] * 2, [row.low95 / row.truth, row.high95 / row.truth], color=colour, linewidth=1, alpha=0.7)
+    panel.plot(place, float(np.clip(ratio, 0.47, 1.58)), mark, color=colour, markersize=4)
+    if row.silent:
+        panel.plot(place, float(np.clip(ratio, 0.47, 1.58)), "o", mfc="none", mec="red", markersize=12, mew=1.8)
+
+
+def _legend(methods: tuple[str, ...]) -> list[Any]:
+    """Handles: methods by colour, verdicts by mark."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    colours = [Patch(color=colour, label=method) for method, colour in zip(methods, _cycled(len(methods)), strict=True)]
+    marks = [Line2D([], [], color="gray", marker=mark, linestyle="", label=word) for word, mark in MARKS.items()]
+    lie = Line2D([], [], marker="o", linestyle="", mfc="none", mec="red", markersize=10, label="silent failure")
+    return [*colours, *marks, lie, Patch(color="#009e73", alpha=0.15, label="inside the scope")]

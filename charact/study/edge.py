@@ -1,0 +1,206 @@
+"""Edges of exactly known MTF: the frame of a blurred step by numerical transform, and its noise, from no simulator."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+# Step of the tabulated edge spread, px, and its length: 16384 px hold the tails of exp(-(f/fc)^n).
+STEP_PX = 1 / 64
+SAMPLES = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blur:
+    """A rotationally symmetric blur and the square pixel behind it.
+
+    Parameters
+    ----------
+    form
+        "gaussian": exp(-2 (pi f s)^2). "exponential": exp(-(f/fc)^n), the form of intensifier tubes.
+    sigma_px
+        s of the Gaussian, px.
+    frequency_cy_per_px, exponent
+        fc and n of the exponential form, cycles per pixel and dimensionless.
+    """
+
+    form: Literal["gaussian", "exponential"] = "gaussian"
+    sigma_px: float = 1.0
+    frequency_cy_per_px: float = 0.25
+    exponent: float = 1.184
+
+    def mtf(self, frequency_cy_per_px: NDArray[np.float64] | float, angle_deg: float) -> NDArray[np.float64]:
+        """MTF along the normal of an edge whose normal stands at an angle to the rows, pixel included.
+
+        Notes
+        -----
+        The square pixel's transform along the direction a is sinc(f cos a) sinc(f sin a), sinc(x) = sin(pi x)/(pi x).
+        """
+        f = np.asarray(frequency_cy_per_px, float)
+        angle = np.deg2rad(angle_deg)
+        pixel = np.sinc(f * np.cos(angle)) * np.sinc(f * np.sin(angle))
+        if self.form == "gaussian":
+            return np.exp(-2 * (np.pi * f * self.sigma_px) ** 2) * pixel
+        return np.exp(-((f / self.frequency_cy_per_px) ** self.exponent)) * pixel
+
+    def mtf50(self, angle_deg: float, level: float = 0.5) -> float:
+        """Lowest frequency at which the MTF falls to a level, cycles per pixel along the normal, by bisection."""
+        grid = np.linspace(0, 2, 4001)
+        below = int(np.argmax(self.mtf(grid, angle_deg) < level))
+        low, high = grid[below - 1], grid[below]
+        for _ in range(50):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.mtf(middle, angle_deg) > level else (low, middle)
+        return float((low + high) / 2)
+
+
+@lru_cache(maxsize=64)
+def _edge_spread(blur: Blur, angle_deg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distance, px, and edge spread from 0 to 1: running sum of the line spread over cells of exact integral."""
+    frequency = np.fft.rfftfreq(SAMPLES, STEP_PX)
+    # Dividing by the cell's own transform makes the sum over whole cells the integral between their borders.
+    transform = blur.mtf(frequency, angle_deg) / np.sinc(frequency * STEP_PX)
+    line_spread = np.fft.fftshift(np.fft.irfft(transform, SAMPLES)) / STEP_PX
+    distance = (np.arange(SAMPLES) - SAMPLES // 2 + 0.5) * STEP_PX
+    near = np.abs(distance) < 2048
+    return distance[near], (np.cumsum(line_spread) * STEP_PX)[near]
+
+
+def edge_spread(blur: Blur, distance_px: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
+    """Edge spread, 0 on the dark and 1 on the bright side, at signed distances from the edge.
+
+    Parameters
+    ----------
+    distance_px
+        Distance along the normal, px, any shape.
+    angle_deg
+        Angle of the normal to the rows, degrees.
+    """
+    distance, spread = _edge_spread(blur, round(float(angle_deg), 9))
+    return np.interp(distance_px, distance, spread)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeScene:
+    """An edge as a camera would digitise it, with one knob for each way in which edge methods break.
+
+    Parameters
+    ----------
+    blur
+        The blur whose MTF is the truth.
+    rows, cols, frames
+        Size of the stack.
+    angle_deg
+        Angle of the edge's normal to the rows, degrees: 0 is a vertical edge.
+    offset_px
+        Where the edge passes the middle of the frame, px along the normal.
+    dark_dn, bright_dn
+        Levels on both sides, DN, black level included.
+    snr
+        Step over the standard deviation of the noise half way up, dimensionless. Infinite: no noise.
+    shot_share
+        Share of the variance half way up that grows with the signal; the rest is white read noise.
+    noise_blur_px
+        Standard deviation of the Gaussian that correlates the signal's noise after the gain, px; 0 is white.
+    gamma
+        Exponent of the response, on a scale from black to full scale.
+    gradient
+        Illumination at the right border over that at the left, minus 1.
+    motion_px
+        Horizontal displacement of odd rows, exposed in the later field, px.
+    sagitta_px
+        Bow of the edge over the height of the frame, px.
+    clip_share
+        Share of the step that lies above full scale.
+    hot_share
+        Share of pixels stuck at full scale.
+    black_dn, full_scale_dn
+        Codes at no light and at the top, DN.
+    """
+
+    blur: Blur = field(default_factory=Blur)
+    rows: int = 100
+    cols: int = 100
+    frames: int = 1
+    angle_deg: float = 5.0
+    offset_px: float = 0.0
+    dark_dn: float = 40.0
+    bright_dn: float = 190.0
+    snr: float = 50.0
+    shot_share: float = 0.8
+    noise_blur_px: float = 0.0
+    gamma: float = 1.0
+    gradient: float = 0.0
+    motion_px: float = 0.0
+    sagitta_px: float = 0.0
+    clip_share: float = 0.0
+    hot_share: float = 0.0
+    black_dn: float = 10.0
+    full_scale_dn: float = 255.0
+
+    def __post_init__(self) -> None:
+        if not self.snr > 0:
+            raise BadInput(f"snr must be positive, got {self.snr:g}")
+        if not 0 <= self.clip_share < 1:
+            raise BadInput(f"clip_share must lie in [0, 1), got {self.clip_share:g}")
+
+    @property
+    def truth_mtf50(self) -> float:
+        """MTF50 along the edge's normal, cycles per pixel."""
+        return self.blur.mtf50(self.angle_deg)
+
+    def mean(self) -> NDArray[np.float64]:
+        """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
+        angle = np.deg2rad(self.angle_deg)
+        row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
+        col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
+        moved = col - self.motion_px * (np.arange(self.rows) % 2)[:, None]
+        bow = self.sagitta_px * (1 - (2 * row / self.rows) ** 2)
+        distance = moved * np.cos(angle) + row * np.sin(angle) - self.offset_px - bow
+        step = self.bright_dn - self.dark_dn
+        light = self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
+        light = light * (1 + self.gradient * (col / self.cols + 0.5))
+        # Clipping is a matter of exposure: the light grows until the share of the step lies above full scale.
+        room = self.full_scale_dn - self.black_dn
+        if self.clip_share > 0:
+            light = light * room / (self.bright_dn - self.black_dn - self.clip_share * step)
+        return self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
+
+    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
+        """Draw the stack: noise correlated after the gain, white read noise, digitised and clipped to the codes.
+
+        Notes
+        -----
+        The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white noise: variance
+        v_s + v_r, covariance v_s R_h. The signal's part of the variance is proportional to the mean above black.
+        """
+        mean = self.mean()
+        sd = (self.bright_dn - self.dark_dn) / self.snr if np.isfinite(self.snr) else 0.0
+        half_way = (self.bright_dn + self.dark_dn) / 2 - self.black_dn
+        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(mean - self.black_dn, 0) / half_way)
+        read = np.sqrt(1 - self.shot_share) * sd
+        shape = (self.frames, self.rows, self.cols)
+        drawn = mean + _correlated(shot * rng.standard_normal(shape), self.noise_blur_px)
+        drawn = drawn + read * rng.standard_normal(shape)
+        stuck = rng.random((self.rows, self.cols)) < self.hot_share
+        drawn = np.where(stuck, self.full_scale_dn, drawn)
+        kind = np.uint8 if self.full_scale_dn < 256 else np.uint16
+        codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(kind)
+        return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)
+
+
+def _correlated(white: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:
+    """Blur white noise (frame, row, col) with a Gaussian of unit sum of squares: the variance stays."""
+    if sigma_px <= 0:
+        return white
+    from scipy.ndimage import convolve1d
+
+    reach = int(np.ceil(4 * sigma_px))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
+    kernel = kernel / np.sqrt(np.sum(kernel**2))
+    return convolve1d(convolve1d(white, kernel, axis=1, mode="wrap"), kernel, axis=2, mode="wrap")

@@ -1,0 +1,241 @@
+"""Methods put to cases of known truth: error, honesty of the interval, verdict and time, one row for each pair."""
+
+import time
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from charact.method import Context, Method
+from labdata.errors import BadInput
+from labdata.measurement import Measurement
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One situation with known truth.
+
+    Parameters
+    ----------
+    name
+        What is special about it, in words.
+    axis, position, unit
+        The knob that was turned, how far, and its unit.
+    quantity
+        The quantity whose truth is known.
+    truth
+        Its true value; None where there is nothing to measure, so that any number given as ok is a lie.
+    in_scope
+        Whether every method must cope: inside the scope 95 % of the cases must be ok.
+    seed
+        Seed of the drawn frames.
+    draw
+        Maps a generator to the method's input: the stack or the session.
+    arguments
+        Further arguments of the method, such as the region.
+    context
+        Fields of `charact.method.Context` that the case sets.
+    """
+
+    name: str
+    axis: str
+    position: float
+    unit: str
+    quantity: str
+    truth: float | None
+    in_scope: bool
+    seed: int
+    draw: Callable[[np.random.Generator], Any]
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    context: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What one method made of one case.
+
+    Parameters
+    ----------
+    status
+        That of the measurement, or "crashed" where the method raised anything but a `BadInput`.
+    error_percent
+        |value - truth| / |truth|, percent; None without a value or a truth.
+    covers
+        Whether the truth lies in the 95 % interval.
+    silent
+        Silent failure: ok, and the truth further from the value than twice the 95 % half-interval on that side.
+    """
+
+    method: str
+    case: str
+    axis: str
+    position: float
+    unit: str
+    in_scope: bool
+    seed: int
+    truth: float | None
+    value: float | None = None
+    low95: float | None = None
+    high95: float | None = None
+    status: Literal["ok", "suspect", "refused", "crashed"]
+    flags: tuple[str, ...] = ()
+    reason: str | None = None
+    seconds: float = 0.0
+    error_percent: float | None = None
+    covers: bool | None = None
+    silent: bool = False
+
+    def as_json(self) -> dict[str, Any]:
+        """The row as plain numbers and words; a bound that is not finite becomes null."""
+        return {key: None if _endless(value) else value for key, value in asdict(self).items()}
+
+
+def _endless(value: Any) -> bool:
+    return isinstance(value, float) and not np.isfinite(value)
+
+
+def judged(measurement: Measurement, truth: float | None) -> dict[str, Any]:
+    """Compare a measurement with the truth: error, cover and silent failure, as fields of a `Row`.
+
+    Notes
+    -----
+    Silent: status ok and |value - truth| > 2 |end of the 95 % interval on the truth's side - value|. An honest
+    Gaussian interval does that once in ten thousand. An ok number without interval claims to be exact.
+    """
+    if measurement.value is None:
+        return {}
+    if truth is None:
+        return {"silent": measurement.status == "ok"}
+    low, high = measurement.interval95 or (measurement.value, measurement.value)
+    off = truth - measurement.value
+    half = (high - measurement.value) if off > 0 else (measurement.value - low)
+    return {
+        "error_percent": float(abs(off / truth) * 100),
+        "covers": bool(low <= truth <= high),
+        "silent": bool(measurement.status == "ok" and abs(off) > 2 * max(half, 0.0)),
+    }
+
+
+def attempt(method: Method, case: Case, context: Context) -> Row:
+    """Give one case to one method and judge what comes back.
+
+    A `BadInput` is a refusal. Any other exception, and any warning, is a crash: a user would see it.
+    """
+    base = {key: getattr(case, key) for key in ("axis", "position", "unit", "in_scope", "seed", "truth")}
+    material = case.draw(np.random.default_rng(case.seed))
+    context = replace(context, **{"seed": case.seed, **case.context})
+    start = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            result = method.function(material, **case.arguments, context=context)
+    except BadInput as error:
+        seconds = time.perf_counter() - start
+        return Row(method=method.name, case=case.name, **base, status="refused", reason=str(error), seconds=seconds)
+    except Exception as error:  # the study must outlive the method it breaks
+        seconds, reason = time.perf_counter() - start, f"{type(error).__name__}: {error}"
+        return Row(method=method.name, case=case.name, **base, status="crashed", reason=reason, seconds=seconds)
+    seconds = time.perf_counter() - start
+    found = result.find(case.quantity)
+    if not found:
+        reason = f"the result holds no {case.quantity}"
+        return Row(method=method.name, case=case.name, **base, status="refused", reason=reason, seconds=seconds)
+    return _row(method, case, base, found[0], seconds)
+
+
+def _row(method: Method, case: Case, base: dict[str, Any], found: Measurement, seconds: float) -> Row:
+    low, high = found.interval95 or (None, None)
+    return Row(
+        method=method.name,
+        case=case.name,
+        **base,
+        value=found.value,
+        low95=low,
+        high95=high,
+        status=found.status,
+        flags=found.flags,
+        reason=found.reason,
+        seconds=seconds,
+        **judged(found, case.truth),
+    )
+
+
+def run(
+    methods: Iterable[Method], cases: Sequence[Case], *, context: Context, progress: Progress = lambda text, share: None
+) -> tuple[Row, ...]:
+    """Put every method to every case, one after the other so that the times can be compared.
+
+    Parameters
+    ----------
+    methods, cases
+        What to try on what.
+    context
+        What every method is told; each case sets its own seed and what else it names.
+    progress
+        Called with a sentence and the share done.
+    """
+    methods = tuple(methods)
+    rows: list[Row] = []
+    for number, case in enumerate(cases):
+        progress(case.name, number / len(cases))
+        rows += [attempt(method, case, context) for method in methods]
+    progress("cases done", 1.0)
+    return tuple(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """How one method did over many cases.
+
+    Parameters
+    ----------
+    error_percent
+        95th percentile of the relative error, percent; a refusal or crash counts as 100 %.
+    seconds
+        Median time, s.
+    cases, ok, suspect, refused, crashed
+        How many there were, and of each verdict.
+    silent
+        Silent failures.
+    ok_fraction
+        Share of cases with status ok.
+    missed_fraction
+        Share of ok cases whose 95 % interval misses the truth; 0 where none is ok.
+    """
+
+    method: str
+    error_percent: float
+    seconds: float
+    cases: int
+    ok: int
+    suspect: int
+    refused: int
+    crashed: int
+    silent: int
+    ok_fraction: float
+    missed_fraction: float
+
+
+def summary(rows: Iterable[Row], method: str) -> Summary:
+    """Summarise the rows of one method."""
+    own = [row for row in rows if row.method == method]
+    if not own:
+        raise BadInput(f"the study holds no rows of the method {method!r}")
+    errors = [100.0 if row.value is None else row.error_percent for row in own if row.truth is not None]
+    count = {status: sum(row.status == status for row in own) for status in ("ok", "suspect", "refused", "crashed")}
+    sure = [row for row in own if row.status == "ok"]
+    missed = sum(not row.covers for row in sure)
+    return Summary(
+        method=method,
+        error_percent=float(np.percentile(np.asarray(errors, float), 95)) if errors else 0.0,
+        seconds=float(np.median([row.seconds for row in own])),
+        cases=len(own),
+        **count,
+        silent=sum(row.silent for row in own),
+        ok_fraction=count["ok"] / len(own),
+        missed_fraction=missed / len(sure) if sure else 0.0,
+    )

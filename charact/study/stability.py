@@ -1,0 +1,170 @@
+"""Where methods fail: every axis swept past the breaking point, with errors, refusals, flags and silent failures."""
+
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from itertools import repeat
+from multiprocessing import get_context
+from pathlib import Path
+
+import charact
+from charact.method import Context, Method
+from charact.study.chart import write_json
+from charact.study.harness import Case, Progress, Row, Summary, attempt, summary
+from charact.study.quantities import STUDIES, methods_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stability:
+    """A map of where the methods of one quantity hold and fail.
+
+    Parameters
+    ----------
+    quantity, seed, quick
+        What was measured, the seed of the cases, and whether the methods ran without Markov chains.
+    rows
+        Every method on every case.
+    files
+        What was written: the rows as JSON and the map.
+    """
+
+    quantity: str
+    seed: int
+    quick: bool
+    rows: tuple[Row, ...]
+    files: tuple[Path, ...] = ()
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the methods."""
+        return tuple(dict.fromkeys(row.method for row in self.rows))
+
+    @property
+    def silent(self) -> tuple[Row, ...]:
+        """The silent failures."""
+        return tuple(row for row in self.rows if row.silent)
+
+    def overall(self, method: str) -> tuple[Summary, Summary | None]:
+        """Summary of all cases of a method, and of those inside the scope."""
+        inside = [row for row in self.rows if row.in_scope]
+        return summary(self.rows, method), summary(inside, method) if inside else None
+
+    @property
+    def text(self) -> str:
+        """For each method and axis: verdicts by position, then the silent failures one by one."""
+        lines = [f"{self.quantity}: o ok, s suspect, r refused, C crashed, X silent failure; [inside the scope]"]
+        for method in self.methods:
+            every, inside = self.overall(method)
+            scope = f", {inside.ok_fraction:.0%} of {inside.cases} in scope ok" if inside else ""
+            lines.append(
+                f"{method}: {every.cases} cases, {every.silent} silent, {every.crashed} crashed, "
+                f"{every.missed_fraction:.0%} of ok intervals miss{scope}"
+            )
+            lines += [f"  {axis:<28}{self._verdicts(method, axis)}" for axis in axes_of(self.rows)]
+        return "\n".join([*lines, *(_sentence(row) for row in self.silent)])
+
+    def _verdicts(self, method: str, axis: str) -> str:
+        """One letter for each draw, positions apart."""
+        own = [row for row in self.rows if row.method == method and row.axis == axis]
+        cells = []
+        for position in dict.fromkeys(row.position for row in own):
+            at = [row for row in own if row.position == position]
+            letters = "".join("C" if r.status == "crashed" else "X" if r.silent else r.status[0] for r in at)
+            cells.append(f"{position:g}:[{letters}]" if at[0].in_scope else f"{position:g}:{letters}")
+        return "  ".join(cells)
+
+
+def axes_of(rows: Sequence[Row]) -> tuple[str, ...]:
+    """Axes in the order they were swept."""
+    return tuple(dict.fromkeys(row.axis for row in rows))
+
+
+def _sentence(row: Row) -> str:
+    truth = "nothing to measure" if row.truth is None else f"truth {row.truth:.4g}"
+    return (
+        f"SILENT {row.method} at {row.case} (seed {row.seed}): {row.value:.4g} "
+        f"[{row.low95:.4g}, {row.high95:.4g}] ok, {truth}"
+    )
+
+
+def _attempt_all(case: Case, methods: tuple[Method, ...], quick: bool) -> list[Row]:
+    """One case through every method, in a process of its own."""
+    return [attempt(method, case, Context(quick=quick)) for method in methods]
+
+
+def stability(
+    quantity: str,
+    *,
+    seed: int = 0,
+    out: str | Path | None = None,
+    progress: Progress = lambda sentence, share: None,
+    quick: bool = False,
+    repeats: int | None = None,
+    axes: tuple[str, ...] | None = None,
+    methods: tuple[Method, ...] | None = None,
+    workers: int = 1,
+) -> Stability:
+    """Sweep the axes of a quantity past the breaking point and map what every method does.
+
+    Parameters
+    ----------
+    quantity
+        A name of `charact.study.STUDIES`.
+    seed
+        Seed of the cases.
+    out
+        Folder for `stability-QUANTITY.json` and `.svg`; None: nothing is written.
+    progress
+        Called with a sentence and the share done.
+    quick
+        A first look: one draw a position and no Markov chains.
+    repeats
+        Draws at each position; None: as the study says.
+    axes
+        The axes to sweep; None: all.
+    methods
+        The methods; None: all that are registered for the quantity.
+    workers
+        Processes that share the cases.
+
+    Raises
+    ------
+    BadInput
+        If no study of the quantity exists.
+    """
+    methods = methods_of(quantity) if methods is None else methods
+    study = STUDIES[quantity]
+    cases = study.stability_cases(seed, repeats or (1 if quick else study.repeats), axes or study.axes)
+    rows: list[Row] = []
+    for number, found in enumerate(_mapped(cases, methods, quick, workers)):
+        progress(cases[number].name, (number + 1) / len(cases))
+        rows += found
+    result = Stability(quantity=quantity, seed=seed, quick=quick, rows=tuple(rows))
+    return result if out is None else replace(result, files=_written(result, Path(out)))
+
+
+def _mapped(cases: Sequence[Case], methods: tuple[Method, ...], quick: bool, workers: int):
+    """Rows of each case in order, drawn in this process or shared out."""
+    if workers == 1:
+        yield from map(_attempt_all, cases, repeat(methods), repeat(quick))
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_attempt_all, cases, repeat(methods), repeat(quick), chunksize=4)
+
+
+def _written(result: Stability, out: Path) -> tuple[Path, ...]:
+    from charact.study.draw import draw_stability
+
+    data = {
+        "quantity": result.quantity,
+        "methods": [asdict(result.overall(method)[0]) for method in result.methods],
+        "silent": [row.as_json() for row in result.silent],
+        "flags": {
+            method: Counter(f for r in result.rows if r.method == method for f in r.flags) for method in result.methods
+        },
+        "rows": [row.as_json() for row in result.rows],
+        "provenance": {"charact": charact.__version__, "seed": result.seed, "quick": result.quick},
+    }
+    written = write_json(out / f"stability-{result.quantity}.json", data)
+    return written, draw_stability(result, out / f"stability-{result.quantity}.svg")
