@@ -47,9 +47,8 @@ def draw_chart(result: Chart, path: Path) -> Path:
     axes.set(xscale="log", yscale="log", xlabel="time for one stack (s)")
     axes.set_ylabel(f"error of {result.quantity} (% of the truth)")
     cases = result.summaries[0].cases if result.summaries else 0
-    axes.set_title(
-        f"{QUANTITIES[result.quantity].title}\nlarge: median time, 95th percentile of {cases} cases", fontsize=10
-    )
+    title = f"{QUANTITIES[result.quantity].title}\nlarge: median time, 95th percentile of {cases} cases"
+    axes.set_title(title, fontsize=10)
     axes.legend(frameon=False, fontsize=8)
     return _save(figure, path)
 

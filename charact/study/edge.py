@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
-# Step of the tabulated edge spread, px, and its length: 16384 px hold the tails of exp(-(f/fc)^n).
+# Step of the tabulated edge spread, px, and its length: 8192 px hold the tails of exp(-(f/fc)^n).
 STEP_PX = 1 / 64
-SAMPLES = 1 << 20
+SAMPLES = 1 << 19
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class Blur:
     frequency_cy_per_px: float = 0.25
     exponent: float = 1.184
 
-    def mtf(self, frequency_cy_per_px: NDArray[np.float64] | float, angle_deg: float) -> NDArray[np.float64]:
+    def mtf(self, frequency_cy_per_px: NDArray[np.floating] | float, angle_deg: float) -> NDArray[np.floating]:
         """MTF along the normal of an edge whose normal stands at an angle to the rows, pixel included.
 
         Notes
@@ -60,7 +60,7 @@ class Blur:
 
 
 @lru_cache(maxsize=64)
-def _edge_spread(blur: Blur, angle_deg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _edge_spread(blur: Blur, angle_deg: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Distance, px, and edge spread from 0 to 1: running sum of the line spread over cells of exact integral."""
     frequency = np.fft.rfftfreq(SAMPLES, STEP_PX)
     # Dividing by the cell's own transform makes the sum over whole cells the integral between their borders.
@@ -71,7 +71,7 @@ def _edge_spread(blur: Blur, angle_deg: float) -> tuple[NDArray[np.float64], NDA
     return distance[near], (np.cumsum(line_spread) * STEP_PX)[near]
 
 
-def edge_spread(blur: Blur, distance_px: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
+def edge_spread(blur: Blur, distance_px: NDArray[np.floating], angle_deg: float) -> NDArray[np.floating]:
     """Edge spread, 0 on the dark and 1 on the bright side, at signed distances from the edge.
 
     Parameters
@@ -154,7 +154,7 @@ class EdgeScene:
         """MTF50 along the edge's normal, cycles per pixel."""
         return self.blur.mtf50(self.angle_deg)
 
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> NDArray[np.floating]:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
         angle = np.deg2rad(self.angle_deg)
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
@@ -194,7 +194,7 @@ class EdgeScene:
         return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)
 
 
-def _correlated(white: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:
+def _correlated(white: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
     """Blur white noise (frame, row, col) with a Gaussian of unit sum of squares: the variance stays."""
     if sigma_px <= 0:
         return white

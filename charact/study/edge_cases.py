@@ -1,4 +1,4 @@
-"""The cases of the edge methods: what they must cope with, and each way in which they break, past its breaking point."""
+"""The cases of the edge methods: what they must cope with, and each way they break, past its breaking point."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -119,7 +119,7 @@ def _noise_case(kind: str, seed: int) -> Case:
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
-    """Cases inside the scope, drawn at random: blur, direction, phase, polarity, noise, its correlation, frames, size."""
+    """Cases inside the scope, drawn at random: blur, direction, phase, polarity, size, noise and its correlation."""
     seeds, rng = _seeds(seed), np.random.default_rng([seed, 2])
     cases = []
     for number in range(count):

@@ -93,7 +93,7 @@ class FlatScene:
             label=f"{kind}-{number}", kind=kind, frames="", conditions=conditions, folder=Path("."), held=stack
         )
 
-    def _light(self, level: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    def _light(self, level: float, rng: np.random.Generator) -> NDArray[np.floating]:
         """Light signal, DN, shape (frame, row, col): pulses, blur after the gain, then electrons."""
         from scipy.ndimage import gaussian_filter
 
@@ -107,7 +107,7 @@ class FlatScene:
         return self.electron_gain_dn * rng.poisson(np.maximum(lagged, 0) / self.electron_gain_dn)
 
 
-def _pulse_heights(counts: NDArray[np.int64], factor: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def _pulse_heights(counts: NDArray[np.int64], factor: float, rng: np.random.Generator) -> NDArray[np.floating]:
     """Summed heights of pulses of mean 1: a sum of n gamma heights of shape m is gamma of shape n m."""
     if factor <= 1:
         return counts.astype(float)
