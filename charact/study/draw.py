@@ -40,7 +40,7 @@ def draw_chart(result: Chart, path: Path) -> Path:
     figure, axes = _pyplot().subplots(figsize=(7.5, 4.6), layout="constrained")
     for colour, one in zip(_cycled(len(result.summaries)), result.summaries, strict=True):
         own = [row for row in result.rows if row.method == one.method and row.error_percent is not None]
-        errors = np.maximum([row.error_percent for row in own], 1e-3)
+        errors = [max(row.error_percent or 0.0, 1e-3) for row in own]
         axes.scatter([row.seconds for row in own], errors, s=9, color=colour, alpha=0.35, linewidths=0)
         label = f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, {one.ok_fraction:.0%} ok"
         axes.scatter([one.seconds], [one.error_percent], s=90, color=colour, edgecolor="black", label=label, zorder=3)
