@@ -1,0 +1,6 @@
+"""Posterior draws that may be trusted: a maximum with its curvature, and a Markov chain that must prove itself."""
+
+from charact.posterior.chain import sample
+from charact.posterior.curvature import laplace, maximum
+
+__all__ = ["laplace", "maximum", "sample"]

@@ -1,0 +1,122 @@
+"""The signs by which draws are distrusted: slow mixing, ensembles that disagree, walls and several peaks.
+
+Sources: autocorrelation time averaged over walkers, Goodman & Weare 2010 and Foreman-Mackey et al. 2013
+(doi 10.1086/670067); split R-hat, Gelman et al., Bayesian Data Analysis, 3rd edition, section 11.4.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Width of the strip at a wall, as a share of what the draws span, and how crowded it may be against a uniform one.
+WALL_STRIP = 0.1
+WALL_CROWD = 1.6
+# A second peak counts when it holds this share of the draws and the valley is this much lower than it.
+PEAK_SHARE = 0.02
+VALLEY_DEPTH = 0.5
+
+
+def split_r_hat(chain: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return split R-hat of chains (step, chain, parameter): halves of each must agree, shape (parameter,).
+
+    Notes
+    -----
+    sqrt(((n - 1) W / n + V) / W), W the mean variance inside the half chains and V the variance of their means.
+    """
+    half = len(chain) // 2
+    halves = np.concatenate([chain[:half], chain[half : 2 * half]], axis=1)
+    within = halves.var(axis=0, ddof=1).mean(axis=0)
+    between = halves.mean(axis=0).var(axis=0, ddof=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.sqrt((half - 1) / half + between / within)
+    return np.where(within > 0, ratio, np.where(between > 0, np.inf, 1.0))
+
+
+def ensemble_r_hat(chains: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return split R-hat between ensembles (ensemble, step, walker, parameter), each pooled over its walkers."""
+    half = chains.shape[1] // 2
+    halves = np.concatenate([chains[:, :half], chains[:, half : 2 * half]])
+    pooled = halves.reshape(len(halves), -1, chains.shape[-1])
+    return split_r_hat_of_pooled(pooled)
+
+
+def split_r_hat_of_pooled(pooled: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return R-hat of pooled half chains (half, draw, parameter)."""
+    within = pooled.var(axis=1, ddof=1).mean(axis=0)
+    between = pooled.mean(axis=1).var(axis=0, ddof=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.sqrt(1.0 + between / within)
+    return np.where(within > 0, ratio, np.where(between > 0, np.inf, 1.0))
+
+
+def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDArray[np.float64]:
+    """Return the integrated autocorrelation time of each parameter, steps, from chains (step, walker, parameter).
+
+    Notes
+    -----
+    tau = 1 + 2 sum rho(t) up to the first t > `window` tau; rho is the mean over the walkers of each one's own
+    autocorrelation, not that of the mean chain. A parameter that never moves has an infinite tau.
+    """
+    steps = len(chain)
+    padded = 2 ** int(np.ceil(np.log2(2 * steps)))
+    centred = chain - chain.mean(axis=0)
+    spectrum = np.fft.rfft(centred, n=padded, axis=0)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2, n=padded, axis=0)[:steps]
+    moving = covariance[0] > 0
+    correlation = covariance / np.where(moving, covariance[0], 1.0)
+    mean = np.where(moving, correlation, 1.0).mean(axis=1)
+    times = 2.0 * np.cumsum(mean, axis=0) - 1.0
+    beyond = np.arange(steps)[:, None] >= window * times
+    last = np.where(beyond.any(axis=0), np.argmax(beyond, axis=0), steps - 1)
+    tau = np.maximum(times[last, np.arange(times.shape[1])], 1.0)
+    return np.where(moving.any(axis=0), tau, np.inf)
+
+
+def leans_on_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which parameters crowd at a wall: many more draws than a uniform density would put there.
+
+    Parameters
+    ----------
+    draws
+        Shape (draw, parameter).
+    walls
+        Lower and upper bounds, shape (parameter, 2), infinite where there are none.
+    """
+    leaning = np.zeros(draws.shape[1], bool)
+    for wall, far in ((walls[:, 0], 0.995), (walls[:, 1], 0.005)):
+        span = np.abs(np.quantile(draws, far, axis=0) - wall)
+        with np.errstate(invalid="ignore"):
+            near = np.abs(draws - wall) <= WALL_STRIP * span
+        leaning |= np.isfinite(wall) & (near.mean(axis=0) > WALL_CROWD * WALL_STRIP)
+    return leaning
+
+
+def has_several_peaks(draws: NDArray[np.float64]) -> bool:
+    """Tell whether any parameter, or any principal direction of the draws, has a second peak."""
+    spread = draws.std(axis=0)
+    scaled = (draws - draws.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+    _, _, directions = np.linalg.svd(scaled, full_matrices=False)
+    return any(_two_peaked(line) for line in np.concatenate([scaled, scaled @ directions.T], axis=1).T)
+
+
+def _two_peaked(line: NDArray[np.float64]) -> bool:
+    """Tell whether the smoothed histogram of draws has a valley between two peaks worth the name."""
+    count = len(line)
+    if line.max() - line.min() <= 0 or count < 100:
+        return False
+    width = 1.5 * 0.9 * line.std() * count**-0.2
+    grid = np.linspace(line.min() - 3 * width, line.max() + 3 * width, 256)
+    hist, edges = np.histogram(line, bins=256, range=(grid[0], grid[-1]))
+    middle = (edges[1:] + edges[:-1]) / 2
+    kernel = np.exp(-0.5 * ((middle - middle[128]) / width) ** 2)
+    density = np.convolve(hist, kernel / kernel.sum(), "same")
+    inner = density[1:-1]
+    peaks = 1 + np.flatnonzero((inner >= density[:-2]) & (inner > density[2:]))
+    return any(_separate(density, hist, int(a), int(b)) for i, a in enumerate(peaks) for b in peaks[i + 1 :])
+
+
+def _separate(density: NDArray, hist: NDArray, left: int, right: int) -> bool:
+    """Tell whether a deep enough valley parts two peaks that both hold draws."""
+    valley = left + int(np.argmin(density[left : right + 1]))
+    share = hist[:valley].sum() / hist.sum()
+    deep = density[valley] < VALLEY_DEPTH * min(density[left], density[right])
+    return bool(deep and min(share, 1.0 - share) > PEAK_SHARE)
