@@ -1,0 +1,156 @@
+"""The functions of the Aravis C library that the camera driver calls, declared for ctypes."""
+
+import ctypes
+import ctypes.util
+from ctypes import POINTER, byref, c_bool, c_char_p, c_double, c_int, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
+from functools import cache
+from typing import Any
+
+from drivers.interface import CameraError
+
+NAMES = ("libaravis-0.8.so.0", "libaravis-0.8.dylib", "libaravis-0.8-0.dll")
+PACKET_SOCKET_DISABLED = 1  # ArvGvStreamOption
+BUFFER_SUCCESS = 0  # ArvBufferStatus
+BUFFER_FAULTS = {
+    -1: "unknown",
+    1: "cleared",
+    2: "timeout",
+    3: "missing packets",
+    4: "wrong packet",
+    5: "size mismatch",
+    6: "filling",
+    7: "aborted",
+    8: "payload not supported",
+}
+INSTALL = "install it (Debian: apt-get install libaravis-0.8-0), or use the in-process camera"
+
+
+class GError(ctypes.Structure):
+    """GLib's error."""
+
+    _fields_ = (("domain", c_uint32), ("code", c_int), ("message", c_char_p))
+
+
+_ERROR = POINTER(POINTER(GError))
+# name: (result, arguments before the error, whether it reports a GError)
+_FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
+    "arv_update_device_list": (None, (), False),
+    "arv_get_n_devices": (c_uint, (), False),
+    "arv_get_device_id": (c_char_p, (c_uint,), False),
+    "arv_get_device_address": (c_char_p, (c_uint,), False),
+    "arv_get_device_model": (c_char_p, (c_uint,), False),
+    "arv_get_device_serial_nbr": (c_char_p, (c_uint,), False),
+    "arv_camera_new": (c_void_p, (c_char_p,), True),
+    "arv_camera_get_device": (c_void_p, (c_void_p,), False),
+    "arv_camera_is_gv_device": (c_bool, (c_void_p,), False),
+    "arv_gv_device_is_controller": (c_bool, (c_void_p,), False),
+    "arv_camera_gv_set_stream_options": (None, (c_void_p, c_int), False),
+    "arv_camera_get_vendor_name": (c_char_p, (c_void_p,), True),
+    "arv_camera_get_model_name": (c_char_p, (c_void_p,), True),
+    "arv_camera_set_region": (None, (c_void_p, c_int, c_int, c_int, c_int), True),
+    "arv_camera_get_region": (None, (c_void_p, *[POINTER(c_int)] * 4), True),
+    "arv_camera_get_sensor_size": (None, (c_void_p, *[POINTER(c_int)] * 2), True),
+    "arv_camera_set_pixel_format_from_string": (None, (c_void_p, c_char_p), True),
+    "arv_camera_get_pixel_format_as_string": (c_char_p, (c_void_p,), True),
+    "arv_camera_is_exposure_time_available": (c_bool, (c_void_p,), True),
+    "arv_camera_get_exposure_time_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
+    "arv_camera_set_exposure_time": (None, (c_void_p, c_double), True),
+    "arv_camera_get_exposure_time": (c_double, (c_void_p,), True),
+    "arv_camera_is_gain_available": (c_bool, (c_void_p,), True),
+    "arv_camera_get_gain_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
+    "arv_camera_set_gain": (None, (c_void_p, c_double), True),
+    "arv_camera_get_gain": (c_double, (c_void_p,), True),
+    "arv_camera_is_frame_rate_available": (c_bool, (c_void_p,), True),
+    "arv_camera_get_frame_rate_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
+    "arv_camera_set_frame_rate": (None, (c_void_p, c_double), True),
+    "arv_camera_get_frame_rate": (c_double, (c_void_p,), True),
+    "arv_camera_get_payload": (c_uint, (c_void_p,), True),
+    "arv_camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p), True),
+    "arv_camera_start_acquisition": (None, (c_void_p,), True),
+    "arv_camera_stop_acquisition": (None, (c_void_p,), True),
+    "arv_buffer_new": (c_void_p, (c_size_t, c_void_p), False),
+    "arv_buffer_get_status": (c_int, (c_void_p,), False),
+    "arv_buffer_get_frame_id": (c_uint64, (c_void_p,), False),
+    "arv_buffer_get_timestamp": (c_uint64, (c_void_p,), False),
+    "arv_buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t)), False),
+    "arv_buffer_get_image_width": (c_int, (c_void_p,), False),
+    "arv_buffer_get_image_height": (c_int, (c_void_p,), False),
+    "arv_stream_push_buffer": (None, (c_void_p, c_void_p), False),
+    "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64), False),
+}
+
+
+class Aravis:
+    """The loaded library: `call` for functions that report a GError, `plain` for those that do not."""
+
+    def __init__(self, library: ctypes.CDLL, gobject: ctypes.CDLL, glib: ctypes.CDLL) -> None:
+        self._gobject, self._glib = gobject, glib
+        self._functions = {name: _declared(library, name) for name in _FUNCTIONS}
+        gobject.g_object_unref.argtypes = (c_void_p,)
+        glib.g_error_free.argtypes = (POINTER(GError),)
+
+    def plain(self, name: str, *arguments: Any) -> Any:
+        """Call a function that cannot fail."""
+        return self._functions[name](*arguments)
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Call a function and turn its GError into a `CameraError`."""
+        error = POINTER(GError)()
+        result = self._functions[name](*arguments, byref(error))
+        if error:
+            sentence = (error.contents.message or b"an error without words").decode(errors="replace")
+            self._glib.g_error_free(error)
+            raise CameraError(sentence)
+        return result
+
+    def pair(self, name: str, camera: int, kind: Any = c_double) -> tuple[Any, Any]:
+        """Call a getter that fills two numbers, such as bounds."""
+        low, high = kind(), kind()
+        self.call(name, camera, byref(low), byref(high))
+        return low.value, high.value
+
+    def fix_socket_buffer(self, stream: int, size_bytes: int) -> None:
+        """Give a GigE Vision stream a receive buffer of a fixed size."""
+        self._gobject.g_object_set(
+            c_void_p(stream),
+            b"socket-buffer",
+            c_int(0),  # ARV_GV_STREAM_SOCKET_BUFFER_FIXED
+            b"socket-buffer-size",
+            c_int(size_bytes),
+            c_void_p(None),
+        )
+
+    def release(self, thing: int) -> None:
+        """Give up one reference to an object."""
+        self._gobject.g_object_unref(thing)
+
+
+@cache
+def aravis() -> Aravis:
+    """Load the library; where it is absent a `CameraError` says how to install it."""
+    found = ctypes.util.find_library("aravis-0.8")
+    for name in (*NAMES, *([found] if found else [])):
+        try:
+            library = ctypes.CDLL(name)
+        except OSError:
+            continue
+        return Aravis(library, _companion("gobject-2.0"), _companion("glib-2.0"))
+    raise CameraError(f"the Aravis library (0.8) is not on this machine: {INSTALL}")
+
+
+def _declared(library: ctypes.CDLL, name: str) -> Any:
+    result, arguments, reports = _FUNCTIONS[name]
+    function = getattr(library, name)
+    function.restype = result
+    function.argtypes = (*arguments, _ERROR) if reports else arguments
+    return function
+
+
+def _companion(name: str) -> ctypes.CDLL:
+    for path in (f"lib{name}.so.0", ctypes.util.find_library(name)):
+        try:
+            if path:
+                return ctypes.CDLL(path)
+        except OSError:
+            continue
+    raise CameraError(f"the library {name}, which Aravis needs, is not on this machine: {INSTALL}")
