@@ -1,6 +1,6 @@
 """The conditions frames were taken under: gain, gate, exposure, light and temperature."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from labdata.errors import BadInput
 
@@ -44,6 +44,7 @@ class Conditions:
 
     def __post_init__(self) -> None:
         signed = {"camera_gain_db", "temperature_c"}
-        for name, value in vars(self).items():
-            if value is not None and name not in signed and not value >= 0:
-                raise BadInput(f"{name} must not be negative, got {value:g}")
+        for item in fields(Conditions):
+            value = getattr(self, item.name)
+            if value is not None and item.name not in signed and not value >= 0:
+                raise BadInput(f"{item.name} must not be negative, got {value:g}")

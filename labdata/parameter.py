@@ -1,7 +1,7 @@
 """A sensor parameter: a number that knows how well it is known and where it comes from."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from labdata.errors import BadInput
 
@@ -42,3 +42,19 @@ class Parameter:
 
     def __float__(self) -> float:
         return float(self.value)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_before_validator_function(_of_number, handler(source))
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"anyOf": [{"type": "number"}, handler(schema)]}
+
+
+def _of_number(given: Any) -> Any:
+    """Return the table that a bare number in a file stands for."""
+    bare = isinstance(given, int | float) and not isinstance(given, bool)
+    return {"value": given} if bare else given

@@ -26,15 +26,18 @@ class Photocathode:
     material: str
     wavelength_nm: tuple[float, ...]
     relative_quantum_efficiency: tuple[float, ...]  # scaled to the luminous sensitivity
+    spectral_range_nm: tuple[float, float]  # as the maker states it
     luminous_sensitivity_ua_per_lm: Parameter  # at 2856 K
     ebi_lm_per_cm2: Parameter
     diameter_mm: Parameter
     gap_mm: Parameter
     gap_v: Parameter
+    lateral_energy_ev: Parameter  # mean energy of emission across the axis
+    gap_resolution_lp_per_mm: Parameter  # where the gap's own contrast is 3 %
+    ebi_doubling_k: Parameter  # warming that doubles the EBI
+    ebi_temperature_c: Parameter  # temperature at which the EBI is stated
     halo_fraction: Parameter  # of the photoelectrons that land after an elastic or partial bounce
-    halo_elastic_share: (
-        Parameter  # of the halo electrons that keep their energy (rim); the rest spread uniformly in energy
-    )
+    halo_elastic_share: Parameter  # of the halo electrons, keep their energy (rim); others: uniform in energy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +45,19 @@ class MicrochannelPlate:
     """Microchannel plate with its film."""
 
     detection_probability: Parameter
+    film_transmission: Parameter  # the factors of the detection probability: T (OAR + (1 - OAR) recovery)
+    open_area_ratio: Parameter
+    web_recovery: Parameter
     pulse_height_shape: Parameter  # Polya k; 1 is exponential
     reference_v: Parameter  # voltage at which the tube has its nominal luminous gain
     gain_exponent: Parameter  # G = G0 (V / V0)^m
+    electron_gain: Parameter  # electrons out per electron in, at reference_v
+    channel_pitch_um: Parameter
+    resolution_lp_per_mm: Parameter  # where the plate's own contrast is 3 %
     strip_current_ua_per_cm2: Parameter
     saturation_fraction: Parameter  # a of G / (1 + j / (a j_strip))
+    saturation_blur_um: Parameter  # width of the neighbourhood whose current lowers the gain
+    channel_recovery_ms: Parameter
     ion_event_rate_per_s_cm2: Parameter
     ion_event_size_pe: Parameter
 
@@ -63,6 +74,8 @@ class Tube:
     post_gain_share: Parameter  # share of the exponent (f/fc)^n that acts after the gain
     magnification: Parameter
     life_h: Parameter
+    brightness_control_lux: Parameter  # illuminance at the cathode above which the supply lowers the plate's voltage
+    brightness_control_s: Parameter  # its attack time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +86,10 @@ class Phosphor:
     luminous_efficacy_lm_per_w: Parameter
     photon_energy_ev: Parameter
     peak_nm: Parameter
+    width_nm: Parameter  # full width at half maximum
+    photons_per_electron: Parameter  # out of the window, per electron that leaves the plate
+    screen_kv: Parameter
+    resolution_lp_per_mm: Parameter  # where the screen's own contrast is 3 %
     fast_fraction: Parameter  # of the light at the start of the decay
     fast_decay_ms: Parameter
     slow_decay_ms: Parameter
@@ -85,10 +102,15 @@ class Taper:
 
     demagnification: Parameter
     transmission: Parameter
+    numerical_aperture: Parameter  # the factors of the transmission: (NA / M)^2 core bulk
+    core_fraction: Parameter
+    bulk_transmission: Parameter
     fibre_pitch_um: Parameter  # at the small end
     interface_mtf_lp_per_mm: Parameter  # f0 of exp(-(f/f0)^2), at the detector
     pattern_contrast: Parameter  # depth of the multi-fibre boundaries
     pattern_pitch_um: Parameter
+    distortion_fraction: Parameter  # at the corner
+    shear_um: Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +125,10 @@ class Ccd:
     full_well_e: Parameter  # of one field pixel as read
     read_noise_e: Parameter
     dark_current_e_per_s: Parameter  # per pixel at 25 C
+    dark_current_doubling_k: Parameter
     prnu: Parameter  # relative standard deviation
-    smear_fraction: Parameter
-    antibloom_ratio: Parameter
+    smear_fraction: Parameter  # of the overexposed pixel, for a spot one tenth of the picture high
+    antibloom_ratio: Parameter  # overexposure that the drain carries off, in full wells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,13 +136,23 @@ class Video:
     """Read-out, video and digitiser."""
 
     interlaced: bool
+    lines: int  # of a frame, the blanked ones counted
     field_rate_hz: Parameter
     pixel_clock_mhz: Parameter
     bandwidth_mhz: Parameter
     filter_order: int
+    aperture_correction_db: Parameter  # boost at 4.5 MHz
+    resolution_horizontal_tvl: Parameter  # television lines per picture height
+    resolution_vertical_tvl: Parameter
+    output_vpp: Parameter
+    impedance_ohm: Parameter
+    setup_ire: Parameter  # black above blanking
+    sensitivity_lux: Parameter  # as the maker states it
     signal_to_noise_db: Parameter
     gamma: Parameter
-    automatic_gain: bool
+    automatic_gain: bool  # what the camera can do; whether it was on belongs to the session
+    automatic_gain_range_db: Parameter
+    automatic_gain_s: Parameter  # time constant
     bit_depth: int
     black_level_dn: Parameter
     conversion_gain_dn_per_e: Parameter  # K, DN per CCD electron

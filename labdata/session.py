@@ -1,8 +1,10 @@
 """A session: stacks of frames, the conditions they were taken under, and the sensor that took them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -10,6 +12,10 @@ from labdata.frames import FrameStack
 from labdata.sensor import Sensor
 from labdata.target import Target
 
+if TYPE_CHECKING:
+    from labdata.form import SessionForm, StackForm
+
+MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
 
 
@@ -24,26 +30,101 @@ class StackEntry:
     kind
         What it shows.
     frames
-        Path of the frames relative to the session's folder: a file, or an array of the session's store.
+        Path of the frames relative to the session's folder: a file, an array of the session's store, or several
+        files that follow one another.
     conditions
         Conditions in force: what was read back where an instrument can be read, else what was asked.
     asked
         Conditions asked for; None where nothing was asked of an instrument.
     target
         The target.
+    finished
+        False where the taking of the stack was broken off; what was acknowledged is there.
+    lost_frames
+        Frames that the camera numbered and that never arrived.
+    notes
+        Remarks of the manifest.
+    bit_depth
+        Bits of the digitiser; None if unknown.
+    folder
+        The session's folder.
     """
 
     label: str
     kind: Kind
-    frames: str
+    frames: str | tuple[str, ...]
     conditions: Conditions = field(default_factory=Conditions)
     asked: Conditions | None = None
     target: Target = field(default_factory=Target)
+    finished: bool = True
+    lost_frames: int = 0
+    notes: tuple[str, ...] = ()
+    bit_depth: int | None = None
     folder: Path
 
-    def read(self) -> FrameStack:
-        """Read the frames."""
-        raise NotImplementedError
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Paths of the files or arrays that hold the frames."""
+        names = (self.frames,) if isinstance(self.frames, str) else self.frames
+        return tuple(self.folder / name for name in names)
+
+    def read(self, plane: str | None = None) -> FrameStack:
+        """Read the frames.
+
+        Parameters
+        ----------
+        plane
+            Colour plane, where the frames have several; see `labdata.importers.read_frames`.
+
+        Raises
+        ------
+        BadInput
+            If a file is missing or damaged, or the frames break a rule; one sentence.
+        """
+        from labdata.importers import read_frames
+
+        stack = _joined([read_frames(path, plane) for path in self.paths], self.label)
+        broken_off = () if self.finished else (f"the stack was broken off after {len(stack)} frames",)
+        return replace(
+            stack,
+            lost_frames=stack.lost_frames + self.lost_frames,
+            full_scale_dn=self._full_scale_dn(stack),
+            notes=(*stack.notes, *self.notes, *broken_off),
+        )
+
+    def _full_scale_dn(self, stack: FrameStack) -> float | None:
+        if self.bit_depth is None:
+            return stack.full_scale_dn
+        full_scale_dn = float(2**self.bit_depth - 1)
+        if stack.data.max() > full_scale_dn:
+            raise BadInput(
+                f"pixels must not exceed the {full_scale_dn:.0f} DN of {self.bit_depth} bits, "
+                f"got {stack.data.max()} in stack {self.label!r}"
+            )
+        return full_scale_dn
+
+
+def _joined(parts: list[FrameStack], label: str) -> FrameStack:
+    """Return the stacks of several files as one, frame after frame."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    if shapes := {part.shape[1:] for part in parts} - {first.shape[1:]}:
+        raise BadInput(
+            f"all files of a stack must have one picture size, got {first.shape[1:]} and {min(shapes)} in {label!r}"
+        )
+    return replace(
+        first,
+        data=np.concatenate([part.data for part in parts]),
+        time_s=_all_or_none([part.time_s for part in parts], parts),
+        frame_number=_all_or_none([part.frame_number for part in parts], parts),
+        lost_frames=sum(part.lost_frames for part in parts),
+    )
+
+
+def _all_or_none(arrays: list[np.ndarray], parts: list[FrameStack]) -> np.ndarray:
+    complete = all(len(array) == len(part) for array, part in zip(arrays, parts, strict=True))
+    return np.concatenate(arrays) if complete else arrays[0][:0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,5 +175,73 @@ class Session:
 
 
 def open_session(path: str | Path) -> Session:
-    """Open the session in a folder (or the folder of its session.toml)."""
-    raise NotImplementedError
+    """Open the session in a folder.
+
+    Parameters
+    ----------
+    path
+        The folder, or its session.toml. Frames are read later, stack by stack.
+
+    Raises
+    ------
+    BadInput
+        If there is no session, it has no stacks, a key is unknown, a condition breaks a rule, or frames are missing.
+    """
+    from labdata.border import from_toml
+    from labdata.form import SessionForm
+
+    path = Path(path)
+    folder = path.parent if path.name == MANIFEST else path
+    if not (folder / MANIFEST).is_file():
+        raise BadInput(f"a session must be a folder with a {MANIFEST}, got {path}")
+    return _session(folder, from_toml(folder / MANIFEST, SessionForm))
+
+
+def _session(folder: Path, form: "SessionForm") -> Session:
+    from labdata.sensors import load_sensor
+
+    _check(form, folder)
+    stacks = tuple(_entry(stack, form, folder) for stack in form.stack)
+    for entry in stacks:
+        for path in entry.paths:
+            if not path.exists():
+                raise BadInput(f"the frames of stack {entry.label!r} must exist, got {path}")
+    return Session(
+        folder=folder,
+        name=form.name,
+        stacks=stacks,
+        sensor=None if form.sensor is None else load_sensor(form.sensor, relative_to=folder),
+        bit_depth=form.bit_depth,
+        interlaced=form.interlaced,
+        notes=form.notes,
+    )
+
+
+def _check(form: "SessionForm", folder: Path) -> None:
+    labels = [stack.label for stack in form.stack]
+    if not labels:
+        raise BadInput(f"a session must have at least one stack, got none in {folder}")
+    if repeated := {label for label in labels if labels.count(label) > 1}:
+        raise BadInput(f"every stack's label must be its own, got {min(repeated)!r} twice in {folder}")
+    if form.bit_depth is not None and not 1 <= form.bit_depth <= 32:
+        raise BadInput(f"bit_depth must lie between 1 and 32, got {form.bit_depth} in {folder}")
+    if empty := [stack.label for stack in form.stack if not stack.frames]:
+        raise BadInput(f"a stack must name its frames, got none for {empty[0]!r} in {folder}")
+
+
+def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
+    from labdata.form import conditions_of
+
+    return StackEntry(
+        label=stack.label,
+        kind=stack.kind,
+        frames=stack.frames,
+        conditions=conditions_of(stack),
+        asked=stack.asked,
+        target=stack.target,
+        finished=stack.finished is not False,
+        lost_frames=stack.lost_frames or 0,
+        notes=stack.notes,
+        bit_depth=form.bit_depth,
+        folder=folder,
+    )

@@ -1,0 +1,158 @@
+"""The border: TOML and JSON become frozen dataclasses here or are refused in one sentence, and go back out."""
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from labdata.complaint import sentence
+from labdata.errors import BadInput
+
+T = TypeVar("T")
+
+
+def from_toml(path: str | Path, type_: type[T]) -> T:
+    """Read a TOML file into a dataclass.
+
+    Parameters
+    ----------
+    path
+        The file.
+    type_
+        The dataclass: `Sensor`, `Plan`, or a form of `labdata.form`.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing, is not TOML, or holds an unknown key or a value that breaks a rule; one sentence
+        that names the key and its place.
+    """
+    path = Path(path)
+    try:
+        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadInput(f"a file must exist to be read, got {path}") from None
+    except OSError as error:
+        raise BadInput(f"{path} must be a readable file: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"{path} must be a TOML file, got bytes that are no text") from None
+    except tomllib.TOMLDecodeError as error:
+        raise BadInput(f"{path} must be a TOML file: {_lowered(str(error))}") from None
+    return from_mapping(mapping, type_, where=path.name)
+
+
+def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") -> T:
+    """Build a dataclass from a mapping of TOML or JSON values.
+
+    Parameters
+    ----------
+    mapping
+        Keys and values; a key that the dataclass does not have is refused at every depth.
+    type_
+        The dataclass.
+    where
+        Where the mapping stood, for the sentence of an error: a file name.
+
+    Raises
+    ------
+    BadInput
+        As for `from_toml`.
+    """
+    form = _forms().get(type_)
+    written = _read(mapping, form or type_, where)
+    if form is None:
+        return written
+    try:
+        return written.built()
+    except BadInput as error:
+        raise BadInput(f"{error}, in {where}" if where else str(error)) from None
+
+
+def _read(mapping: Mapping[str, Any], type_: type, where: str) -> Any:
+    from pydantic import ValidationError
+
+    # Strict JSON takes a list for a tuple, which strict Python values do not; "780" is no number in either.
+    text = json.dumps([dict(mapping)], default=str)
+    try:
+        return _adapter(type_).validate_json(text)[0]
+    except ValidationError as errors:
+        first = errors.errors(include_url=False)[0]
+        raise BadInput(sentence(first, mapping, where, _known_keys(type_))) from None
+
+
+def to_toml(value: Any) -> str:
+    """Write a dataclass as TOML, as `from_toml` reads it; what is None or empty by default is left out."""
+    import tomli_w
+
+    return tomli_w.dumps(to_mapping(value))
+
+
+def to_mapping(value: Any) -> dict[str, Any]:
+    """Return a dataclass as the mapping of plain values that its file would hold."""
+    form = _forms().get(type(value))
+    return _plain(value if form is None else form.written(value))
+
+
+def json_schema(type_: type) -> dict[str, Any]:
+    """Return the JSON Schema of the file form of a dataclass, for editors that complete and check TOML."""
+    schema = _adapter(_forms().get(type_, type_)).json_schema()
+    definitions = schema["$defs"]
+    name = schema["prefixItems"][0]["$ref"].rsplit("/", 1)[1]
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **definitions.pop(name),
+        "title": type_.__name__.removesuffix("Form"),
+        "$defs": definitions,
+    }
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain_fields(value)
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items() if item is not None}
+    return value
+
+
+def _plain_fields(value: Any) -> dict[str, Any]:
+    own = type(value).__dict__.get("__annotations__", {})
+    plain = {}
+    for item in sorted(dataclasses.fields(value), key=lambda item: item.name not in own):
+        written = _plain(getattr(value, item.name))
+        required = item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING
+        empty = isinstance(written, list | dict) and not written
+        if written is not None and (required or not empty):
+            plain[item.name] = written
+    return plain
+
+
+@cache
+def _adapter(type_: type) -> Any:
+    """Return the strict reader of a dataclass and of all dataclasses inside it."""
+    from pydantic import ConfigDict, TypeAdapter
+
+    # Around a bare dataclass pydantic ignores the configuration; inside a tuple it reaches every depth.
+    return TypeAdapter(tuple[type_], config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
+
+
+@cache
+def _known_keys(type_: type) -> tuple[str, ...]:
+    schemas = [json_schema(type_)]
+    schemas += schemas[0]["$defs"].values()
+    return tuple(sorted({key for schema in schemas for key in schema.get("properties", {})}))
+
+
+@cache
+def _forms() -> dict[type, Any]:
+    from labdata.form import FORMS
+
+    return FORMS
+
+
+def _lowered(text: str) -> str:
+    return text[:1].lower() + text[1:]

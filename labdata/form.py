@@ -1,0 +1,176 @@
+"""How sessions and plans are written in a file: conditions lie flat in the table of their stack or step."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from labdata.conditions import Conditions
+from labdata.plan import Limits, Plan, Step, Wires
+from labdata.session import Kind
+from labdata.target import Target
+
+
+def conditions_of(form: Conditions) -> Conditions:
+    """Return the conditions alone of a table that holds them flat."""
+    return Conditions(**_flat(form))
+
+
+def _flat(conditions: Conditions) -> dict[str, Any]:
+    return {item.name: getattr(conditions, item.name) for item in fields(Conditions)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StackForm(Conditions):
+    """One [[stack]] of a session file; its conditions stand flat beside the other keys.
+
+    Parameters
+    ----------
+    label
+        Name of the stack, unique in the session.
+    kind
+        What it shows.
+    frames
+        File or files of the frames, or a Zarr array, relative to the session's folder.
+    asked
+        Conditions asked of the instruments, where they differ from those in force.
+    target
+        What stood before the camera.
+    finished
+        False while the stack is being taken, or where its taking was broken off.
+    lost_frames
+        Frames that the camera numbered and that never arrived.
+    notes
+        Remarks.
+    """
+
+    label: str
+    kind: Kind
+    frames: str | tuple[str, ...]
+    asked: Conditions | None = None
+    target: Target = field(default_factory=Target)
+    finished: bool | None = None
+    lost_frames: int | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SessionForm:
+    """A session file, session.toml.
+
+    Parameters
+    ----------
+    name
+        Name of the session.
+    sensor
+        Name of a shipped sensor description, or the path of one relative to the session's folder.
+    bit_depth
+        Bits of the digitiser: full scale is 2^bits - 1.
+    interlaced
+        Whether the two fields of a frame were exposed one after the other.
+    notes
+        Remarks.
+    stack
+        The stacks.
+    """
+
+    name: str
+    sensor: str | None = None
+    bit_depth: int | None = None
+    interlaced: bool | None = None
+    notes: tuple[str, ...] = ()
+    stack: tuple[StackForm, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepForm(Conditions):
+    """One [[step]] of a plan file; the conditions that it asks for stand flat beside the other keys.
+
+    Parameters
+    ----------
+    label
+        Label of the stack to take, unique in the plan.
+    kind
+        What is put before the camera.
+    frames
+        Number of frames to take.
+    target
+        The target, as its kind needs.
+    """
+
+    label: str
+    kind: Kind
+    frames: int
+    target: Target = field(default_factory=Target)
+
+    def step(self) -> Step:
+        """Return the step that this table describes."""
+        return Step(
+            label=self.label, kind=self.kind, frames=self.frames, conditions=conditions_of(self), target=self.target
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanForm:
+    """A plan file.
+
+    Parameters
+    ----------
+    name
+        Name of the plan and of the session that it makes.
+    sensor
+        Name of a shipped sensor description, or the path of one.
+    seed
+        Seed of the virtual bench.
+    scene
+        Lab scene of the virtual bench.
+    wires
+        How the instruments are reached.
+    limits
+        What the plan may never exceed.
+    step
+        The stacks to take, in order.
+    """
+
+    name: str
+    sensor: str | None = None
+    seed: int = 0
+    scene: str | None = None
+    wires: Wires = field(default_factory=Wires)
+    limits: Limits = field(default_factory=Limits)
+    step: tuple[StepForm, ...] = ()
+
+    def built(self) -> Plan:
+        """Return the plan that this file describes."""
+        return Plan(
+            name=self.name,
+            sensor=self.sensor,
+            seed=self.seed,
+            scene=self.scene,
+            wires=self.wires,
+            limits=self.limits,
+            steps=tuple(step.step() for step in self.step),
+        )
+
+    @classmethod
+    def written(cls, plan: Plan) -> "PlanForm":
+        """Return the file form of a plan."""
+        return cls(
+            name=plan.name,
+            sensor=plan.sensor,
+            seed=plan.seed,
+            scene=plan.scene,
+            wires=plan.wires,
+            limits=plan.limits,
+            step=tuple(_step_form(step) for step in plan.steps),
+        )
+
+
+def _step_form(step: Step) -> StepForm:
+    return StepForm(label=step.label, kind=step.kind, frames=step.frames, target=step.target, **_flat(step.conditions))
+
+
+def stack_form(conditions: Conditions, **keys: Any) -> StackForm:
+    """Return the table of a stack from its conditions and its other keys."""
+    return StackForm(**_flat(conditions), **keys)
+
+
+FORMS: dict[type, Any] = {Plan: PlanForm}

@@ -1,0 +1,192 @@
+"""EMVA 1288 descriptor files: a photon-transfer series becomes a session that points at its images."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labdata.border import from_mapping, to_mapping, to_toml
+from labdata.conditions import Conditions
+from labdata.durable import write_durably
+from labdata.errors import BadInput
+from labdata.form import SessionForm, StackForm, stack_form
+from labdata.session import MANIFEST, Kind, Session, open_session
+
+KINDS: dict[str, Kind] = {"b": "flat", "d": "dark"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One block of the descriptor: an exposure, bright or dark, and its images.
+
+    Parameters
+    ----------
+    kind
+        "flat" for bright, "dark" for dark.
+    exposure_ns
+        Exposure, ns.
+    photons_per_px
+        Mean number of photons on a pixel in one exposure; None in the dark.
+    images
+        Images as the descriptor names them, relative to it: two are a temporal pair, more a spatial series.
+    """
+
+    kind: Kind
+    exposure_ns: float
+    photons_per_px: float | None
+    images: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descriptor:
+    """What a descriptor file says.
+
+    Parameters
+    ----------
+    version
+        Release of the standard.
+    bit_depth
+        Bits of the digitiser.
+    columns, rows
+        Size of an image, px.
+    levels
+        The blocks in order.
+    """
+
+    version: str
+    bit_depth: int
+    columns: int
+    rows: int
+    levels: tuple[Level, ...]
+
+
+def import_emva1288(file: str | Path, out: str | Path) -> Session:
+    """Make a session of an EMVA 1288 descriptor file; its images stay where they are.
+
+    Parameters
+    ----------
+    file
+        The descriptor: lines `v` version, `n` bits width height, `b` exposure photons, `d` exposure (ns), `i` image.
+    out
+        Folder of the session, made where it is missing.
+
+    Raises
+    ------
+    BadInput
+        If the descriptor breaks its format, an image is missing, or the folder holds a session already.
+    """
+    file, out = Path(file), Path(out)
+    descriptor = read_descriptor(file)
+    _check_size(descriptor, file)
+    stacks = tuple(_stack(number, level, file, out) for number, level in enumerate(descriptor.levels))
+    form = SessionForm(
+        name=f"EMVA 1288 series {file.resolve().parent.name}",
+        bit_depth=descriptor.bit_depth,
+        interlaced=False,
+        notes=(f"imported from an EMVA 1288 descriptor of version {descriptor.version}",),
+        stack=stacks,
+    )
+    return write_session(form, out)
+
+
+def write_session(form: SessionForm, out: Path) -> Session:
+    """Write the manifest of a new session and open it."""
+    if (out / MANIFEST).exists():
+        raise BadInput(f"a new session needs a folder without one, got {out}")
+    from_mapping(to_mapping(form), SessionForm, where=MANIFEST)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(f"a session must be a folder that can be written, got {out}: {error.strerror}") from None
+    write_durably(out / MANIFEST, to_toml(form).encode())
+    return open_session(out)
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Return a path as a session in the folder would name it: relative if it lies close by, absolute otherwise."""
+    path, folder = path.resolve(), folder.resolve()
+    near = os.path.relpath(path, folder)
+    return near if path.is_relative_to(folder.parent) else str(path)
+
+
+def read_descriptor(file: str | Path) -> Descriptor:
+    """Read an EMVA 1288 descriptor file."""
+    file = Path(file)
+    try:
+        text = file.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise BadInput(f"a descriptor file must exist to be read, got {file}") from None
+    except (OSError, UnicodeDecodeError):
+        raise BadInput(f"a descriptor file must be a text file, got {file}") from None
+    lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]
+    return _descriptor([(n, words) for n, words in lines if words and not words[0].startswith("#")], file)
+
+
+def _descriptor(lines: Sequence[tuple[int, list[str]]], file: Path) -> Descriptor:
+    version, size, levels = "unknown", None, []
+    for number, (key, *values) in lines:
+        try:
+            if key == "v":
+                version = values[0]
+            elif key == "n":
+                size = tuple(int(value) for value in values[:3])
+            elif key in KINDS:
+                levels.append(_level(key, values))
+            elif key == "i":
+                levels[-1] = _with_image(levels[-1], " ".join(values))
+            else:
+                raise ValueError
+        except (ValueError, IndexError):
+            raise BadInput(
+                f"a line of an EMVA 1288 descriptor must be v, n, b, d or i with its values, "
+                f"got {' '.join((key, *values))!r} in line {number} of {file.name}"
+            ) from None
+    if size is None or len(size) < 3 or not levels:
+        raise BadInput(f"an EMVA 1288 descriptor must hold a line n and at least one of b or d, got {file}")
+    return Descriptor(version=version, bit_depth=size[0], columns=size[1], rows=size[2], levels=tuple(levels))
+
+
+def _level(key: str, values: Sequence[str]) -> Level:
+    photons = float(values[1]) if key == "b" else None
+    return Level(kind=KINDS[key], exposure_ns=float(values[0]), photons_per_px=photons, images=())
+
+
+def _with_image(level: Level, image: str) -> Level:
+    # Descriptors are written on Windows too.
+    name = image.replace("\\", "/")
+    if not name:
+        raise ValueError
+    return Level(
+        kind=level.kind,
+        exposure_ns=level.exposure_ns,
+        photons_per_px=level.photons_per_px,
+        images=(*level.images, name),
+    )
+
+
+def _check_size(descriptor: Descriptor, file: Path) -> None:
+    """Look at the first image: a descriptor beside other images than its own is refused early."""
+    from labdata.importers import read_frames
+
+    for image in descriptor.levels[0].images[:1]:
+        _, rows, columns = read_frames(file.parent / image).shape
+        if (columns, rows) != (descriptor.columns, descriptor.rows):
+            raise BadInput(
+                f"images must be the {descriptor.columns}x{descriptor.rows} px of {file.name}, "
+                f"got {columns}x{rows} px in {image}"
+            )
+
+
+def _stack(number: int, level: Level, file: Path, out: Path) -> StackForm:
+    if len(level.images) < 2:
+        raise BadInput(
+            f"every exposure of an EMVA 1288 descriptor must have two images or more, "
+            f"got {len(level.images)} at {level.exposure_ns:g} ns in {file.name}"
+        )
+    spatial = "-spatial" if len(level.images) > 2 else ""
+    return stack_form(
+        Conditions(exposure_s=level.exposure_ns * 1e-9, photons_per_px=level.photons_per_px),
+        label=f"{level.kind}-{number:03d}{spatial}",
+        kind=level.kind,
+        frames=tuple(relative(file.parent / image, out) for image in level.images),
+    )

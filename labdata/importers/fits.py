@@ -1,0 +1,35 @@
+"""FITS: the first image of the file, scaled as its header says."""
+
+from pathlib import Path
+
+import numpy as np
+
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.importers import planes
+
+
+def read(path: Path, plane: str | None = None) -> FrameStack:
+    """Read the first image as frames; see `labdata.importers.read_frames`."""
+    try:
+        from astropy.io import fits
+    except ImportError:
+        raise BadInput(f"FITS files need astropy, got {path.name}: pip install 'charact[fits]'") from None
+    data = _first_image(fits, path)
+    if data.ndim not in (2, 3):
+        raise BadInput(f"a FITS image must have 2 or 3 axes, got the shape {data.shape} in {path}")
+    data = np.asarray(data).astype(data.dtype.newbyteorder("="), copy=False)
+    return planes.mono(data.reshape((-1, *data.shape[-2:])), plane, path.name)
+
+
+def _first_image(fits, path: Path) -> np.ndarray:
+    import warnings
+
+    try:
+        with warnings.catch_warnings(action="error"), fits.open(path, memmap=False) as file:
+            for unit in file:
+                if getattr(unit, "is_image", False) and unit.header.get("NAXIS", 0) > 0:
+                    return unit.data
+    except Exception:
+        raise BadInput(f"a FITS file must be whole and readable, got {path}") from None
+    raise BadInput(f"a FITS file must hold an image, got none in {path}")

@@ -1,0 +1,101 @@
+"""Loose files of frames become a session; a pattern reads conditions from their names."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.form import SessionForm, StackForm, stack_form
+from labdata.importers.emva1288 import relative, write_session
+from labdata.session import Kind, Session
+
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+
+
+def import_frames(
+    files: Iterable[str | Path], out: str | Path, *, kind: Kind = "scene", name_pattern: str | None = None
+) -> Session:
+    """Make a session of files of frames; they stay where they are.
+
+    Parameters
+    ----------
+    files
+        The files, each read as `labdata.importers.read_frames` reads it.
+    out
+        Folder of the session, made where it is missing.
+    kind
+        What the frames show.
+    name_pattern
+        How conditions stand in the names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a number,
+        * anything. Files under the same conditions become one stack. None: a stack for each file.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, of no known kind, or does not match the pattern.
+    """
+    paths = sorted({Path(file) for file in files})
+    if not paths:
+        raise BadInput("a session needs at least one file of frames, got none")
+    for path in paths:
+        _check(path)
+    out = Path(out)
+    stacks = _single(paths, out, kind) if name_pattern is None else _grouped(paths, out, kind, name_pattern)
+    return write_session(SessionForm(name=out.resolve().name, stack=stacks), out)
+
+
+def _check(path: Path) -> None:
+    from labdata.importers import reader_of
+
+    if not path.exists():
+        raise BadInput(f"a file of frames must exist to be read, got {path}")
+    reader_of(path)
+
+
+def _single(paths: list[Path], out: Path, kind: Kind) -> tuple[StackForm, ...]:
+    stems = [path.stem for path in paths]
+    labels = [path.stem if stems.count(path.stem) == 1 else path.name for path in paths]
+    return tuple(
+        stack_form(Conditions(), label=label, kind=kind, frames=relative(path, out))
+        for label, path in zip(labels, paths, strict=True)
+    )
+
+
+def _grouped(paths: list[Path], out: Path, kind: Kind, pattern: str) -> tuple[StackForm, ...]:
+    expression = name_expression(pattern)
+    groups: dict[tuple[tuple[str, float], ...], list[Path]] = {}
+    for path in paths:
+        match = expression.fullmatch(path.stem) or expression.fullmatch(path.name)
+        if match is None:
+            raise BadInput(f"every file name must match the pattern {pattern!r}, got {path.name!r}")
+        conditions = tuple((name, float(text)) for name, text in match.groupdict().items())
+        groups.setdefault(conditions, []).append(path)
+    return tuple(
+        stack_form(
+            Conditions(**dict(conditions)),
+            label=f"{kind} " + " ".join(f"{name}={value:g}" for name, value in conditions),
+            kind=kind,
+            frames=tuple(relative(path, out) for path in members),
+        )
+        for conditions, members in sorted(groups.items())
+    )
+
+
+def name_expression(pattern: str) -> re.Pattern[str]:
+    """Return the regular expression of a name pattern; a condition that does not exist is a BadInput."""
+    known = [item.name for item in fields(Conditions)]
+    parts = re.split(r"(\{[^{}]*\}|\*)", pattern)
+    names = [part[1:-1] for part in parts if part.startswith("{")]
+    if unknown := [name for name in names if name not in known]:
+        raise BadInput(f"a name in the braces of a pattern must be one of {', '.join(known)}, got {unknown[0]!r}")
+    if not names or len(set(names)) < len(names):
+        raise BadInput(f"a pattern must name one condition or more, each once, in braces, got {pattern!r}")
+    return re.compile("".join(_expression(part) for part in parts))
+
+
+def _expression(part: str) -> str:
+    if part == "*":
+        return ".*?"
+    return f"(?P<{part[1:-1]}>{NUMBER})" if part.startswith("{") else re.escape(part)

@@ -1,0 +1,33 @@
+"""Colour planes of a picture that has them: one is chosen, or the luminance is taken and said so."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+# Weights of red, green and blue in luminance, as the reference tables of ISO 12233 edges use them.
+LUMINANCE = (0.2125, 0.7154, 0.0721)
+LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
+
+
+def mono(data: NDArray, plane: str | None, name: str, full_scale_dn: float | None = None) -> FrameStack:
+    """Return frames that have no colour, shape (frame, row, col); asking a colour plane of them is a BadInput."""
+    if plane not in (None, "mono"):
+        raise BadInput(f"a plane can only be taken of a colour picture, got plane {plane!r} of {name}")
+    return FrameStack(data=data, full_scale_dn=full_scale_dn)
+
+
+def chosen(data: NDArray, plane: str | None, name: str, full_scale_dn: float | None = None) -> FrameStack:
+    """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
+    if plane is None:
+        luminance = data[..., :3].astype(np.float64) @ np.asarray(LUMINANCE)
+        return FrameStack(data=luminance, full_scale_dn=full_scale_dn, notes=(LUMINANCE_NOTE,))
+    if plane not in ("r", "g", "b"):
+        raise BadInput(f"the plane of an RGB picture must be r, g or b, got {plane!r} for {name}")
+    return FrameStack(data=data[..., "rgb".index(plane)], full_scale_dn=full_scale_dn, plane=plane)
+
+
+def full_scale_of(dtype: np.dtype) -> float | None:
+    """Return the highest code that a type of unsigned whole numbers can hold; None for other types."""
+    return float(np.iinfo(dtype).max) if dtype.kind == "u" else None

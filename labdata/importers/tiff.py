@@ -1,0 +1,68 @@
+"""TIFF: whole and real pixels of 8 to 64 bits, both byte orders, many pages, colour planes kept apart."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.importers import planes
+
+
+def read(path: Path, plane: str | None = None) -> FrameStack:
+    """Read all pages of a TIFF file as frames; see `labdata.importers.read_frames`."""
+    data, axes = _pixels(path)
+    if axes.endswith("S"):
+        frames = data.reshape((-1, *data.shape[-3:]))
+        if frames.shape[-1] >= 3:
+            return planes.chosen(frames, plane, path.name)
+        return planes.mono(frames[..., 0], plane, path.name)
+    return planes.mono(data.reshape((-1, *data.shape[-2:])), plane, path.name)
+
+
+def _pixels(path: Path) -> tuple[NDArray, str]:
+    """Return the pixels with the colour samples, if any, on the last axis, and the names of the axes."""
+    import tifffile
+
+    logger = logging.getLogger("tifffile")
+    silent, logger.disabled = logger.disabled, True  # it logs what we turn into a sentence
+    try:
+        with tifffile.TiffFile(path) as file:
+            _check_whole(file, path)
+            series = file.series[0]
+            if len(file.series) > 1:
+                shapes = {one.shape for one in file.series}
+                raise BadInput(f"the pages of a TIFF file must have one shape, got {sorted(shapes)} in {path}")
+            data, axes = series.asarray(), series.axes
+    except BadInput:
+        raise
+    except tifffile.TiffFileError:
+        raise BadInput(f"a .tif file must be a TIFF picture, got something else in {path}") from None
+    except Exception as error:
+        raise BadInput(f"a TIFF file must be whole and readable, got {path}: {_one_line(error)}") from None
+    finally:
+        logger.disabled = silent
+    if "S" in axes and not axes.endswith("S"):
+        place = axes.index("S")
+        data, axes = np.moveaxis(data, place, -1), axes.replace("S", "") + "S"
+    if data.ndim < 2:
+        raise BadInput(f"a TIFF file must hold pictures of rows and columns, got the shape {data.shape} in {path}")
+    return data.astype(data.dtype.newbyteorder("="), copy=False), axes
+
+
+def _check_whole(file, path: Path) -> None:
+    """Refuse a file that ends before its last strip: the decoder would fill the rest in silence."""
+    if not file.pages:
+        raise BadInput(f"a TIFF file must hold at least one page, got none in {path}")
+    size = path.stat().st_size
+    for page in file.pages:
+        page = page.aspage()
+        end = max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=0)
+        if end > size:
+            raise BadInput(f"a TIFF file must be whole, got {path} of {size} bytes where its pixels end at {end}")
+
+
+def _one_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,61 @@
+"""The journal of an array: a frame that it does not hold was never promised."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+JOURNAL = "journal.jsonl"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Acknowledged:
+    """One line of the journal.
+
+    Parameters
+    ----------
+    index
+        Place of the frame in the array.
+    frame_number
+        The camera's own number.
+    time_s
+        Time stamp, s.
+    sha256
+        SHA-256 of the frame's bytes, rows first, little-endian.
+    """
+
+    index: int
+    frame_number: int
+    time_s: float
+    sha256: str
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a folder is an array of this store."""
+    return (path / JOURNAL).is_file()
+
+
+def journal(path: str | Path) -> tuple[Acknowledged, ...]:
+    """Return the acknowledged frames of an array in order; a last line cut short by a crash is not one."""
+    frames = []
+    for line in (Path(path) / JOURNAL).read_bytes().splitlines(keepends=True):
+        try:
+            entry = Acknowledged(**json.loads(line))
+        except (ValueError, TypeError):
+            break
+        if not line.endswith(b"\n") or entry.index != len(frames):
+            break
+        frames.append(entry)
+    return tuple(frames)
+
+
+def sha256(frame: NDArray) -> str:
+    """Return the SHA-256 of a frame's bytes, rows first, little-endian."""
+    return hashlib.sha256(_bytes(frame)).hexdigest()
+
+
+def _bytes(frame: NDArray) -> memoryview:
+    return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("<")).data.cast("B")

@@ -1,0 +1,267 @@
+"""Writing a session while it is taken: stack after stack, readable at every moment, resumable after a crash."""
+
+import fcntl
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from labdata.border import from_toml, to_toml
+from labdata.conditions import Conditions
+from labdata.durable import write_durably
+from labdata.errors import BadInput
+from labdata.form import SessionForm, StackForm, stack_form
+from labdata.session import MANIFEST, Kind, Session, open_session
+from labdata.store.appending import ArrayWriter
+from labdata.store.journal import Acknowledged, is_ours, journal
+from labdata.target import Target
+
+FRAMES = "frames"
+LOCK = ".lock"
+
+
+class StackWriter:
+    """One stack while it is taken; made by `SessionWriter.begin_stack`. Use it with `with`.
+
+    Leaving the `with` without `finish` leaves the stack readable and marked as broken off.
+    """
+
+    def __init__(self, array: ArrayWriter, entry: StackForm, enter: Callable[[StackForm], None]) -> None:
+        self._array = array
+        self._entry = entry
+        self._enter = enter
+        if len(array):
+            enter(entry)
+
+    def __len__(self) -> int:
+        """Frames acknowledged so far, those of an earlier run included."""
+        return len(self._array)
+
+    def __enter__(self) -> "StackWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def label(self) -> str:
+        """Label of the stack."""
+        return self._entry.label
+
+    def append(self, frame: NDArray, time_s: float, frame_number: int) -> Acknowledged:
+        """Store one frame; it is durable, whole and part of the session when this returns.
+
+        Parameters
+        ----------
+        frame
+            Pixels, shape (row, col), of the shape and type that the stack was begun with.
+        time_s
+            Time stamp, s.
+        frame_number
+            The camera's own number.
+        """
+        acknowledged = self._array.append(frame, time_s, frame_number)
+        if len(self._array) == 1:
+            self._enter(self._entry)
+        return acknowledged
+
+    def finish(self, lost_frames: int = 0, notes: tuple[str, ...] = (), conditions: Conditions | None = None) -> None:
+        """Mark the stack as complete.
+
+        Parameters
+        ----------
+        lost_frames
+            Frames that the camera numbered and that never arrived.
+        notes
+            Remarks on the stack.
+        conditions
+            Conditions read back at its end, where they replace those of its beginning.
+        """
+        if not len(self._array):
+            raise BadInput(f"a finished stack must hold at least one frame, got none in {self.label!r}")
+        entry = self._entry if conditions is None else stack_form(conditions, **_other_keys(self._entry))
+        self._entry = replace(entry, finished=None, lost_frames=lost_frames or None, notes=(*entry.notes, *notes))
+        self._enter(self._entry)
+        self.close()
+
+    def close(self) -> None:
+        """Close the stack as it is; the frames so far are safe."""
+        self._array.close()
+
+
+class SessionWriter:
+    """A session while it is taken; make it with `create` or `resume` and use it with `with`."""
+
+    def __init__(self, folder: Path, form: SessionForm) -> None:
+        self.folder = folder
+        self._lock = _locked(folder)
+        self._form = form
+
+    @classmethod
+    def create(
+        cls,
+        folder: str | Path,
+        *,
+        name: str,
+        sensor: str | None = None,
+        bit_depth: int | None = None,
+        interlaced: bool | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> "SessionWriter":
+        """Begin a session in a folder that does not hold one.
+
+        Parameters
+        ----------
+        folder
+            The session's folder; made where it is missing.
+        name
+            Name of the session.
+        sensor
+            Name of a shipped sensor description, or the path of one relative to the folder.
+        bit_depth
+            Bits of the digitiser.
+        interlaced
+            Whether the two fields of a frame were exposed one after the other.
+        notes
+            Remarks.
+        """
+        folder = Path(folder)
+        if (folder / MANIFEST).exists():
+            raise BadInput(f"a new session needs a folder without one, got {folder}")
+        if folder.exists() and not folder.is_dir():
+            raise BadInput(f"a session must be a folder, got the file {folder}")
+        (folder / FRAMES).mkdir(parents=True, exist_ok=True)
+        form = SessionForm(name=name, sensor=sensor, bit_depth=bit_depth, interlaced=interlaced, notes=notes)
+        writer = cls(folder, form)
+        writer._save(form)
+        return writer
+
+    @classmethod
+    def resume(cls, folder: str | Path) -> "SessionWriter":
+        """Go on with a session that was broken off."""
+        folder = Path(folder)
+        return cls(folder, from_toml(folder / MANIFEST, SessionForm))
+
+    def __enter__(self) -> "SessionWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def finished(self) -> tuple[str, ...]:
+        """Labels of the stacks that are complete."""
+        return tuple(entry.label for entry in self._form.stack if entry.finished is not False)
+
+    @property
+    def partial(self) -> dict[str, int]:
+        """Labels of the stacks that were broken off, with the number of their acknowledged frames."""
+        return {
+            entry.label: len(journal(self._path(entry.label))) for entry in self._form.stack if entry.finished is False
+        }
+
+    def begin_stack(
+        self,
+        label: str,
+        kind: Kind,
+        shape: tuple[int, int],
+        dtype: Any,
+        conditions: Conditions,
+        asked: Conditions | None = None,
+        target: Target | None = None,
+    ) -> StackWriter:
+        """Begin a stack, or go on with one that was broken off: its length then tells how many frames it has.
+
+        Parameters
+        ----------
+        label, kind
+            Name, unique in the session, and what the stack shows.
+        shape, dtype
+            Rows and columns of a frame, and the type of a pixel.
+        conditions
+            Conditions in force: read back where an instrument can be read.
+        asked
+            Conditions asked of the instruments.
+        target
+            What stands before the camera.
+
+        Raises
+        ------
+        BadInput
+            If the stack is complete already, or was begun otherwise.
+        """
+        path = self._path(label)
+        entry = stack_form(
+            conditions,
+            label=label,
+            kind=kind,
+            frames=f"{FRAMES}/{path.name}",
+            asked=asked,
+            target=target or Target(),
+            finished=False,
+        )
+        known = {one.label: one for one in self._form.stack}.get(label)
+        if known is not None:
+            entry = _continued(known, entry)
+        if is_ours(path) and not journal(path):
+            shutil.rmtree(path)
+        return StackWriter(ArrayWriter(path, shape, dtype), entry, self._enter)
+
+    def discard_stack(self, label: str) -> None:
+        """Forget a stack that was broken off, with its frames, so that it can be taken anew."""
+        if label in self.finished:
+            raise BadInput(f"only a stack that was broken off can be discarded, got the complete {label!r}")
+        self._save(replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label)))
+        shutil.rmtree(self._path(label), ignore_errors=True)
+
+    def add_note(self, note: str) -> None:
+        """Add a remark to the session."""
+        self._save(replace(self._form, notes=(*self._form.notes, note)))
+
+    def session(self) -> Session:
+        """Open the session as it stands."""
+        return open_session(self.folder)
+
+    def close(self) -> None:
+        """Let another process write to the session."""
+        self._lock.close()
+
+    def _enter(self, entry: StackForm) -> None:
+        stacks = {one.label: one for one in self._form.stack}
+        self._save(replace(self._form, stack=tuple({**stacks, entry.label: entry}.values())))
+
+    def _save(self, form: SessionForm) -> None:
+        write_durably(self.folder / MANIFEST, to_toml(form).encode())
+        self._form = form
+
+    def _path(self, label: str) -> Path:
+        if not label or label.startswith(".") or set(label) & set("/\\\0"):
+            raise BadInput(f"a label must be a file name without slashes or a leading dot, got {label!r}")
+        return self.folder / FRAMES / f"{label}.zarr"
+
+
+def _continued(known: StackForm, entry: StackForm) -> StackForm:
+    """Return the entry of a stack that is gone on with: as it was begun, if it was begun the same."""
+    if known.finished is not False:
+        raise BadInput(f"a complete stack cannot be begun again, got {known.label!r}")
+    if (known.kind, known.asked, known.target) != (entry.kind, entry.asked, entry.target):
+        raise BadInput(f"a stack must go on as it was begun, got another kind, target or setting for {known.label!r}")
+    return known
+
+
+def _other_keys(entry: StackForm) -> dict[str, Any]:
+    return {name: getattr(entry, name) for name in StackForm.__annotations__}
+
+
+def _locked(folder: Path) -> Any:
+    """Return the open lock file of a session; another process that holds it is a BadInput."""
+    file = open(folder / LOCK, "w")
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        raise BadInput(f"one process may write to a session at a time, got a second for {folder}") from None
+    return file
