@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study lock clean
+.PHONY: demo test test-seeds check bench study docs lock clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -32,6 +32,9 @@ bench: $(READY)
 study: $(READY)
 	$(BIN)/charact chart mtf50 --update --out study
 	$(BIN)/charact stability mtf50 --out study
+
+docs: $(READY)
+	$(BIN)/python docs/tree.py
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \

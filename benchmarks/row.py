@@ -40,7 +40,8 @@ class Row:
             else f"   promised {self.limit_seconds:g} s: {'kept' if self.kept else 'BROKEN'}"
         )
         ratio = self.peer_seconds / self.seconds
-        return f"{self.name:42} {self.seconds:8.4f} s   {ratio:6.2f} x as fast as {self.peer} ({self.peer_seconds:.4f} s){promise}"
+        against = f"{ratio:6.2f} x as fast as {self.peer} ({self.peer_seconds:.4f} s)"
+        return f"{self.name:42} {self.seconds:8.4f} s   {against}{promise}"
 
 
 def best_seconds(work: Callable[[], object], repeats: int = 5) -> float:

@@ -75,8 +75,8 @@ def _tasks(session: Session, context: Context, within_percent: float):
         tasks.append(
             ("noise against gain", lambda: noise.measure(session, within_percent=within_percent, context=context))
         )
-    for entry in session.of_kind("edge", "bars"):
-        tasks.append((f"MTF of {entry.label}", _target(entry, context, within_percent)))
+    targets = session.of_kind("edge", "bars")
+    tasks += [(f"MTF of {entry.label}", _target(entry, context, within_percent)) for entry in targets]
     if session.of_kind("point"):
         tasks.append(("MTF of a point source", lambda: _best_point(session, context, within_percent)))
         tasks.append(

@@ -127,11 +127,9 @@ def fit(
         with progress_bar(events=events) as progress:
             fitted = fit_sensor(open_session(session), result, seed=seed, progress=progress)
         save_sensor(fitted, sensor_out)
-        for path, parameter in fitted.parameters().items():
-            if parameter.standing in ("fitted", "prior"):
-                print(
-                    f"{path} {parameter.value:.4g} [{parameter.low:.4g}, {parameter.high:.4g}] 95 %, {parameter.standing}"
-                )
+        for path, p in fitted.parameters().items():
+            if p.standing in ("fitted", "prior"):
+                print(f"{path} {p.value:.4g} [{p.low:.4g}, {p.high:.4g}] 95 %, {p.standing}")
         print(f"{sensor_out}\nNext: charact validate {session} --sensor {sensor_out}")
 
 

@@ -1,0 +1,136 @@
+"""Bad input ends in one sentence that names the rule and the value, exit code 1, and no traceback."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner, Result
+
+from charact.cli.application import app
+
+SESSION = """
+name = "trial"
+[[stack]]
+label = "flat-1"
+kind = "flat"
+frames = "flat.npy"
+{line}
+"""
+
+
+def charact(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def assert_one_sentence(done: Result, *words: str) -> None:
+    assert done.exit_code == 1, done.output
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    sentence = done.stderr.strip()
+    assert len(sentence.splitlines()) == 1, sentence
+    assert "Traceback" not in done.output
+    for word in words:
+        assert word in sentence, sentence
+
+
+@pytest.fixture
+def edge(tmp_path: Path) -> Path:
+    row, col = np.mgrid[:64, :96]
+    image = 100 + 80 / (1 + np.exp(-(col - 48 - 0.1 * row)))
+    path = tmp_path / "edge.npy"
+    np.save(path, np.round(image).astype(np.uint8))
+    return path
+
+
+def session(folder: Path, line: str) -> Path:
+    np.save(folder / "flat.npy", np.zeros((2, 8, 8), np.uint8))
+    (folder / "session.toml").write_text(SESSION.format(line=line))
+    return folder
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    assert_one_sentence(charact("mtf", "edge", tmp_path / "missing.tif"), "missing.tif")
+
+
+def test_text_named_tif_is_not_an_image(tmp_path: Path) -> None:
+    path = tmp_path / "letter.tif"
+    path.write_text("Dear lab, the frames are in the other folder.")
+    assert_one_sentence(charact("mtf", "edge", path), "letter.tif")
+
+
+def test_a_truncated_tiff_is_not_measured(tmp_path: Path) -> None:
+    path = tmp_path / "cut.tif"
+    tifffile.imwrite(path, np.zeros((64, 64), np.uint16))
+    path.write_bytes(path.read_bytes()[:3000])
+    assert_one_sentence(charact("mtf", "edge", path), "cut.tif")
+
+
+def test_a_pixel_that_is_not_a_number_is_counted(tmp_path: Path) -> None:
+    image = np.ones((32, 32), np.float32)
+    image[3, 4] = np.nan
+    tifffile.imwrite(tmp_path / "nan.tif", image)
+    assert_one_sentence(charact("mtf", "edge", tmp_path / "nan.tif"), "finite", "1 ")
+
+
+def test_an_unknown_kind_of_file_gets_the_list_of_known_ones(tmp_path: Path) -> None:
+    path = tmp_path / "frames.xyz"
+    path.write_bytes(b"1234")
+    assert_one_sentence(charact("mtf", "edge", path), ".xyz", ".tif", ".fits", ".dng")
+
+
+def test_an_unknown_key_is_refused_by_name_and_place(tmp_path: Path) -> None:
+    assert_one_sentence(charact("noise", session(tmp_path, "mcp_volt = 780.0")), "mcp_volt", "flat-1")
+
+
+def test_a_negative_gain_is_refused(tmp_path: Path) -> None:
+    assert_one_sentence(charact("noise", session(tmp_path, "mcp_v = -780.0")), "mcp_v", "-780")
+
+
+def test_an_empty_session_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "session.toml").write_text('name = "empty"\n')
+    assert_one_sentence(charact("noise", tmp_path), "stack")
+
+
+def test_a_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
+    assert_one_sentence(charact("measure", tmp_path), "session.toml")
+
+
+@pytest.mark.parametrize("region", ["0,0,65,10", "-1,0,10,10", "0,90,10,10", "0,0,0,10"])
+def test_a_region_outside_the_image_is_refused(edge: Path, region: str) -> None:
+    assert_one_sentence(charact("mtf", "edge", edge, f"--roi={region}"), "64 rows and 96 columns", region)
+
+
+def test_a_region_that_is_no_region_is_refused(edge: Path) -> None:
+    assert_one_sentence(charact("mtf", "edge", edge, "--roi", "10,10,all"), "ROW,COL,HEIGHT,WIDTH", "10,10,all")
+
+
+def test_an_unknown_method_gets_the_list_of_known_ones(edge: Path) -> None:
+    assert_one_sentence(charact("mtf", "edge", edge, "--method", "sorcery"), "sorcery", "edge-forward")
+
+
+def test_an_unknown_frequency_unit_is_refused(edge: Path) -> None:
+    assert_one_sentence(charact("mtf", "edge", edge, "--units", "furlongs"), "furlongs", "lp/mm")
+
+
+def test_lines_per_millimetre_need_a_pitch(edge: Path) -> None:
+    assert_one_sentence(charact("mtf", "edge", edge, "--units", "lp/mm"), "pitch_um")
+
+
+def test_bars_of_a_negative_frequency_are_refused(edge: Path) -> None:
+    assert_one_sentence(charact("mtf", "bars", edge, "--frequency", "-0.1"), "-0.1")
+
+
+def test_bad_input_is_also_said_in_json(tmp_path: Path) -> None:
+    done = charact("mtf", "edge", tmp_path / "missing.tif", "--json")
+    assert done.exit_code == 1
+    said = json.loads(done.stdout)
+    assert set(said) == {"charact", "input", "error"}
+    assert "missing.tif" in said["error"]
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_misuse_ends_with_two(edge: Path) -> None:
+    assert charact("mtf", "edge", edge, "--no-such-option").exit_code == 2
+    assert charact("no-such-verb").exit_code == 2
+    assert charact("mtf", "edge").exit_code == 2

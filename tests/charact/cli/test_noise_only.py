@@ -1,0 +1,55 @@
+"""A frame of pure noise holds no target: every measuring verb refuses it or distrusts what it found, never 'ok'."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from charact.cli.application import app
+
+VERBS = {"edge": (), "bars": ("--frequency", "0.12"), "point": ()}
+
+
+def noise_frame(kind: str, rng: np.random.Generator) -> np.ndarray:
+    """Noise of several cameras: white, correlated by blur, Poisson, and none at all."""
+    from scipy.ndimage import gaussian_filter
+
+    shape = (96, 128)
+    frames = {
+        "white": 100 + 5 * rng.standard_normal(shape),
+        "correlated": 100 + 30 * gaussian_filter(rng.standard_normal(shape), 1.5),
+        "poisson": rng.poisson(8.0, shape).astype(float),
+        "constant": np.full(shape, 77.0),
+    }
+    return np.clip(np.round(frames[kind]), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("noise", ["white", "correlated", "poisson", "constant"])
+@pytest.mark.parametrize("verb", VERBS)
+def test_noise_is_never_an_mtf(verb: str, noise: str, tmp_path: Path, seed: int) -> None:
+    for trial in range(3):
+        frame = noise_frame(noise, np.random.default_rng((seed, trial)))
+        np.save(tmp_path / "noise.npy", frame)
+        assert not ok_measurements("mtf", verb, tmp_path / "noise.npy", "--quick", *VERBS[verb])
+
+
+@pytest.mark.parametrize("kind", ["flat", "point", "edge", "dark"])
+def test_a_session_of_noise_is_never_ok(kind: str, tmp_path: Path, seed: int) -> None:
+    """Noise that does not follow the light is no camera: darks alone may give a read noise, and nothing else."""
+    rng = np.random.default_rng(seed)
+    np.save(tmp_path / "noise.npy", np.stack([noise_frame("white", rng) for _ in range(4)]))
+    stack = f'[[stack]]\nlabel = "a"\nkind = "{kind}"\nframes = "noise.npy"\n'
+    (tmp_path / "session.toml").write_text(f'name = "noise"\n{stack}')
+    found = ok_measurements("measure", tmp_path, "--quick")
+    assert {m["quantity"] for m in found} <= {"read_noise", "dark_signal", "dsnu", "blur_factor"}
+    if kind != "dark":
+        assert not found
+
+
+def ok_measurements(*arguments: object) -> list[dict]:
+    done = CliRunner().invoke(app, [*map(str, arguments), "--json"])
+    assert done.exit_code in (0, 1), done.output
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return [m for m in json.loads(done.stdout).get("measurements", ()) if m["status"] == "ok"]
