@@ -1,12 +1,16 @@
 """What a lab knows and recorded: frames, conditions, sensors, targets, plans, sessions, measurements, storage."""
 
-from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result
-from labdata.sensor import Sensor
-from labdata.session import Session, StackEntry, open_session
-from labdata.target import Target
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from labdata.conditions import Conditions
+    from labdata.errors import BadInput
+    from labdata.frames import FrameStack
+    from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result
+    from labdata.sensor import Sensor
+    from labdata.sensors import load_sensor
+    from labdata.session import Session, StackEntry, open_session
+    from labdata.target import Target
 
 __all__ = [
     "BadInput",
@@ -21,5 +25,27 @@ __all__ = [
     "Session",
     "StackEntry",
     "Target",
+    "load_sensor",
     "open_session",
 ]
+
+_HOMES = {
+    "labdata.conditions": ("Conditions",),
+    "labdata.errors": ("BadInput",),
+    "labdata.frames": ("FrameStack",),
+    "labdata.measurement": ("Curve", "Measurement", "Posterior", "Provenance", "Result"),
+    "labdata.sensor": ("Sensor",),
+    "labdata.sensors": ("load_sensor",),
+    "labdata.session": ("Session", "StackEntry", "open_session"),
+    "labdata.target": ("Target",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name's home only when it is asked for: the command line must answer at once."""
+    for home, names in _HOMES.items():
+        if name in names:
+            from importlib import import_module
+
+            return getattr(import_module(home), name)
+    raise AttributeError(f"module 'labdata' has no attribute {name!r}")

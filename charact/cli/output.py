@@ -4,16 +4,17 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import typer
-from labdata.document import to_json
 
 from charact import __version__
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
-from labdata.measurement import Measurement, Result
 from labdata.quantity import convert_frequency
+
+if TYPE_CHECKING:
+    from labdata.measurement import Measurement, Result
 
 Frequency = Callable[[float], tuple[float, str]]
 
@@ -50,7 +51,7 @@ def bad_input_ends(given: str, *, as_json: bool = False, events: bool = False) -
 
 
 def show(
-    result: Result,
+    result: "Result",
     *,
     given: str,
     as_json: bool,
@@ -68,6 +69,8 @@ def show(
         The next sensible command, named on a terminal.
     """
     if as_json:
+        from labdata.document import to_json
+
         print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
     else:
         for measurement in result.measurements:
@@ -80,7 +83,7 @@ def show(
         print(f"\nNext: {next_verb}")
 
 
-def lines_of(measurement: Measurement, frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
+def lines_of(measurement: "Measurement", frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
     """One line for a measurement, then one for each flag and note."""
     m = measurement
     where = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px))
