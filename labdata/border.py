@@ -1,6 +1,7 @@
 """The border: TOML and JSON become frozen dataclasses here or are refused in one sentence, and go back out."""
 
 import dataclasses
+import inspect
 import json
 import tomllib
 from collections.abc import Mapping
@@ -120,7 +121,7 @@ def _plain(value: Any) -> Any:
 
 
 def _plain_fields(value: Any) -> dict[str, Any]:
-    own = type(value).__dict__.get("__annotations__", {})
+    own = inspect.get_annotations(type(value))
     plain = {}
     for item in sorted(dataclasses.fields(value), key=lambda item: item.name not in own):
         written = _plain(getattr(value, item.name))
@@ -137,7 +138,8 @@ def _adapter(type_: type) -> Any:
     from pydantic import ConfigDict, TypeAdapter
 
     # Around a bare dataclass pydantic ignores the configuration; inside a tuple it reaches every depth.
-    return TypeAdapter(tuple[type_], config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
+    wrapped: Any = tuple.__class_getitem__(type_)
+    return TypeAdapter(wrapped, config=ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 
 
 @cache

@@ -67,7 +67,8 @@ def _rule(error: Mapping[str, Any]) -> str:
         return f"a list of {error['ctx']['max_length']}" if "ctx" in error else "a longer list"
     if error["type"] == "dataclass_type" and error["ctx"]["class_name"] == "Parameter":
         return "a number or a table"
-    return EXPECTED.get(error["type"], error["msg"][:1].lower() + error["msg"][1:])
+    message = str(error["msg"])
+    return EXPECTED.get(error["type"], message[:1].lower() + message[1:])
 
 
 def _found(steps: Sequence[str | int], mapping: Any) -> tuple[str | int, ...]:

@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers import planes
@@ -18,12 +21,12 @@ def read(path: Path, plane: str | None = None) -> FrameStack:
     return planes.mono(_foreign(path), plane, path.name)
 
 
-def _foreign(path: Path):
+def _foreign(path: Path) -> NDArray:
     import zarr
 
     try:
         array = zarr.open_array(path, mode="r")
-        data = array[...]
+        data = np.asarray(array[...])
     except Exception:
         raise BadInput(f"a folder of frames must be a readable Zarr array, got {path}") from None
     if array.ndim not in (2, 3):

@@ -122,7 +122,7 @@ class ArrayWriter:
 
     def _journal_after_last(self) -> Any:
         """Open the journal behind its last whole line; a crash may have left a part of one."""
-        file = open(self.path / JOURNAL, "r+b")
+        file = open(self.path / JOURNAL, "r+b")  # noqa: SIM115 - it stays open as long as the writer
         for _ in range(self._frames):
             file.readline()
         file.truncate(file.tell())

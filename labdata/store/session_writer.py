@@ -258,7 +258,7 @@ def _other_keys(entry: StackForm) -> dict[str, Any]:
 
 def _locked(folder: Path) -> Any:
     """Return the open lock file of a session; another process that holds it is a BadInput."""
-    file = open(folder / LOCK, "w")
+    file = open(folder / LOCK, "w")  # noqa: SIM115 - it stays open as long as the writer
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
