@@ -7,10 +7,11 @@ import tomllib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from labdata.complaint import sentence
 from labdata.errors import BadInput
+from labdata.schema import described
 
 T = TypeVar("T")
 
@@ -99,15 +100,27 @@ def to_mapping(value: Any) -> dict[str, Any]:
 
 def json_schema(type_: type) -> dict[str, Any]:
     """Return the JSON Schema of the file form of a dataclass, for editors that complete and check TOML."""
-    schema = _adapter(_forms().get(type_, type_)).json_schema()
+    written = _forms().get(type_, type_)
+    schema = _adapter(written).json_schema()
     definitions = schema["$defs"]
-    name = schema["prefixItems"][0]["$ref"].rsplit("/", 1)[1]
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **definitions.pop(name),
-        "title": type_.__name__.removesuffix("Form"),
-        "$defs": definitions,
-    }
+    whole = definitions.pop(written.__name__)
+    return described(
+        {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            **whole,
+            "title": written.__name__,
+            "$defs": definitions,
+        },
+        _dataclasses_in(written),
+    )
+
+
+def _dataclasses_in(type_: Any) -> dict[str, type]:
+    """Return a dataclass and all dataclasses inside it, by name."""
+    if dataclasses.is_dataclass(type_) and isinstance(type_, type):
+        inner = [_dataclasses_in(hint) for hint in get_type_hints(type_).values()]
+        return {type_.__name__: type_, **{name: found for one in inner for name, found in one.items()}}
+    return {name: found for one in get_args(type_) for name, found in _dataclasses_in(one).items()}
 
 
 def _plain(value: Any) -> Any:

@@ -62,7 +62,12 @@ def read_frames(path: str | Path, plane: str | None = None) -> FrameStack:
     path = Path(path)
     if not path.exists():
         raise BadInput(f"a file of frames must exist to be read, got {path}")
-    return reader_of(path)(path, plane)
+    try:
+        return reader_of(path)(path, plane)
+    except BadInput as error:
+        if path.name in str(error):
+            raise
+        raise BadInput(f"{error}, in {path}") from None
 
 
 def reader_of(path: Path) -> Callable[[Path, str | None], FrameStack]:

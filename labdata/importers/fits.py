@@ -26,10 +26,19 @@ def _first_image(fits, path: Path) -> np.ndarray:
     import warnings
 
     try:
-        with warnings.catch_warnings(action="error"), fits.open(path, memmap=False) as file:
-            for unit in file:
-                if getattr(unit, "is_image", False) and unit.header.get("NAXIS", 0) > 0:
-                    return unit.data
+        # Headers out of order are common and harmless; a file that ends early is neither.
+        with warnings.catch_warnings(action="ignore"):
+            warnings.filterwarnings("error", message=".*truncated.*")
+            with fits.open(path, memmap=False) as file:
+                return _image_of(file, path)
+    except BadInput:
+        raise
     except Exception:
         raise BadInput(f"a FITS file must be whole and readable, got {path}") from None
+
+
+def _image_of(file, path: Path) -> np.ndarray:
+    for unit in file:
+        if getattr(unit, "is_image", False) and unit.header.get("NAXIS", 0) > 0:
+            return unit.data
     raise BadInput(f"a FITS file must hold an image, got none in {path}")

@@ -11,15 +11,16 @@ LUMINANCE = (0.2125, 0.7154, 0.0721)
 LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
 
 
-def mono(data: NDArray, plane: str | None, name: str, full_scale_dn: float | None = None) -> FrameStack:
+def mono(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return frames that have no colour, shape (frame, row, col); asking a colour plane of them is a BadInput."""
     if plane not in (None, "mono"):
         raise BadInput(f"a plane can only be taken of a colour picture, got plane {plane!r} of {name}")
-    return FrameStack(data=data, full_scale_dn=full_scale_dn)
+    return FrameStack(data=data, full_scale_dn=full_scale_of(data.dtype))
 
 
-def chosen(data: NDArray, plane: str | None, name: str, full_scale_dn: float | None = None) -> FrameStack:
+def chosen(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
+    full_scale_dn = full_scale_of(data.dtype)
     if plane is None:
         luminance = data[..., :3].astype(np.float64) @ np.asarray(LUMINANCE)
         return FrameStack(data=luminance, full_scale_dn=full_scale_dn, notes=(LUMINANCE_NOTE,))
@@ -29,5 +30,5 @@ def chosen(data: NDArray, plane: str | None, name: str, full_scale_dn: float | N
 
 
 def full_scale_of(dtype: np.dtype) -> float | None:
-    """Return the highest code that a type of unsigned whole numbers can hold; None for other types."""
-    return float(np.iinfo(dtype).max) if dtype.kind == "u" else None
+    """Return the highest code of a type; None for all but 8 bits: wider types often hold fewer than they can."""
+    return 255.0 if dtype == np.uint8 else None

@@ -31,6 +31,7 @@ def _pixels(path: Path) -> tuple[NDArray, str]:
     try:
         with tifffile.TiffFile(path) as file:
             _check_whole(file, path)
+            _check_meaning(file, path)
             series = file.series[0]
             if len(file.series) > 1:
                 shapes = {one.shape for one in file.series}
@@ -62,6 +63,13 @@ def _check_whole(file, path: Path) -> None:
         end = max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=0)
         if end > size:
             raise BadInput(f"a TIFF file must be whole, got {path} of {size} bytes where its pixels end at {end}")
+
+
+def _check_meaning(file, path: Path) -> None:
+    """Refuse pixels that are no measure of light: indices of a palette, or counts that fall with light."""
+    photometric = getattr(file.pages[0].photometric, "name", "")
+    if photometric in ("PALETTE", "MINISWHITE"):
+        raise BadInput(f"the pixels of a TIFF file must rise with light, got the type {photometric} in {path}")
 
 
 def _one_line(error: Exception) -> str:
