@@ -49,7 +49,6 @@ class Chart:
             "provenance": {"charact": charact.__version__, "seed": self.seed, "quick": self.quick},
         }
 
-    @property
     def text(self) -> str:
         """The summaries as a plain table."""
         head = f"{'method':<20}{'error p95':>11}{'seconds':>9}{'cases':>7}{'ok':>6}{'silent':>8}{'missed 95 %':>13}"

@@ -50,7 +50,6 @@ class Stability:
         inside = [row for row in self.rows if row.in_scope]
         return summary(self.rows, method), summary(inside, method) if inside else None
 
-    @property
     def text(self) -> str:
         """For each method and axis: verdicts by position, then the silent failures one by one."""
         lines = [f"{self.quantity}: o ok, s suspect, r refused, C crashed, X silent failure; [inside the scope]"]

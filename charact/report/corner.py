@@ -1,0 +1,128 @@
+"""A posterior seen from every pair of its parameters: regions of 68 and 95 %, marginals on the diagonal."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.report.style import DATA, INK, MODEL, as_svg, note, panels, styled
+from labdata.measurement import QUANTILES, Posterior
+
+MOST_PARAMETERS = 6
+BINS = 28
+
+
+def corner_svg(posterior: Posterior, title: str) -> str:
+    """Draw the corner plot of a posterior.
+
+    Parameters
+    ----------
+    posterior
+        The draws; at most six parameters are shown, those that vary, in their order.
+    title
+        What it is the posterior of.
+    """
+    shown = varying(posterior)
+    count = max(len(shown), 1)
+    with styled():
+        figure, grid = panels(count, count, size=(1.15 + 1.25 * count, 0.85 + 1.15 * count))
+        if not shown:
+            note(grid[0, 0], "No parameter varies.")
+        for line in range(len(shown)):
+            for column in range(len(shown)):
+                _cell(grid[line, column], posterior, shown, line, column)
+        return as_svg(figure, f"Corner plot of the posterior of {title}")
+
+
+def varying(posterior: Posterior) -> tuple[int, ...]:
+    """Indices of the parameters that vary and are finite, at most six."""
+    draws = posterior.draws
+    good = (
+        np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0) if len(draws) else np.zeros(draws.shape[1], bool)
+    )
+    return tuple(int(index) for index in np.flatnonzero(good)[:MOST_PARAMETERS])
+
+
+def _cell(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:
+    """One panel: nothing above the diagonal, a marginal on it, a joint region below."""
+    if column > line:
+        axes.set_visible(False)
+        return
+    x = posterior.draws[:, shown[column]]
+    axes.grid(False)
+    axes.set_xlim(*_limits(x))
+    if line == column:
+        _marginal(axes, x)
+    else:
+        y = posterior.draws[:, shown[line]]
+        axes.set_ylim(*_limits(y))
+        _joint(axes, x, y)
+    _label(axes, posterior, shown, line, column)
+
+
+def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
+    low, high = np.quantile(values, [0.003, 0.997])
+    room = 0.08 * (high - low) or 1e-9
+    return float(low - room), float(high + room)
+
+
+def _marginal(axes: Any, values: NDArray[np.float64]) -> None:
+    """Histogram of one parameter with the ends of both intervals."""
+    axes.hist(values, bins=BINS, range=_limits(values), color=DATA, alpha=0.6, histtype="stepfilled")
+    for quantile, style in zip(QUANTILES, (":", "--", "-", "--", ":"), strict=True):
+        axes.axvline(float(np.quantile(values, quantile)), color=INK, linewidth=0.8, linestyle=style)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+
+
+def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """Regions of highest density that hold 68 and 95 % of the draws."""
+    counts, x_edges, y_edges = np.histogram2d(x, y, bins=BINS, range=(_limits(x), _limits(y)))
+    density = _smoothed(counts)
+    levels = _levels_holding(density, (0.95, 0.68))
+    middles = (x_edges[:-1] + x_edges[1:]) / 2, (y_edges[:-1] + y_edges[1:]) / 2
+    if levels[0] < levels[1] < density.max():
+        axes.contourf(*middles, density.T, levels=[*levels, density.max()], colors=[DATA, DATA], alpha=0.3)
+        axes.contour(*middles, density.T, levels=levels, colors=[DATA], linewidths=0.9)
+    else:
+        axes.plot(x[::10], y[::10], ".", color=DATA, markersize=2)
+    axes.plot(np.median(x), np.median(y), "+", color=MODEL, markersize=7)
+
+
+def _smoothed(counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Blur a histogram by one bin, for draws are few."""
+    kernel = np.array([0.05, 0.25, 0.4, 0.25, 0.05])
+    for axis in (0, 1):
+        counts = np.apply_along_axis(np.convolve, axis, counts, kernel, "same")
+    return counts
+
+
+def _levels_holding(density: NDArray[np.float64], shares: tuple[float, ...]) -> list[float]:
+    """Density above which each share of the draws lies."""
+    ordered = np.sort(density.ravel())[::-1]
+    held = np.cumsum(ordered) / ordered.sum()
+    return [float(ordered[min(int(np.searchsorted(held, share)), held.size - 1)]) for share in shares]
+
+
+def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:
+    """Names with units along the left and lower rim only."""
+    from matplotlib.ticker import MaxNLocator
+
+    last = line == len(shown) - 1
+    axes.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    axes.tick_params(labelsize=6.5, labelbottom=last, labelleft=column == 0 and line > 0, length=2)
+    axes.tick_params(axis="x", rotation=40)
+    if line > 0 and column < line:
+        axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    for number, setter, wanted in (
+        (column, axes.set_xlabel, last),
+        (line, axes.set_ylabel, column == 0 and line > 0),
+    ):
+        if wanted:
+            setter(named(posterior, shown[number]), fontsize=7)
+
+
+def named(posterior: Posterior, index: int) -> str:
+    """Name of a parameter with its unit."""
+    unit = posterior.units[index]
+    return f"{posterior.names[index].replace('_', ' ')}\n({unit})" if unit else posterior.names[index]

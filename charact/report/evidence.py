@@ -1,0 +1,81 @@
+"""What lies behind the numbers, drawn: each kind of evidence has its figure, an unknown kind its plain numbers."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from charact.report import blooms, edges, noise
+from charact.report.numerals import plain
+from charact.report.style import as_svg, styled
+
+Data = Mapping[str, Any]
+# Kind of evidence: section of the report and the function that draws it (data -> matplotlib figure).
+DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
+    "edge-spread": ("mtf", edges.edge_spread),
+    "bars": ("mtf", edges.bars),
+    "point-profile": ("bloom", blooms.point_profile),
+    "bloom-series": ("bloom", blooms.bloom_series),
+    "photon-transfer": ("noise", noise.photon_transfer),
+    "autocorrelation": ("noise", noise.autocorrelation),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """One figure of the page.
+
+    Parameters
+    ----------
+    section
+        "mtf", "noise", "bloom" or "other".
+    title
+        What it is evidence for.
+    svg
+        The drawing; None where the kind has none.
+    numbers
+        Single numbers that belong to it, name and text.
+    why_not
+        Why there is no drawing.
+    """
+
+    section: str
+    title: str
+    svg: str | None
+    numbers: tuple[tuple[str, str], ...] = ()
+    why_not: str = ""
+
+
+def figure_of(name: str, data: Data) -> Figure:
+    """Draw one piece of evidence.
+
+    Evidence that its figure cannot draw, for a list is missing or empty, is shown by its numbers, and the page says so.
+    """
+    kind = str(data.get("figure", ""))
+    section, draw = DRAWN.get(kind, ("other", None))
+    title, numbers = titled(name, kind), scalars(data)
+    if draw is None:
+        return Figure(
+            section=section, title=title, svg=None, numbers=numbers, why_not=f"no figure of the kind {kind!r}"
+        )
+    try:
+        with styled():
+            svg = as_svg(draw(data), title)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        why = f"its data cannot be drawn ({type(error).__name__}: {error})"
+        return Figure(section=section, title=title, svg=None, numbers=numbers, why_not=why)
+    return Figure(section=section, title=title, svg=svg, numbers=numbers)
+
+
+def titled(name: str, kind: str) -> str:
+    """Title of a figure: the evidence's name and, after the colon, its stack."""
+    what, _, label = name.partition(":")
+    text = (what or kind or "evidence").replace("-", " ").replace("_", " ")
+    return f"{text}, {label}" if label else text
+
+
+def scalars(data: Data) -> tuple[tuple[str, str], ...]:
+    """The single numbers and words among the evidence."""
+    found = {
+        key: value for key, value in data.items() if key != "figure" and isinstance(value, (int, float, str, bool))
+    }
+    return tuple((key.replace("_", " "), plain(value)) for key, value in found.items())

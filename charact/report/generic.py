@@ -1,0 +1,55 @@
+"""Lines and points with their intervals: what most figures of evidence are made of."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from charact.report.style import thinned
+
+
+def array(data: Mapping[str, Any], *names: str) -> NDArray[np.float64]:
+    """The first list that goes by one of the names; a KeyError names them where there is none."""
+    for name in names:
+        if data.get(name) is not None:
+            return np.asarray(data[name], float)
+    raise KeyError(" or ".join(names))
+
+
+def has(data: Mapping[str, Any], *names: str) -> bool:
+    """Whether all names hold something."""
+    return all(data.get(name) is not None and np.size(data[name]) > 0 for name in names)
+
+
+def line(axes: Any, x: ArrayLike, y: ArrayLike, **options: Any) -> None:
+    """Draw a line of at most 300 points."""
+    axes.plot(*thinned(x, y), **options)
+
+
+def dots(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = None, **options: Any) -> None:
+    """Draw points with arms of one standard error."""
+    options = {"markersize": 2.8, "linestyle": "", "marker": "o", **options}
+    if sd is None:
+        axes.plot(*thinned(x, y), **options)
+        return
+    horizontal, vertical, arm = thinned(x, y, sd)
+    axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)
+
+
+def named(data: Mapping[str, Any], key: str, fallback: str) -> str:
+    """Axis label of a list: what the evidence calls it."""
+    labels = data.get("labels")
+    return str(labels[key]) if isinstance(labels, Mapping) and key in labels else fallback
+
+
+def lists(data: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
+    """All one-dimensional lists of numbers among the evidence, by name."""
+    found = {}
+    for key, value in data.items():
+        if isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 1 and np.ndim(value[0]) == 0:
+            try:
+                found[key] = np.asarray(value, float)
+            except (TypeError, ValueError):
+                continue
+    return found

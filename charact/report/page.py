@@ -1,0 +1,147 @@
+"""The report: one HTML file that holds every number, its evidence and its making, and asks nothing of the network."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from charact.report import evidence, tables
+from charact.report.corner import corner_svg, varying
+from charact.report.curves import mtf_svg
+from charact.report.pictures import representative
+from charact.report.truth import Truth, beside_truth
+from charact.report.validation import validation_section
+from labdata.measurement import Posterior, Result
+from labdata.session import Session
+
+
+def write(
+    session: Session,
+    result: Result,
+    out: str | Path,
+    *,
+    validation: Any | None = None,
+    truth: Truth | None = None,
+    pdf: bool = False,
+) -> Path:
+    """Write the report of a session as one self-contained HTML file.
+
+    Parameters
+    ----------
+    session
+        The session: its frames, conditions and sensor.
+    result
+        What was measured.
+    out
+        The HTML file.
+    validation
+        A `charact.validation.Validation`, for simulated frames beside measured ones; None: the section says it is
+        missing.
+    truth
+        True values by quantity where they are known (a virtual bench); see `charact.report.beside_truth`.
+    pdf
+        Also write a PDF beside the HTML.
+
+    Returns
+    -------
+    Path
+        The HTML file.
+
+    Raises
+    ------
+    BadInput
+        If a PDF is asked for and the library that writes it is missing.
+    """
+    from charact.report.pdf import write_pdf
+
+    out = Path(out)
+    html = page(session, result, validation=validation, truth=truth)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(html, encoding="utf-8")
+    if pdf:
+        write_pdf(html, out.with_suffix(".pdf"))
+    return out
+
+
+def page(session: Session, result: Result, *, validation: Any | None = None, truth: Truth | None = None) -> str:
+    """Return the report as HTML."""
+    figures = [evidence.figure_of(name, data) for name, data in result.evidence.items()]
+    overlay = mtf_svg(session, result, truth)
+    return _template("report.html.j2").render(
+        session=session,
+        made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        verdicts=tables.verdicts(result),
+        headlines=tables.headlines(result),
+        quantities=tables.quantity_rows(result),
+        beside=beside_truth(result, truth or {}),
+        mtf_figure=overlay,
+        mtf_class="wide" if overlay and overlay.count('id="axes_') > 1 else "single",
+        figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
+        pictures=representative(session, result.measurements),
+        validation=None if validation is None else validation_section(validation),
+        posteriors=posteriors(result),
+        stacks=tables.stack_table(session),
+        sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),
+        sensor_facts=tables.sensor_facts(session.sensor) if session.sensor else (),
+        left_out=left_out(session),
+        provenance=tables.provenance(result.measurements),
+    )
+
+
+def fragment(result: Result) -> str:
+    """Return the table of quantities and the MTF figure as an HTML fragment, for a notebook."""
+    return _template("fragment.html.j2").render(
+        quantities=tables.quantity_rows(result), verdicts=tables.verdicts(result), mtf_figure=mtf_svg(None, result)
+    )
+
+
+def _template(name: str) -> Any:
+    """A template of this package, everything escaped that does not say otherwise."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("charact.report", "templates")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(name)
+
+
+def posteriors(result: Result) -> list[dict[str, Any]]:
+    """Corner plot and health of every posterior behind the measurements, each once."""
+    owners: dict[tuple[Any, ...], tuple[str, Posterior]] = {}
+    for m in result.measurements:
+        if m.posterior is not None and len(m.posterior.draws):
+            title = ", ".join(part for part in (m.method, m.stack) if part)
+            owners.setdefault((m.posterior.names, m.posterior.draws.tobytes()), (title, m.posterior))
+    return [_posterior(title, posterior) for title, posterior in owners.values()]
+
+
+def _posterior(title: str, posterior: Posterior) -> dict[str, Any]:
+    from labdata.flags import FLAGS
+
+    shown = varying(posterior)
+    return {
+        "title": title,
+        "svg": corner_svg(posterior, title),
+        "health": _health(posterior),
+        "flags": [(flag, FLAGS[flag]) for flag in posterior.flags],
+        "left_out": [name for index, name in enumerate(posterior.names) if index not in shown],
+    }
+
+
+def _health(p: Posterior) -> str:
+    """One sentence on why the draws may be trusted."""
+    parts = [f"{len(p.draws)} draws by {p.sampler}, seed {p.seed}"]
+    if p.acceptance is not None:
+        parts.append(f"acceptance {p.acceptance:.2f}")
+    if p.r_hat.size:
+        parts.append(f"largest split R-hat {p.r_hat.max():.3f}")
+    if p.autocorrelation_time.size:
+        parts.append(f"longest autocorrelation time {p.autocorrelation_time.max():.0f} steps")
+    if p.effective_sample_size.size:
+        parts.append(f"smallest effective sample size {p.effective_sample_size.min():.0f}")
+    return ", ".join(parts) + "."
+
+
+def left_out(session: Session) -> tuple[str, ...]:
+    """What the session says of itself: wires left out, effects left out, what readers should know of the frames."""
+    return tuple(dict.fromkeys(session.notes))

@@ -1,0 +1,136 @@
+"""Frames as pictures: one of each kind as the camera gave it, the measured region drawn, the grey scale stated."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.measurement import Measurement
+from labdata.session import Session, StackEntry
+
+MOST_PX = 720
+COLOURS = {"ok": "#35c46a", "suspect": "#f0a020", "refused": "#ff4d4d"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """A rectangle in a picture: row, column, height and width in px, with its verdict and a few words."""
+
+    region: tuple[int, int, int, int]
+    status: str
+    words: str
+
+    @property
+    def colour(self) -> str:
+        """Colour of the verdict."""
+        return COLOURS.get(self.status, "#ffffff")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A frame ready for the page.
+
+    Parameters
+    ----------
+    title, caption
+        What it is and what its grey scale means.
+    data
+        JPEG as base64.
+    rows, cols
+        Size of the frame, px.
+    aspect
+        Row pitch over column pitch.
+    boxes
+        Regions to draw over it.
+    """
+
+    title: str
+    caption: str
+    data: str
+    rows: int
+    cols: int
+    aspect: float = 1.0
+    boxes: tuple[Box, ...] = ()
+
+
+def grey_limits(frame: NDArray) -> tuple[float, float]:
+    """Levels shown as black and white: the 0.5 and 99.5 percentiles, at least one code apart."""
+    low, high = np.percentile(frame, [0.5, 99.5])
+    return float(low), float(max(high, low + 1))
+
+
+def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> str:
+    """Return a frame (row, col) as a grey JPEG in base64, shrunk by whole pixels if it is large.
+
+    Parameters
+    ----------
+    frame
+        Pixel values, shape (row, col).
+    limits
+        Values shown as black and white, in the frame's unit.
+    """
+    from PIL import Image
+
+    step = -(-max(frame.shape) // MOST_PX)
+    rows, cols = (size // step * step for size in frame.shape)
+    small = np.asarray(frame, float)[:rows, :cols].reshape(rows // step, step, cols // step, step).mean(axis=(1, 3))
+    low, high = limits
+    grey = np.clip((small - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+    held = BytesIO()
+    Image.fromarray(grey).save(held, format="JPEG", quality=quality)
+    return base64.b64encode(held.getvalue()).decode("ascii")
+
+
+def picture_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0) -> Picture:
+    """Return a picture of one frame, shape (row, col), with its grey scale in the caption."""
+    low, high = grey_limits(frame)
+    scale = f"Black {low:.4g} {unit}, white {high:.4g} {unit}."
+    rows, cols = frame.shape
+    data = as_jpeg(frame, (low, high))
+    return Picture(title=title, caption=f"{caption} {scale}".strip(), data=data, rows=rows, cols=cols, aspect=aspect)
+
+
+def representative(session: Session, measurements: Sequence[Measurement]) -> tuple[Picture, ...]:
+    """Return the first frame of one stack of each kind, the brightest flat and the most exposed point among them."""
+    kinds = dict.fromkeys(entry.kind for entry in session.stacks)
+    return tuple(_picture(session, _chosen(session.of_kind(kind)), measurements) for kind in kinds)
+
+
+def _chosen(entries: tuple[StackEntry, ...]) -> StackEntry:
+    """The stack with the most light; the first where the light is unknown."""
+    return max(entries, key=lambda entry: (entry.conditions.illuminance_lux or 0) * (entry.conditions.gate_ns or 1))
+
+
+def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measurement]) -> Picture:
+    from dataclasses import replace
+
+    stack = entry.read()
+    middle = len(stack) // 2
+    caption = f"Frame {middle + 1} of {len(stack)}."
+    found = picture_of(
+        stack.data[middle], f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=_aspect(session)
+    )
+    return replace(found, boxes=_boxes(entry, measurements))
+
+
+def _aspect(session: Session) -> float:
+    if session.sensor is None:
+        return 1.0
+    return float(session.sensor.ccd.pitch_y_um) / float(session.sensor.ccd.pitch_x_um)
+
+
+def _boxes(entry: StackEntry, measurements: Sequence[Measurement]) -> tuple[Box, ...]:
+    """One box for each region measured in the stack, with the worst verdict of its numbers."""
+    worst: dict[tuple[int, int, int, int], Measurement] = {}
+    order = ("ok", "suspect", "refused")
+    for m in measurements:
+        if m.stack == entry.label and m.region is not None:
+            now = worst.get(m.region)
+            if now is None or order.index(m.status) > order.index(now.status):
+                worst[m.region] = m
+    if not worst and entry.target.region is not None:
+        return (Box(region=entry.target.region, status="", words="target"),)
+    return tuple(Box(region=region, status=m.status, words=f"{m.method}: {m.status}") for region, m in worst.items())

@@ -1,0 +1,106 @@
+"""The look of every figure: inline SVG that takes the page's ink, text kept as text, no address of the outside."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html import escape
+from io import StringIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Stands for the page's text colour, so that a figure is legible on light and dark paper alike.
+INK = "#123457"
+PAPER_INK = "#1b1f24"
+# Differ in lightness as well as in hue, and stand out on white and on black.
+DATA, MODEL, THIRD, FOURTH, WARN = "#2b83ba", "#e0701a", "#2a9d6f", "#a06cd5", "#d7263d"
+COLOURS = (DATA, MODEL, THIRD, FOURTH, "#b8860b", "#17a2b8", "#c2557a", "#7a8b2f")
+SETTINGS: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "charact",
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.18,
+    "lines.linewidth": 1.4,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    **dict.fromkeys(
+        (
+            "text.color",
+            "axes.labelcolor",
+            "axes.edgecolor",
+            "xtick.color",
+            "ytick.color",
+            "grid.color",
+            "axes.titlecolor",
+        ),
+        INK,
+    ),
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in the report's style, whatever the reader's own settings are."""
+    from matplotlib import style
+
+    with style.context(["default", SETTINGS]):
+        yield
+
+
+def panels(
+    rows: int = 1, cols: int = 1, *, size: tuple[float, float] = (5.6, 3.4), **options: Any
+) -> tuple[Any, NDArray[Any]]:
+    """Return a figure and its axes, shape (rows, cols), without any screen or global state."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasSVG(figure)
+    return figure, figure.subplots(rows, cols, squeeze=False, **options)
+
+
+def as_svg(figure: Any, description: str) -> str:
+    """Return the figure as an SVG element for an HTML page.
+
+    Parameters
+    ----------
+    figure
+        A matplotlib figure drawn in this style.
+    description
+        What it shows, for a reader who cannot see it.
+    """
+    text = StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None})
+    svg = text.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
+    svg = re.sub(r"<!--.*?-->\s*", "", svg, flags=re.S)
+    svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href")
+    svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
+    svg = re.sub(r"'DejaVu Sans'[^;\"]*", "sans-serif", svg)
+    svg = re.sub(r"(\d+\.\d{2})\d+", r"\1", svg).replace(INK, "currentColor")
+    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', 1)
+
+
+def thinned(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], ...]:
+    """Return arrays of equal length with at most so many points, evenly chosen: a figure need not hold more."""
+    arrays = [np.asarray(column, float) for column in columns]
+    length = min(len(array) for array in arrays)
+    keep = np.unique(np.linspace(0, length - 1, min(length, most)).round().astype(int)) if length else np.arange(0)
+    return tuple(array[keep] for array in arrays)
+
+
+def note(axes: Any, sentence: str) -> None:
+    """Write a sentence across an empty panel."""
+    axes.text(0.5, 0.5, sentence, ha="center", va="center", transform=axes.transAxes, wrap=True)
+    axes.grid(False)

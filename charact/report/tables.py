@@ -1,0 +1,202 @@
+"""The tables of a report: quantities, stacks, the sensor's parameters, provenance, each row ready to print."""
+
+import platform
+import shlex
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from charact import __version__
+from charact.report.numerals import interval_text, plain, plus_minus, rounded, value_text
+from labdata.conditions import Conditions
+from labdata.flags import FLAGS
+from labdata.measurement import Measurement, Result
+from labdata.parameter import Parameter
+from labdata.quantity import QUANTITIES
+from labdata.sensor import Sensor
+from labdata.session import Session
+
+LIBRARIES = ("numpy", "scipy", "emcee", "matplotlib", "zarr", "trimesh", "embreex")
+HEADLINES = (
+    "mtf50", "covariance_gain", "system_gain", "blur_factor", "excess_noise_factor", "ebi", "read_noise", "halo_diameter",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuantityRow:
+    """One measurement as the table of quantities prints it."""
+
+    title: str
+    name: str
+    value: str
+    plus_minus: str
+    interval68: str
+    interval95: str
+    unit: str
+    status: str
+    method: str
+    seconds: str
+    where: str
+    flags: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+    reason: str | None
+
+
+def quantity_row(m: Measurement) -> QuantityRow:
+    """Return the row of a measurement."""
+    return QuantityRow(
+        title=QUANTITIES[m.quantity].title,
+        name=m.quantity,
+        value=value_text(m),
+        plus_minus=plus_minus(m),
+        interval68=interval_text(m, m.interval68),
+        interval95=interval_text(m, m.interval95),
+        unit=m.unit,
+        status=m.status,
+        method=m.method,
+        seconds="—" if m.seconds is None else f"{m.seconds:.2g}",
+        where=where(m),
+        flags=tuple((flag, FLAGS[flag]) for flag in m.flags),
+        notes=m.notes,
+        reason=m.reason,
+    )
+
+
+def where(m: Measurement) -> str:
+    """Where a measurement applies: stack, frequency, direction, region."""
+    parts = [m.stack or ""]
+    if m.frequency_cy_per_px is not None:
+        parts.append(f"{m.frequency_cy_per_px:.4g} cy/px")
+    if m.orientation_deg is not None:
+        parts.append(f"{m.orientation_deg:.4g}°")
+    if m.region is not None:
+        row, col, height, width = m.region
+        parts.append(f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}")
+    return "; ".join(part for part in parts if part)
+
+
+def quantity_rows(result: Result) -> tuple[QuantityRow, ...]:
+    """Rows of all measurements in the order of the vocabulary of quantities."""
+    order = list(QUANTITIES)
+    return tuple(quantity_row(m) for m in sorted(result.measurements, key=lambda m: order.index(m.quantity)))
+
+
+def headlines(result: Result) -> tuple[QuantityRow, ...]:
+    """The first trusted measurement (else the first with a number) of each headline quantity."""
+    chosen = []
+    for quantity in HEADLINES:
+        found = [m for m in result.find(quantity) if m.value is not None]
+        if found:
+            chosen.append(quantity_row(min(found, key=lambda m: m.status != "ok")))
+    return tuple(chosen)
+
+
+def verdicts(result: Result) -> dict[str, int]:
+    """How many measurements are ok, suspect and refused."""
+    return {status: sum(m.status == status for m in result.measurements) for status in ("ok", "suspect", "refused")}
+
+
+CONDITION_UNITS = {
+    "exposure_s": ("Exposure", "s"),
+    "mcp_v": ("Microchannel plate", "V"),
+    "gate_ns": ("Gate", "ns"),
+    "illuminance_lux": ("Illuminance on the photocathode", "lux"),
+    "illuminance_relative_sd": ("Relative uncertainty of the illuminance", "1"),
+    "photons_per_px": ("Photons per pixel", "1"),
+    "camera_gain_db": ("Camera gain", "dB"),
+    "temperature_c": ("Temperature", "°C"),
+    "wavelength_nm": ("Wavelength", "nm"),
+}
+
+
+def stack_table(session: Session) -> dict[str, Any]:
+    """Columns and rows of the session's stacks: only those conditions that some stack knows."""
+    known = [name for name in CONDITION_UNITS if any(getattr(s.conditions, name) is not None for s in session.stacks)]
+    rows = [
+        {
+            "label": entry.label,
+            "kind": entry.kind,
+            "target": "; ".join(_target_parts(entry.target)) or "—",
+            "conditions": [_condition(entry.conditions, entry.asked, name) for name in known],
+        }
+        for entry in session.stacks
+    ]
+    return {"columns": [CONDITION_UNITS[name] for name in known], "rows": rows}
+
+
+def _target_parts(target: Any) -> list[str]:
+    units = {"bars": "bars", "frequency_cy_per_px": "cy/px", "angle_deg": "°", "pinhole_px": "px pinhole"}
+    parts = [
+        f"{plain(getattr(target, name))} {unit}" for name, unit in units.items() if getattr(target, name) is not None
+    ]
+    return parts if target.contrast is None else [*parts, f"contrast {plain(target.contrast)}"]
+
+
+def _condition(got: Conditions, asked: Conditions | None, name: str) -> str:
+    """What was read back, and what had been asked where it differs."""
+    value, wanted = getattr(got, name), None if asked is None else getattr(asked, name)
+    text = "unknown" if value is None else f"{value:.5g}"
+    return text if wanted is None or wanted == value else f"{text} (asked {wanted:.5g})"
+
+
+def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
+    """Every parameter of the sensor with its 95 % bounds, standing and source."""
+    return [_parameter_row(path, parameter) for path, parameter in sensor.parameters().items()]
+
+
+def _parameter_row(path: str, p: Parameter) -> dict[str, str]:
+    spread = None if p.low is None or p.high is None else (p.high - p.low) / 4
+    bounds = "exact" if p.low is None or p.high is None else f"{rounded(p.low, spread)} … {rounded(p.high, spread)}"
+    stage, _, name = path.partition(".")
+    return {
+        "stage": stage.replace("_", " "),
+        "name": name.replace("_", " "),
+        "value": rounded(p.value, spread),
+        "bounds": bounds,
+        "standing": p.standing,
+        "source": p.source,
+    }
+
+
+def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
+    """What a sensor is, beside its parameters: materials, size and video."""
+    facts = []
+    for stage in fields(sensor):
+        part = getattr(sensor, stage.name)
+        for item in fields(part) if hasattr(part, "__dataclass_fields__") and stage.name != "draws" else ():
+            value = getattr(part, item.name)
+            if isinstance(value, (str, int, bool)):
+                facts.append((f"{stage.name} {item.name}".replace("_", " "), plain(value)))
+    return facts
+
+
+def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
+    """Versions, seeds, settings of each method and the SHA-256 of every input, as the measurements recorded them."""
+    kept = [(m.method, m.provenance) for m in measurements if m.provenance is not None]
+    settings: dict[str, dict[str, str]] = {}
+    for method, record in kept:
+        settings.setdefault(method, {}).update({key: plain(value) for key, value in record.settings.items()})
+    inputs = {path: digest for _, record in kept for path, digest in record.inputs.items()}
+    seeds = sorted({record.seed for _, record in kept if record.seed is not None})
+    return {
+        "versions": [("charact", __version__), ("Python", platform.python_version()), *_libraries()],
+        "measured_by": sorted({record.version for _, record in kept}),
+        "seeds": ", ".join(str(seed) for seed in seeds) or "none recorded",
+        "settings": settings,
+        "inputs": inputs,
+        "command": shlex.join(sys.argv),
+        "platform": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def _libraries() -> list[tuple[str, str]]:
+    """Installed versions of the libraries that numbers depend on."""
+    found = []
+    for name in LIBRARIES:
+        try:
+            found.append((name, version(name)))
+        except PackageNotFoundError:
+            found.append((name, "not installed"))
+    return found

@@ -1,0 +1,83 @@
+"""Truth beside measured: on a bench whose truth is known, how many standard errors each number is off."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.report.numerals import plus_minus, rounded, spread_of
+from labdata.measurement import Measurement, Result
+from labdata.quantity import QUANTITIES
+
+# Half the width of a 95 % interval in standard errors.
+HALF_95 = 1.959964
+# A true number; or a function of frequency (cycles per pixel) and direction (degrees), for the quantity "mtf".
+Truth = Mapping[str, float | Callable[[float | NDArray[np.float64], float | None], float | NDArray[np.float64]]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beside:
+    """One measured number beside its truth.
+
+    Parameters
+    ----------
+    measurement
+        The measurement, one that carries a number.
+    truth
+        The true value, in the unit of the measurement.
+    z
+        (value - truth) over the standard error, which is the arm of the 95 % interval on the truth's side over 1.96;
+        infinite where that arm is empty.
+    """
+
+    measurement: Measurement
+    truth: float
+    z: float
+
+    @property
+    def title(self) -> str:
+        """The quantity in words, and where it was measured."""
+        frequency = self.measurement.frequency_cy_per_px
+        where = "" if frequency is None else f" at {frequency:.4g} cy/px"
+        return QUANTITIES[self.measurement.quantity].title + where
+
+    @property
+    def truth_text(self) -> str:
+        """The truth with the digits of the measurement."""
+        return rounded(self.truth, spread_of(self.measurement))
+
+    @property
+    def measured_text(self) -> str:
+        """The value with the arms of its 95 % interval."""
+        return plus_minus(self.measurement)
+
+
+def beside_truth(result: Result, truth: Truth) -> tuple[Beside, ...]:
+    """Return every measured number whose truth is known, beside it.
+
+    Parameters
+    ----------
+    result
+        What was measured.
+    truth
+        True values by quantity, in the unit of the quantity's measurements. A function is called with the
+        measurement's frequency (cycles per pixel) and direction (degrees), for the MTF at one frequency.
+    """
+    found = [(m, truth[m.quantity]) for m in result.measurements if m.value is not None and m.quantity in truth]
+    return tuple(_beside(m, _at(known, m)) for m, known in found)
+
+
+def _at(known: float | Callable[..., float], measurement: Measurement) -> float:
+    if callable(known):
+        return float(known(measurement.frequency_cy_per_px, measurement.orientation_deg))
+    return float(known)
+
+
+def _beside(measurement: Measurement, truth: float) -> Beside:
+    value, interval = float(measurement.value or 0.0), measurement.interval95
+    low, high = interval if interval is not None else (value, value)
+    sd = ((high - value) if truth > value else (value - low)) / HALF_95
+    off = value - truth
+    z = off / sd if sd > 0 else float(np.copysign(np.inf, off)) if off else 0.0
+    return Beside(measurement=measurement, truth=truth, z=z)
