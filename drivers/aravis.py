@@ -12,7 +12,8 @@ from typing import Self
 from drivers import gige
 from drivers.aravis_capture import PIXELS, AravisCapture
 from drivers.aravis_library import PACKET_SOCKET_DISABLED, Aravis, aravis
-from drivers.interface import CameraError, CameraSettings
+from drivers.interface import CameraError
+from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
 HEARTBEAT_S = 3.0  # a camera stays locked this long after its client died

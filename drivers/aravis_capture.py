@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from drivers.aravis_library import BUFFER_FAULTS, BUFFER_SUCCESS, Aravis
 from drivers.gige import BlockNumbers
-from drivers.interface import CameraError, CameraSettings, Frame
+from drivers.interface import CameraError
+from labdata.capture import CameraSettings, Frame
 
 PIXELS = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
 SOCKET_BUFFER_BYTES = 8 << 20  # with the default one, every frame loses its tail

@@ -1,76 +1,18 @@
 """What acquisition asks of a rig: a camera whose frames carry their own numbers, a bench, and an operator."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
-from numpy.typing import NDArray
-
 from drivers.errors import BenchError
+from labdata.capture import CameraSettings, Frame
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.frames import read_only
 from labdata.session import Kind
 from labdata.target import Target
 
 
 class CameraError(BenchError):
     """A camera is missing, is held by another program, refuses a setting, or stopped sending."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraSettings:
-    """Settings of a camera; None leaves a setting as it is.
-
-    Parameters
-    ----------
-    rows, columns
-        Size of the picture, px.
-    pixel_format
-        GenICam name such as "Mono8" or "Mono16".
-    exposure_s
-        Exposure of one field or frame, s.
-    gain_db
-        Gain behind the sensor, dB (a camera with a raw gain counts it in its own steps).
-    frame_rate_hz
-        Frames per second, Hz.
-    """
-
-    rows: int | None = None
-    columns: int | None = None
-    pixel_format: str | None = None
-    exposure_s: float | None = None
-    gain_db: float | None = None
-    frame_rate_hz: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("rows", "columns", "exposure_s", "frame_rate_hz"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise BadInput(f"{name} of a camera must be positive, got {value:g}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """One whole frame as the camera sent it.
-
-    Parameters
-    ----------
-    pixels
-        Pixel values, shape (row, col), DN. Made read-only.
-    number
-        The camera's own running number; a gap is a lost frame.
-    time_s
-        The camera's own time stamp, s.
-    """
-
-    pixels: NDArray
-    number: int
-    time_s: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "pixels", read_only(self.pixels))
 
 
 class Capture(Protocol):
@@ -106,12 +48,6 @@ class Camera(Protocol):
         """Start exposing, throw away the first `discard` whole frames, hand out the next `frames`, and stop."""
         ...
 
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
-
 
 class Bench(Protocol):
     """Gate and gain of the tube, made safe by leaving its block."""
@@ -120,30 +56,28 @@ class Bench(Protocol):
         """Set gate and gain, and return what the instruments read back."""
         ...
 
+    def close_gate(self) -> None:
+        """Close the gate and leave the gain, as between two stacks."""
+        ...
+
     def safe(self) -> None:
         """Close the gate and order the high voltage off."""
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class Light:
-    """Light on the photocathode as its meter reads it.
-
-    Parameters
-    ----------
-    illuminance_lux
-        Reading of the meter, lux at 2856 K.
-    relative_sd
-        Relative standard uncertainty of the meter's calibration, dimensionless; None if unknown.
-    """
-
-    illuminance_lux: float
-    relative_sd: float | None = None
-
-
 class Operator(Protocol):
     """Whoever puts targets and light before the camera."""
 
-    def place(self, *, kind: Kind, target: Target, illuminance_lux: float) -> Light:
-        """Put a target before the camera, set the light (0: dark), and return what the meter reads."""
+    def darken(self) -> None:
+        """Block the light, waiting for nobody."""
+        ...
+
+    def place(self, *, kind: Kind, target: Target, illuminance_lux: float) -> Conditions:
+        """Put a target before the camera, set the light (0: dark), and return what the light meter reads.
+
+        Returns
+        -------
+        Conditions
+            `illuminance_lux` as read, and `illuminance_relative_sd` of the meter's calibration where it is known.
+        """
         ...

@@ -1,0 +1,79 @@
+"""What is checked of a plan before anything is switched on."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from labdata.errors import BadInput
+from labdata.plan import Plan, Step
+from labdata.sensor import Sensor
+
+_NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
+_SPARE_BYTES = 64 << 20
+
+
+def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
+    """Check a plan in full.
+
+    Parameters
+    ----------
+    plan
+        The plan; its own limits were checked when it was made.
+    folder
+        Where the session will be.
+    sensor
+        The camera it is for, or None.
+
+    Raises
+    ------
+    BadInput
+        At the first rule broken: a label that is no file name, light on a dark, a target without its numbers, a gate
+        wider than the exposure, or a disk too small.
+    """
+    for step in plan.steps:
+        _check_step(step, sensor)
+    _check_disk(plan, folder, sensor)
+
+
+def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
+    """Bytes that the frames of a plan will take."""
+    if sensor is None:
+        return 0
+    pixels = sensor.ccd.rows * sensor.ccd.columns
+    return sum(step.frames for step in plan.steps) * pixels * (1 if sensor.video.bit_depth <= 8 else 2)
+
+
+def same_but_wires(plan: Plan, other: Plan) -> str | None:
+    """Return what differs between two plans besides their wires, in words; None if nothing does."""
+    if replace(plan, wires=other.wires) == other:
+        return None
+    steps = {step.label: step for step in other.steps}
+    for step in plan.steps:
+        if steps.get(step.label) != step:
+            return f"step {step.label!r}"
+    names = ("name", "sensor", "seed", "scene", "limits")
+    return next((name for name in names if getattr(plan, name) != getattr(other, name)), "steps")
+
+
+def _check_step(step: Step, sensor: Sensor | None) -> None:
+    if not step.label or step.label.startswith(".") or set(step.label) & set("/\\\0"):
+        raise BadInput(f"a step's label must be a file name without slashes or a leading dot, got {step.label!r}")
+    asked = step.conditions
+    if step.kind == "dark" and asked.illuminance_lux:
+        raise BadInput(f"a dark must be taken without light, got {asked.illuminance_lux:g} lux in {step.label!r}")
+    for name in _NEEDED[step.kind]:
+        if getattr(step.target, name) is None:
+            raise BadInput(f"a {step.kind} target must have its {name}, got none in {step.label!r}")
+    exposure_s = asked.exposure_s or (1.0 / float(sensor.video.field_rate_hz) if sensor else None)
+    # A gate of one field time is written rounded; one per mille more than the exposure is still that.
+    if asked.gate_ns is not None and exposure_s is not None and asked.gate_ns > exposure_s * 1e9 * 1.001:
+        raise BadInput(
+            f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got {asked.gate_ns:g} in {step.label!r}"
+        )
+
+
+def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + _SPARE_BYTES
+    if free < needed:
+        raise BadInput(f"the disk must have {needed / 1e6:.0f} MB free for this plan, got {free / 1e6:.0f} MB")

@@ -1,0 +1,109 @@
+"""The functions of the Aravis C library that make its fake GigE Vision camera, declared for ctypes."""
+
+import ctypes
+import ctypes.util
+from collections.abc import Callable
+from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_uint32, c_void_p
+from typing import Any
+
+from labdata.errors import BadInput
+
+_NAMES = ("libaravis-0.8.so.0", "libaravis-0.8.dylib", "libaravis-0.8-0.dll")
+# buffer, our data, exposure in us, gain, pixel format
+_FILL = CFUNCTYPE(None, c_void_p, c_void_p, c_uint32, c_uint32, c_uint32)
+_FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "arv_gv_fake_camera_new": (c_void_p, (c_char_p, c_char_p)),
+    "arv_gv_fake_camera_is_running": (c_bool, (c_void_p,)),
+    "arv_gv_fake_camera_get_fake_camera": (c_void_p, (c_void_p,)),
+    "arv_fake_camera_set_fill_pattern": (None, (c_void_p, _FILL, c_void_p)),
+    "arv_fake_camera_read_register": (c_bool, (c_void_p, c_uint32, POINTER(c_uint32))),
+    "arv_fake_camera_write_register": (c_bool, (c_void_p, c_uint32, c_uint32)),
+    "arv_fake_camera_write_memory": (c_bool, (c_void_p, c_uint32, c_uint32, c_char_p)),
+    "arv_buffer_get_data": (c_void_p, (c_void_p, c_void_p)),
+}
+
+# Registers of the fake camera, as its GenICam description gives them.
+MODEL_NAME, MODEL_NAME_BYTES = 0x68, 32
+WIDTH, HEIGHT, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x118, 0x11C
+EXPOSURE_US, PIXEL_FORMAT, X_OFFSET, Y_OFFSET, FRAME_PERIOD_US = 0x120, 0x128, 0x130, 0x134, 0x138
+MONO_8, MONO_16 = 0x01080001, 0x01100007
+
+
+class FakeCamera:
+    """Aravis' fake GigE Vision camera on one network interface.
+
+    Parameters
+    ----------
+    address
+        Address of the interface, "127.0.0.1" for loopback.
+    serial
+        Serial number, at most 15 characters; its identifier is "Aravis-Fake-SERIAL".
+
+    Raises
+    ------
+    BadInput
+        If the library is absent, or the interface or its GigE Vision port cannot be had.
+    """
+
+    def __init__(self, address: str, serial: str) -> None:
+        self._library = load()
+        self._camera = self._call("arv_gv_fake_camera_new", address.encode(), serial.encode())
+        if not self._camera or not self._call("arv_gv_fake_camera_is_running", self._camera):
+            raise BadInput(
+                f"a virtual camera needs the GigE Vision port of a local interface, got no port on {address}"
+            )
+        self._registers = self._call("arv_gv_fake_camera_get_fake_camera", self._camera)
+        self._callback: Any = None
+
+    def read(self, register: int) -> int:
+        """Read a register."""
+        value = c_uint32()
+        self._call("arv_fake_camera_read_register", self._registers, register, byref(value))
+        return value.value
+
+    def write(self, register: int, value: int) -> None:
+        """Write a register."""
+        self._call("arv_fake_camera_write_register", self._registers, register, value)
+
+    def name_model(self, name: str) -> None:
+        """Give the camera a model name."""
+        text = name.encode()[: MODEL_NAME_BYTES - 1].ljust(MODEL_NAME_BYTES, b"\0")
+        self._call("arv_fake_camera_write_memory", self._registers, MODEL_NAME, len(text), text)
+
+    def fill_with(self, draw: Callable[[int, int, int], bytes]) -> None:
+        """Fill every frame with what `draw` returns for exposure in us, gain and pixel format."""
+
+        def fill(buffer: int, _: int | None, exposure_us: int, gain: int, pixel_format: int) -> None:
+            pixels = draw(exposure_us, gain, pixel_format)
+            # The buffer reports a size of 0 here; its memory holds width x height pixels.
+            ctypes.memmove(self._call("arv_buffer_get_data", buffer, None), pixels, len(pixels))
+
+        self._callback = _FILL(fill)
+        self._call("arv_fake_camera_set_fill_pattern", self._registers, self._callback, None)
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        return getattr(self._library, name)(*arguments)
+
+
+def load() -> ctypes.CDLL:
+    """Load the library; where it is absent a `BadInput` says so."""
+    found = ctypes.util.find_library("aravis-0.8")
+    for name in (*_NAMES, *([found] if found else [])):
+        try:
+            library = ctypes.CDLL(name)
+        except OSError:
+            continue
+        for function, (result, arguments) in _FUNCTIONS.items():
+            getattr(library, function).restype = result
+            getattr(library, function).argtypes = arguments
+        return library
+    raise BadInput("a camera on real wires needs the Aravis library 0.8 (Debian: libaravis-0.8-0), got none")
+
+
+def is_available() -> bool:
+    """Whether the library can be loaded."""
+    try:
+        load()
+    except BadInput:
+        return False
+    return True

@@ -1,0 +1,176 @@
+"""The virtual bench as a whole: a specimen nobody has measured, its instruments and its camera, each on a real wire."""
+
+import hashlib
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+
+from labdata.errors import BadInput
+from labdata.plan import Wires
+from labdata.sensor import Sensor
+from simulate.rig import aravis_library
+from simulate.rig.camera import LOCK_WAIT_S
+from simulate.rig.in_process import InProcessCamera
+from simulate.rig.operator import VirtualOperator
+from simulate.rig.process import VirtualInstruments
+from simulate.rig.truth_folder import Truth, make_truth, read_truth
+
+READY_S = 60.0
+SILENCE_S = 15.0  # drawing one frame may take long on a busy machine; a dead camera's port is noticed at once
+
+
+class VirtualBench:
+    """A virtual bench, running within its `with` block.
+
+    Parameters
+    ----------
+    folder
+        Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
+    sensor
+        Description from whose ranges the specimen is drawn.
+    seed
+        Seed of the specimen and of every frame.
+    wires
+        "virtual": the camera on a loopback GigE Vision wire. "in-process": the camera inside this process. Where
+        Aravis cannot be had, "virtual" leaves that wire out and says so.
+    say
+        Told in a sentence what was left out or is waited for.
+
+    Raises
+    ------
+    BadInput
+        On entering: if the camera cannot start.
+    """
+
+    silence_s = SILENCE_S
+
+    def __init__(
+        self,
+        folder: str | Path,
+        sensor: Sensor,
+        seed: int,
+        *,
+        wires: Literal["virtual", "in-process"] = "virtual",
+        say: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
+        self.folder = Path(folder).resolve()
+        self.truth_folder = self.folder / "truth"
+        self._wires_folder = self.folder / "wires"
+        self._sensor, self._seed, self._kind, self._say = sensor, seed, wires, say
+        self.operator = VirtualOperator(self._wires_folder)
+        self.left_out: tuple[str, ...] = ()
+        self._camera: str | None = None
+        self._process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> Self:
+        self._wires_folder.mkdir(parents=True, exist_ok=True)
+        make_truth(self.truth_folder, self._sensor, self._seed)
+        self.operator.darken()
+        with ExitStack() as running:
+            self._instruments = running.enter_context(VirtualInstruments(self._wires_folder))
+            if self._camera_has_a_wire():
+                running.callback(self._stop_camera)
+                self._start_camera()
+            self._running = running.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._running.close()
+
+    @property
+    def wires(self) -> Wires:
+        """How the instruments are reached."""
+        return Wires(
+            bench=self._kind,
+            gate_port=str(self._instruments.gate_port),
+            supply_port=str(self._instruments.supply_port),
+            supply_address=self._instruments.supply_address,
+            camera=self._camera,
+        )
+
+    @property
+    def wires_folder(self) -> Path:
+        """Folder where the instruments publish what they put out."""
+        return self._wires_folder
+
+    @property
+    def camera_pid(self) -> int | None:
+        """Process of the camera; None where it has none."""
+        return self._process.pid if self._process else None
+
+    def in_process_camera(self) -> InProcessCamera:
+        """Return the camera without its wire."""
+        return InProcessCamera(self._wires_folder, self.truth_folder)
+
+    def truth(self) -> Truth:
+        """Return what the bench really is: for whoever compares afterwards, never for whoever measures."""
+        return read_truth(self.truth_folder)
+
+    def _camera_has_a_wire(self) -> bool:
+        if self._kind == "in-process":
+            self.left_out = ("The camera's GigE Vision wire was left out, as asked: it lives inside this process.",)
+        elif not aravis_library.is_available():
+            self.left_out = (
+                "The camera's GigE Vision wire was left out: the Aravis library is not on this machine "
+                "(Debian: apt-get install libaravis-0.8-0), so the camera lives inside this process.",
+            )
+        for sentence in self.left_out:
+            self._say(sentence)
+        return not self.left_out
+
+    def _start_camera(self) -> None:
+        serial = "VB" + hashlib.sha256(str(self.folder).encode()).hexdigest()[:10]
+        command = [sys.executable, "-m", "simulate.rig.camera", str(self._wires_folder), str(self.truth_folder), serial]
+        with (self._wires_folder / "camera.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                [*command, "--parent", str(os.getpid())],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                start_new_session=True,
+            )
+        self._camera = self._await_camera(self._process)
+
+    def _await_camera(self, process: subprocess.Popen[str]) -> str:
+        until_s = time.monotonic() + READY_S
+        while message := _message(process, until_s):
+            if "camera" in message:
+                return message["camera"]
+            if "error" in message:
+                raise BadInput(message["error"])
+            self._say(f"The virtual camera waits: {message['waiting']}.")
+            until_s = time.monotonic() + LOCK_WAIT_S + READY_S
+        raise BadInput(f"the virtual camera must come up within {READY_S:g} s, see {self._wires_folder / 'camera.log'}")
+
+    def _stop_camera(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.terminate()
+        try:
+            process.wait(timeout=3.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout:
+            process.stdout.close()
+
+
+def _message(process: subprocess.Popen[str], until_s: float) -> dict[str, str] | None:
+    """Return the next message of the camera, or None if it ended or said nothing in time."""
+    if process.stdout is None:
+        return None
+    ready, _, _ = select.select([process.stdout], [], [], max(0.0, until_s - time.monotonic()))
+    line = process.stdout.readline() if ready else ""
+    return json.loads(line) if line else None
