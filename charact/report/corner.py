@@ -10,6 +10,8 @@ from labdata.measurement import QUANTILES, Posterior
 
 MOST_PARAMETERS = 6
 BINS = 28
+# A name that ends in its unit need not say it twice.
+UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg", "e-": "_e", "DN2": "_dn2", "pe": "_pe"}
 
 
 def corner_svg(posterior: Posterior, title: str) -> str:
@@ -124,5 +126,6 @@ def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, c
 
 def named(posterior: Posterior, index: int) -> str:
     """Name of a parameter with its unit."""
-    unit = posterior.units[index]
-    return f"{posterior.names[index].replace('_', ' ')}\n({unit})" if unit else posterior.names[index]
+    name, unit = posterior.names[index], posterior.units[index]
+    words = name.removesuffix(UNIT_SUFFIXES.get(unit, "")).replace("_", " ")
+    return f"{words}\n({unit})" if unit else words

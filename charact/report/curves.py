@@ -33,9 +33,7 @@ def mtf_svg(session: Session | None, result: Result, truth: Truth | None = None)
     curves = [(name, curve) for name, curve in result.curves.items() if name.split(":")[0].startswith("mtf")]
     points = [m for m in result.find("mtf") if m.value is not None and m.frequency_cy_per_px is not None]
     ways = [_direction(session, name, curve.stack) for name, curve in curves]
-    point_ways = [
-        _way(m.orientation_deg) if m.orientation_deg is not None else _target_way(session, m.stack) for m in points
-    ]
+    point_ways = [_point_way(session, m) for m in points]
     shown = [way for way in DEGREES if way in (*ways, *point_ways)]
     if not shown:
         return None
@@ -53,6 +51,11 @@ def _way(angle_deg: float | None) -> str:
         return HORIZONTAL
     off = abs((angle_deg + 90) % 180 - 90)
     return HORIZONTAL if off < 25 else VERTICAL if off > 65 else SLANTED
+
+
+def _point_way(session: Session | None, m: Measurement) -> str:
+    """Direction of a single frequency: its own, else its target's."""
+    return _target_way(session, m.stack) if m.orientation_deg is None else _way(m.orientation_deg)
 
 
 def _target_way(session: Session | None, label: str | None) -> str:

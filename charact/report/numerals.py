@@ -96,7 +96,8 @@ def plain(value: object) -> str:
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "unknown"}[value]
     if isinstance(value, float):
-        return f"{value:.4g}"
+        mantissa, _, power = f"{value:.5g}".partition("e")
+        return _with_power(mantissa.replace("-", MINUS), int(power or 0))
     if isinstance(value, (list, tuple)):
         return ", ".join(plain(item) for item in value)
     return str(value)

@@ -96,10 +96,11 @@ def picture_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN
 def representative(session: Session, measurements: Sequence[Measurement]) -> tuple[Picture, ...]:
     """Return the first frame of one stack of each kind, the brightest flat and the most exposed point among them."""
     kinds = dict.fromkeys(entry.kind for entry in session.stacks)
-    return tuple(_picture(session, _chosen(session.of_kind(kind)), measurements) for kind in kinds)
+    chosen = [_chosen([entry for entry in session.stacks if entry.kind == kind]) for kind in kinds]
+    return tuple(_picture(session, entry, measurements) for entry in chosen)
 
 
-def _chosen(entries: tuple[StackEntry, ...]) -> StackEntry:
+def _chosen(entries: Sequence[StackEntry]) -> StackEntry:
     """The stack with the most light; the first where the light is unknown."""
     return max(entries, key=lambda entry: (entry.conditions.illuminance_lux or 0) * (entry.conditions.gate_ns or 1))
 

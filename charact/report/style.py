@@ -88,7 +88,10 @@ def as_svg(figure: Any, description: str) -> str:
     svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href")
     svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
     svg = re.sub(r"'DejaVu Sans'[^;\"]*", "sans-serif", svg)
-    svg = re.sub(r"(\d+\.\d{2})\d+", r"\1", svg).replace(INK, "currentColor")
+    # Only inside tags: what a reader reads keeps its digits.
+    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d+\.\d{2})\d+", r"\1", tag.group()), svg).replace(
+        INK, "currentColor"
+    )
     return svg.replace("<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', 1)
 
 

@@ -20,7 +20,8 @@ from labdata.session import Session
 
 LIBRARIES = ("numpy", "scipy", "emcee", "matplotlib", "zarr", "trimesh", "embreex")
 HEADLINES = (
-    "mtf50", "covariance_gain", "system_gain", "blur_factor", "excess_noise_factor", "ebi", "read_noise", "halo_diameter",
+    "mtf50", "covariance_gain", "system_gain", "blur_factor", "excess_noise_factor", "ebi", "read_noise",
+    "halo_diameter",
 )  # fmt: skip
 
 
@@ -56,7 +57,7 @@ def quantity_row(m: Measurement) -> QuantityRow:
         unit=m.unit,
         status=m.status,
         method=m.method,
-        seconds="—" if m.seconds is None else f"{m.seconds:.2g}",
+        seconds="" if m.seconds is None else f"{m.seconds:.2g}",
         where=where(m),
         flags=tuple((flag, FLAGS[flag]) for flag in m.flags),
         notes=m.notes,
@@ -137,8 +138,8 @@ def _target_parts(target: Any) -> list[str]:
 def _condition(got: Conditions, asked: Conditions | None, name: str) -> str:
     """What was read back, and what had been asked where it differs."""
     value, wanted = getattr(got, name), None if asked is None else getattr(asked, name)
-    text = "unknown" if value is None else f"{value:.5g}"
-    return text if wanted is None or wanted == value else f"{text} (asked {wanted:.5g})"
+    text = plain(value)
+    return text if wanted is None or wanted == value else f"{text} (asked {plain(wanted)})"
 
 
 def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.report.numerals import plus_minus, rounded, spread_of
 from labdata.measurement import Measurement, Result
@@ -13,7 +13,7 @@ from labdata.quantity import QUANTITIES
 # Half the width of a 95 % interval in standard errors.
 HALF_95 = 1.959964
 # A true number; or a function of frequency (cycles per pixel) and direction (degrees), for the quantity "mtf".
-Truth = Mapping[str, float | Callable[[float | NDArray[np.float64], float | None], float | NDArray[np.float64]]]
+Truth = Mapping[str, float | Callable[..., Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ def beside_truth(result: Result, truth: Truth) -> tuple[Beside, ...]:
     return tuple(_beside(m, _at(known, m)) for m, known in found)
 
 
-def _at(known: float | Callable[..., float], measurement: Measurement) -> float:
+def _at(known: float | Callable[..., Any], measurement: Measurement) -> float:
     if callable(known):
         return float(known(measurement.frequency_cy_per_px, measurement.orientation_deg))
     return float(known)

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from charact.study.chart import Chart
+from charact.study.failure_map import Stability, axes_of
 from charact.study.harness import Row
-from charact.study.stability import Stability, axes_of
+from charact.study.speed_accuracy import Chart
 from labdata.quantity import QUANTITIES
 
 # Colours that differ in lightness too (Okabe and Ito), and a mark for each verdict.

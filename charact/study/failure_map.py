@@ -10,9 +10,9 @@ from pathlib import Path
 
 import charact
 from charact.method import Context, Method
-from charact.study.chart import write_json
 from charact.study.harness import Case, Progress, Row, Summary, attempt, summary
 from charact.study.quantities import STUDIES, methods_of
+from charact.study.speed_accuracy import write_json
 
 
 @dataclass(frozen=True, kw_only=True)
