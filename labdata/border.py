@@ -77,12 +77,12 @@ def _read(mapping: Mapping[str, Any], type_: type, where: str) -> Any:
     from pydantic import ValidationError
 
     # Strict JSON takes a list for a tuple, which strict Python values do not; "780" is no number in either.
-    text = json.dumps([dict(mapping)], default=str)
+    text = json.dumps([dict(mapping)], default=lambda date: {"date": str(date)})
     try:
         return _adapter(type_).validate_json(text)[0]
     except ValidationError as errors:
-        first = errors.errors(include_url=False)[0]
-        raise BadInput(sentence(first, mapping, where, _known_keys(type_))) from None
+        found = errors.errors(include_url=False)
+        raise BadInput(sentence(found, mapping, where, _known_keys(type_))) from None
 
 
 def to_toml(value: Any) -> str:
@@ -113,6 +113,18 @@ def json_schema(type_: type) -> dict[str, Any]:
         },
         _dataclasses_in(written),
     )
+
+
+def file_schema(kind: str) -> dict[str, Any]:
+    """Return the JSON Schema of a kind of file: "session", "sensor" or "plan"."""
+    from labdata.form import SessionForm
+    from labdata.plan import Plan
+    from labdata.sensor import Sensor
+
+    kinds = {"session": SessionForm, "sensor": Sensor, "plan": Plan}
+    if kind not in kinds:
+        raise BadInput(f"a schema must be of one of {', '.join(kinds)}, got {kind!r}")
+    return json_schema(kinds[kind])
 
 
 def _dataclasses_in(type_: Any) -> dict[str, type]:
@@ -157,9 +169,7 @@ def _adapter(type_: type) -> Any:
 
 @cache
 def _known_keys(type_: type) -> tuple[str, ...]:
-    schemas = [json_schema(type_)]
-    schemas += schemas[0]["$defs"].values()
-    return tuple(sorted({key for schema in schemas for key in schema.get("properties", {})}))
+    return tuple(sorted({key.name for table in _dataclasses_in(type_).values() for key in dataclasses.fields(table)}))
 
 
 @cache

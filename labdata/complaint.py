@@ -19,13 +19,13 @@ EXPECTED = {
 }
 
 
-def sentence(error: Mapping[str, Any], mapping: Mapping[str, Any], where: str, known: Sequence[str]) -> str:
-    """Return one sentence on a validation error.
+def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], where: str, known: Sequence[str]) -> str:
+    """Return one sentence on the first of some validation errors.
 
     Parameters
     ----------
-    error
-        One error as pydantic lists it; its location starts behind the wrapper's index.
+    errors
+        Errors as pydantic lists them; their locations start behind the wrapper's index.
     mapping
         What was read.
     where
@@ -33,20 +33,25 @@ def sentence(error: Mapping[str, Any], mapping: Mapping[str, Any], where: str, k
     known
         Keys that exist, among which a misspelt one is looked for.
     """
+    error = errors[0]
     steps = tuple(error["loc"])[1:]
     kind = error["type"]
     if kind in ("unexpected_keyword_argument", "missing") and isinstance(steps[-1], str):
         return _about_a_key(kind, steps, mapping, where, known)
     steps = _found(steps, mapping)
     if kind in ("missing", "too_long"):
+        steps = steps[:-1] if kind == "missing" and steps and isinstance(steps[-1], int) else steps
         error = {**error, "input": _at(steps, mapping)}
     if kind in ("value_error", "assertion_error"):
         return f"{error['ctx']['error']}{_place(', in ', steps, mapping, where)}"
+    # Each member of a union complains by itself.
+    rules = [_rule(one) for one in errors if _found(tuple(one["loc"])[1:], mapping) == steps] or [_rule(error)]
+    rule = " or ".join(dict.fromkeys(rules))
     *outer, key = steps or ("the file",)
     if isinstance(key, int) and outer:
         place = _place(", in ", outer[:-1], mapping, where)
-        return f"every item of {outer[-1]} must be {_rule(error)}, got {_shown(error['input'])}{place}"
-    return f"{key} must be {_rule(error)}, got {_shown(error['input'])}{_place(', in ', outer, mapping, where)}"
+        return f"every item of {outer[-1]} must be {rule}, got {_shown(error['input'])}{place}"
+    return f"{key} must be {rule}, got {_shown(error['input'])}{_place(', in ', outer, mapping, where)}"
 
 
 def _about_a_key(
@@ -64,7 +69,7 @@ def _rule(error: Mapping[str, Any]) -> str:
     if error["type"] == "literal_error":
         return f"one of {error['ctx']['expected']}"
     if error["type"] in ("missing", "too_long"):
-        return f"a list of {error['ctx']['max_length']}" if "ctx" in error else "a longer list"
+        return f"a list of {error['ctx']['max_length'] if 'ctx' in error else error['loc'][-1] + 1}"
     if error["type"] == "dataclass_type" and error["ctx"]["class_name"] == "Parameter":
         return "a number or a table"
     message = str(error["msg"])

@@ -49,10 +49,6 @@ class Parameter:
 
         return core_schema.no_info_before_validator_function(_of_number, handler(source))
 
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> dict[str, Any]:
-        return {"anyOf": [{"type": "number"}, handler(schema)]}
-
 
 def _of_number(given: Any) -> Any:
     """Return the table that a bare number in a file stands for."""

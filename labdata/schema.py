@@ -4,6 +4,8 @@ import inspect
 import re
 from typing import Any
 
+from labdata.parameter import Parameter
+
 
 def described(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
     """Return a schema with the descriptions of its tables and keys.
@@ -26,7 +28,9 @@ def _table(table: dict[str, Any], type_: type | None) -> dict[str, Any]:
         return table
     words = parameters_of(type_)
     keys = {name: _key(key, words.get(name)) for name, key in table["properties"].items()}
-    return {**table, "description": summary_of(type_), "properties": keys}
+    whole = {**table, "description": summary_of(type_), "properties": keys}
+    # A bare number in a file stands for a parameter that is exact.
+    return {"anyOf": [{"type": "number"}, whole]} if type_ is Parameter else whole
 
 
 def _key(key: dict[str, Any], words: str | None) -> dict[str, Any]:

@@ -1,0 +1,228 @@
+"""The shipped camera: what the sheet says follows from its numbers, and draws inside its ranges are cameras."""
+
+import numpy as np
+import pytest
+
+from labdata import BadInput
+from labdata.border import from_mapping, from_toml, to_mapping, to_toml
+from labdata.parameter import Parameter
+from labdata.sensor import Sensor
+from labdata.sensors import load_sensor, save_sensor, shipped
+
+PLANCK_J_S = 6.62607015e-34
+LIGHT_M_PER_S = 299792458.0
+BOLTZMANN_J_PER_K = 1.380649e-23
+ELECTRON_C = 1.602176634e-19
+
+# CIE 1924 photopic luminous efficiency, 380 to 770 nm in steps of 10 nm.
+PHOTOPIC = (
+    *(0.00004, 0.00012, 0.0004, 0.0012, 0.0040, 0.0116, 0.023, 0.038, 0.060, 0.091),
+    *(0.139, 0.208, 0.323, 0.503, 0.710, 0.862, 0.954, 0.995, 0.995, 0.952),
+    *(0.870, 0.757, 0.631, 0.503, 0.381, 0.265, 0.175, 0.107, 0.061, 0.032),
+    *(0.017, 0.0082, 0.0041, 0.0021, 0.00105, 0.00052, 0.00025, 0.00012, 0.00006, 0.00003),
+)
+
+
+@pytest.fixture(scope="module")
+def sensor() -> Sensor:
+    return load_sensor("pulnix-ag5745ef3")
+
+
+def responsivity_a_per_w(sensor: Sensor, wavelength_nm):
+    cathode = sensor.photocathode
+    efficiency = np.interp(
+        wavelength_nm, cathode.wavelength_nm, cathode.relative_quantum_efficiency, left=0.0, right=0.0
+    )
+    return efficiency * ELECTRON_C * wavelength_nm * 1e-9 / (PLANCK_J_S * LIGHT_M_PER_S)
+
+
+def test_the_cathode_table_has_the_luminous_sensitivity_of_a_2856_k_lamp(sensor):
+    """Regression truth 1 of the physics reference: 1996 uA/lm at the table's own scale, 228 mA/W at 830 nm."""
+    wavelength_nm = np.arange(380.0, 1100.0)
+    metre = wavelength_nm * 1e-9
+    lamp = metre**-5 / np.expm1(PLANCK_J_S * LIGHT_M_PER_S / (metre * BOLTZMANN_J_PER_K * 2856.0))
+    photopic = np.interp(wavelength_nm, np.arange(380.0, 780.0, 10.0), PHOTOPIC, right=0.0)
+    current = np.sum(responsivity_a_per_w(sensor, wavelength_nm) * lamp)
+    lumen = 683.0 * np.sum(photopic * lamp)
+    assert current / lumen * 1e6 == pytest.approx(1996.0, rel=0.005)
+    assert responsivity_a_per_w(sensor, 830.0) * 1e3 == pytest.approx(228.0, rel=0.005)
+
+
+def test_the_ebi_is_one_photoelectron_a_second_in_a_pixel(sensor):
+    """Regression truth 2: 1.129 e/s in the footprint of one CCD pixel at the cathode."""
+    sensitivity_a_per_lm = float(sensor.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6
+    magnified = float(sensor.taper.demagnification)
+    area_cm2 = float(sensor.ccd.pitch_x_um) * float(sensor.ccd.pitch_y_um) * 1e-8 * magnified**2
+    rate = float(sensor.photocathode.ebi_lm_per_cm2) * sensitivity_a_per_lm / ELECTRON_C * area_cm2
+    assert rate == pytest.approx(1.129, rel=1e-3)
+
+
+def test_the_luminous_gain_is_ten_thousand_photons_a_photoelectron(sensor):
+    """Regression truth 3: 15,000 lm/lm at 1350 uA/lm is 10,229 photons per photoelectron."""
+    joule_per_photon = float(sensor.phosphor.photon_energy_ev) * ELECTRON_C
+    photons_per_lumen_s = 1.0 / (float(sensor.phosphor.luminous_efficacy_lm_per_w) * joule_per_photon)
+    electrons_per_lumen_s = float(sensor.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
+    photons = float(sensor.tube.luminous_gain) * photons_per_lumen_s / electrons_per_lumen_s
+    assert photons == pytest.approx(10229.0, rel=1e-3)
+    assert photons / float(sensor.microchannel_plate.electron_gain) == pytest.approx(
+        float(sensor.phosphor.photons_per_electron), rel=5e-3
+    )
+
+
+def test_what_is_derived_follows_from_its_factors(sensor):
+    plate, taper, video = sensor.microchannel_plate, sensor.taper, sensor.video
+    open_area = float(plate.open_area_ratio)
+    detected = float(plate.film_transmission) * (open_area + (1 - open_area) * float(plate.web_recovery))
+    assert detected == pytest.approx(float(plate.detection_probability), rel=1e-3)
+    fibres = float(taper.core_fraction) * float(taper.bulk_transmission)
+    collected = (float(taper.numerical_aperture) / float(taper.demagnification)) ** 2 * fibres
+    assert collected == pytest.approx(float(taper.transmission), rel=0.01)
+    full_scale = 2**video.bit_depth - 1
+    filled = (full_scale - float(video.black_level_dn)) / float(sensor.ccd.full_well_e)
+    assert filled == pytest.approx(float(video.conversion_gain_dn_per_e), rel=1e-3)
+
+
+def test_the_stages_resolve_together_what_the_tube_resolves(sensor):
+    """Regression truth 7: limits of 140, 85 and 120 lp/mm add in quadrature to 62 lp/mm."""
+    stages = (
+        sensor.photocathode.gap_resolution_lp_per_mm,
+        sensor.microchannel_plate.resolution_lp_per_mm,
+        sensor.phosphor.resolution_lp_per_mm,
+    )
+    together = sum(float(stage) ** -2 for stage in stages) ** -0.5
+    assert together == pytest.approx(62.15, abs=0.05)
+    assert together == pytest.approx(float(sensor.tube.limiting_resolution_lp_per_mm), rel=0.05)
+
+
+def test_the_tube_keeps_the_contrast_asked_of_its_type(sensor):
+    """Regression truth 6: 92, 80, 61 and 38 % at 2.5, 7.5, 15 and 25 lp/mm, within 2.1 %."""
+    frequency = np.array([2.5, 7.5, 15.0, 25.0])
+    fc, n = float(sensor.tube.mtf_frequency_lp_per_mm), float(sensor.tube.mtf_exponent)
+    assert np.abs(np.exp(-((frequency / fc) ** n)) - [0.92, 0.80, 0.61, 0.38]).max() < 0.021
+
+
+def test_the_sheet_is_quoted_as_it_stands(sensor):
+    sheet = {
+        "tube.luminous_gain": 15000,
+        "tube.limiting_resolution_lp_per_mm": 64,
+        "tube.magnification": 1,
+        "tube.life_h": 20000,
+        "photocathode.ebi_lm_per_cm2": 3.5e-11,
+        "photocathode.diameter_mm": 18,
+        "ccd.pitch_x_um": 11,
+        "ccd.pitch_y_um": 13,
+        "video.resolution_horizontal_tvl": 570,
+        "video.resolution_vertical_tvl": 359,
+        "video.signal_to_noise_db": 50,
+        "video.sensitivity_lux": 0.5,
+        "video.output_vpp": 1.0,
+        "video.impedance_ohm": 75,
+        "video.gamma": 1.0,
+        "optics.f_number": 1.4,
+    }
+    parameters = sensor.parameters()
+    assert {path: parameters[path].value for path in sheet} == sheet
+    assert all(parameters[path].standing == "sheet" for path in sheet)
+    assert (sensor.ccd.columns, sensor.ccd.rows, sensor.video.lines) == (768, 493, 525)
+    assert sensor.photocathode.spectral_range_nm == (500, 925)
+    assert (sensor.photocathode.material, sensor.phosphor.name) == ("GaAs", "P20")
+    assert sensor.video.interlaced
+    assert sensor.video.automatic_gain
+
+
+def test_every_number_says_where_it_comes_from(sensor):
+    for path, parameter in sensor.parameters().items():
+        assert parameter.source, path
+        assert parameter.standing in ("sheet", "default", "derived"), path
+
+
+def test_what_is_neither_sheet_nor_definition_has_a_range(sensor):
+    exact = {
+        "microchannel_plate.reference_v",
+        "taper.numerical_aperture",
+        "video.pixel_clock_mhz",
+        "video.aperture_correction_db",
+        "video.setup_ire",
+    }
+    unsure = {path for path, one in sensor.parameters().items() if one.standing != "sheet" and one.low is None}
+    assert unsure == exact
+
+
+def test_draws_inside_the_ranges_are_cameras_that_see(sensor, seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(200):
+        drawn = sensor.with_values(
+            {p: rng.uniform(q.low, q.high) for p, q in sensor.parameters().items() if q.low is not None}
+        )
+        sensitivity = float(drawn.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6
+        efficacy, energy = drawn.phosphor.luminous_efficacy_lm_per_w, drawn.phosphor.photon_energy_ev
+        photons = float(drawn.tube.luminous_gain) / (float(efficacy) * float(energy)) / sensitivity
+        electrons = photons * float(drawn.taper.transmission) * float(drawn.ccd.quantum_efficiency)
+        filled_by = float(drawn.ccd.full_well_e) / electrons
+        assert 10 < filled_by < 500  # photoelectrons that fill a field pixel; the reference says 40 to 160
+        at_64 = np.exp(-((64 / float(drawn.tube.mtf_frequency_lp_per_mm)) ** float(drawn.tube.mtf_exponent)))
+        assert 0.01 < at_64 < 0.12
+        assert float(drawn.phosphor.slow_decay_ms) > 5 * float(drawn.phosphor.fast_decay_ms)
+
+
+def test_a_sensor_written_and_read_is_the_same(sensor, tmp_path):
+    drawn = sensor.with_values({"tube.post_gain_share": 0.7})
+    for one in (sensor, drawn):
+        save_sensor(one, tmp_path / "s.toml")
+        assert from_toml(tmp_path / "s.toml", Sensor) == one
+        assert load_sensor("s.toml", relative_to=tmp_path) == one
+
+
+def test_posterior_draws_survive_the_file_to_the_last_bit(sensor, seed, tmp_path):
+    from dataclasses import replace
+
+    from labdata.sensor import Draws
+
+    values = np.random.default_rng(seed).normal(size=(50, 2))
+    draws = Draws(names=("tube.post_gain_share", "tube.mtf_exponent"), values=tuple(map(tuple, values.tolist())))
+    fitted = replace(sensor, draws=draws)
+    save_sensor(fitted, tmp_path / "f.toml")
+    assert load_sensor(tmp_path / "f.toml").draws == draws
+
+
+def test_a_bare_number_is_an_exact_parameter(sensor):
+    mapping = to_mapping(sensor)
+    mapping["optics"]["f_number"] = 2
+    assert from_mapping(mapping, Sensor).optics.f_number == Parameter(value=2.0)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "sentence"),
+    [
+        (("optics", "fnumber"), 1.4, "unknown key 'fnumber' in optics of s.toml; did you mean 'f_number'?"),
+        (("tube", "luminous_gain"), "high", 'luminous_gain must be a number or a table, got "high", in tube of s.toml'),
+        (("ccd", "rows"), 12.5, "rows must be a whole number, got 12.5, in ccd of s.toml"),
+        (
+            ("tube", "luminous_gain"),
+            {"value": 1.0, "low": 2.0, "high": 3.0},
+            "a value must lie between its low and high, got 1 for 2..3, in luminous_gain of tube of s.toml",
+        ),
+        (
+            ("tube", "luminous_gain"),
+            {"value": 1.0, "sorce": "x"},
+            "unknown key 'sorce' in luminous_gain of tube of s.toml; did you mean 'source'?",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_sensor_file_is_named_with_its_place(sensor, path, value, sentence):
+    mapping = to_mapping(sensor)
+    mapping[path[0]][path[1]] = value
+    with pytest.raises(BadInput) as error:
+        from_mapping(mapping, Sensor, where="s.toml")
+    assert str(error.value) == sentence
+
+
+def test_a_missing_sensor_is_refused_with_the_shipped_ones():
+    with pytest.raises(BadInput, match=r"one of pulnix-ag5745ef3 or the path of a TOML file, got 'nonesuch'"):
+        load_sensor("nonesuch")
+
+
+def test_every_shipped_description_loads_and_its_toml_is_stable():
+    for name in shipped():
+        sensor = load_sensor(name)
+        assert to_toml(from_mapping(to_mapping(sensor), Sensor)) == to_toml(sensor)
