@@ -127,12 +127,13 @@ class _Run:
         Light goes out before gate and gain move and comes back after them.
         """
         asked = step.conditions
-        self._operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
+        light = self._operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
         self._settings = self._camera.configure(
             CameraSettings(exposure_s=asked.exposure_s, gain_db=asked.camera_gain_db)
         )
         tube = self._bench.set_conditions(asked)
-        light = self._operator.place(kind=step.kind, target=step.target, illuminance_lux=asked.illuminance_lux or 0.0)
+        if asked.illuminance_lux:
+            light = self._operator.place(kind=step.kind, target=step.target, illuminance_lux=asked.illuminance_lux)
         camera = Conditions(exposure_s=self._settings.exposure_s, camera_gain_db=self._settings.gain_db)
         return _merged(asked, tube, light, camera)
 

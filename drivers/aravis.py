@@ -93,12 +93,11 @@ class AravisCamera:
 
     def __enter__(self) -> Self:
         self._library: Aravis = aravis()
-        found = self._find()
-        self._name = found.identifier
-        self._camera = self._take_control(found)
-        if self._library.plain("arv_camera_is_gv_device", self._camera):
-            self._address = found.address
-            self._library.plain("arv_camera_gv_set_stream_options", self._camera, PACKET_SOCKET_DISABLED)
+        self._name = self._name or _only_camera()
+        self._camera = camera = self._take_control(self._name)
+        if self._library.plain("arv_camera_is_gv_device", camera):
+            self._address = self._library.address(self._library.plain("arv_camera_get_device", camera))
+            self._library.plain("arv_camera_gv_set_stream_options", camera, PACKET_SOCKET_DISABLED)
         return self
 
     def __exit__(
@@ -157,28 +156,25 @@ class AravisCamera:
         self._dead = True
         return CameraError(f"camera {self.identifier} {how}")
 
-    def _find(self) -> CameraFound:
-        found = list_cameras()
-        named = [camera for camera in found if self._name in (None, camera.identifier, camera.address)]
-        if not named:
-            there = ", ".join(camera.identifier for camera in found) or "none"
-            raise CameraError(f"camera {self._name or 'of any name'} does not answer; cameras found: {there}")
-        if len(named) > 1:
-            raise CameraError(f"one camera must be named, found {', '.join(camera.identifier for camera in named)}")
-        return named[0]
-
-    def _take_control(self, found: CameraFound) -> int:
+    def _take_control(self, name: str) -> int:
         until_s = time.monotonic() + self._control_s
         while True:
-            camera = self._library.call("arv_camera_new", found.identifier.encode())
+            camera = self._opened(name)
             if not self._library.plain("arv_camera_is_gv_device", camera) or self._library.plain(
                 "arv_gv_device_is_controller", self._library.plain("arv_camera_get_device", camera)
             ):
                 return camera
             self._library.release(camera)
             if time.monotonic() > until_s:
-                raise CameraError(f"camera {found.identifier} is held by another program, waited {self._control_s:g} s")
-            self._say(f"camera {found.identifier} is locked by another client; waiting for its heartbeat to run out")
+                raise CameraError(f"camera {name} is held by another program, waited {self._control_s:g} s for it")
+            self._say(f"camera {name} is locked by another client; waiting for its heartbeat to run out")
+
+    def _opened(self, name: str) -> int:
+        try:
+            return self._library.call("arv_camera_new", name.encode())
+        except CameraError as error:
+            there = ", ".join(camera.identifier for camera in list_cameras()) or "none"
+            raise CameraError(f"camera {name} cannot be opened ({error}); cameras found: {there}") from None
 
     def _set_pixel_format(self, name: str) -> None:
         if name not in PIXELS:
@@ -247,3 +243,10 @@ class AravisCamera:
             threading.Thread(target=self._library.release, args=(thing,), daemon=True).start()
         else:
             self._library.release(thing)
+
+
+def _only_camera() -> str:
+    found = [camera.identifier for camera in list_cameras()]
+    if len(found) != 1:
+        raise CameraError(f"a camera must be named unless there is exactly one, found {', '.join(found) or 'none'}")
+    return found[0]

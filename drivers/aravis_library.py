@@ -44,6 +44,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "arv_camera_get_device": (c_void_p, (c_void_p,), False),
     "arv_camera_is_gv_device": (c_bool, (c_void_p,), False),
     "arv_gv_device_is_controller": (c_bool, (c_void_p,), False),
+    "arv_gv_device_get_device_address": (c_void_p, (c_void_p,), False),
     "arv_camera_gv_set_stream_options": (None, (c_void_p, c_int), False),
     "arv_camera_get_vendor_name": (c_char_p, (c_void_p,), True),
     "arv_camera_get_model_name": (c_char_p, (c_void_p,), True),
@@ -83,11 +84,15 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
 class Aravis:
     """The loaded library: `call` for functions that report a GError, `plain` for those that do not."""
 
-    def __init__(self, library: ctypes.CDLL, gobject: ctypes.CDLL, glib: ctypes.CDLL) -> None:
-        self._gobject, self._glib = gobject, glib
+    def __init__(self, library: ctypes.CDLL) -> None:
+        self._gobject, self._glib, self._gio = map(_companion, ("gobject-2.0", "glib-2.0", "gio-2.0"))
         self._functions = {name: _declared(library, name) for name in _FUNCTIONS}
-        gobject.g_object_unref.argtypes = (c_void_p,)
-        glib.g_error_free.argtypes = (POINTER(GError),)
+        self._gobject.g_object_unref.argtypes = (c_void_p,)
+        self._glib.g_error_free.argtypes = (POINTER(GError),)
+        self._glib.g_free.argtypes = (c_void_p,)
+        for name in ("g_inet_socket_address_get_address", "g_inet_address_to_string"):
+            function = getattr(self._gio, name)
+            function.argtypes, function.restype = (c_void_p,), c_void_p
 
     def plain(self, name: str, *arguments: Any) -> Any:
         """Call a function that cannot fail."""
@@ -120,6 +125,15 @@ class Aravis:
             c_void_p(None),
         )
 
+    def address(self, device: int) -> str:
+        """Return the IP address of a GigE Vision device."""
+        socket_address = self.plain("arv_gv_device_get_device_address", device)
+        text = self._gio.g_inet_address_to_string(self._gio.g_inet_socket_address_get_address(socket_address))
+        try:
+            return (ctypes.string_at(text) if text else b"").decode()
+        finally:
+            self._glib.g_free(text)
+
     def release(self, thing: int) -> None:
         """Give up one reference to an object."""
         self._gobject.g_object_unref(thing)
@@ -134,7 +148,7 @@ def aravis() -> Aravis:
             library = ctypes.CDLL(name)
         except OSError:
             continue
-        return Aravis(library, _companion("gobject-2.0"), _companion("glib-2.0"))
+        return Aravis(library)
     raise CameraError(f"the Aravis library (0.8) is not on this machine: {INSTALL}")
 
 

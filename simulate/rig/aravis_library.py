@@ -37,7 +37,7 @@ class FakeCamera:
     address
         Address of the interface, "127.0.0.1" for loopback.
     serial
-        Serial number, at most 15 characters; its identifier is "Aravis-Fake-SERIAL".
+        Serial number, at most 15 characters; the identifier is "Aravis-MODEL-SERIAL", with "Fake" as the first model.
 
     Raises
     ------

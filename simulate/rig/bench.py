@@ -21,7 +21,7 @@ from simulate.rig.camera import LOCK_WAIT_S
 from simulate.rig.in_process import InProcessCamera
 from simulate.rig.operator import VirtualOperator
 from simulate.rig.process import VirtualInstruments
-from simulate.rig.truth_folder import Truth, make_truth, read_truth
+from simulate.rig.truth_folder import TRUTH, Truth, make_truth, read_truth
 
 READY_S = 60.0
 SILENCE_S = 15.0  # drawing one frame may take long on a busy machine; a dead camera's port is noticed at once
@@ -41,6 +41,8 @@ class VirtualBench:
     wires
         "virtual": the camera on a loopback GigE Vision wire. "in-process": the camera inside this process. Where
         Aravis cannot be had, "virtual" leaves that wire out and says so.
+    time_scale
+        How much faster than life the high voltage moves, dimensionless.
     say
         Told in a sentence what was left out or is waited for.
 
@@ -58,14 +60,19 @@ class VirtualBench:
         sensor: Sensor,
         seed: int,
         *,
-        wires: Literal["virtual", "in-process"] = "virtual",
+        wires: Literal["virtual", "in-process", "real"] = "virtual",
+        time_scale: float = 1.0,
         say: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         self.folder = Path(folder).resolve()
-        self.truth_folder = self.folder / "truth"
-        self._wires_folder = self.folder / "wires"
-        self._sensor, self._seed, self._kind, self._say = sensor, seed, wires, say
-        self.operator = VirtualOperator(self._wires_folder)
+        self.truth_folder = self.folder / TRUTH
+        self._wires_folder = _unused(self.folder)
+        if wires == "real":
+            raise BadInput("a virtual bench must be virtual or in-process, got the wires of a real one")
+        self._time_scale = time_scale
+        self._sensor, self._seed, self._say = sensor, seed, say
+        self._kind: Literal["virtual", "in-process"] = wires
+        self.operator = VirtualOperator(self.folder)
         self.left_out: tuple[str, ...] = ()
         self._camera: str | None = None
         self._process: subprocess.Popen[str] | None = None
@@ -75,7 +82,9 @@ class VirtualBench:
         make_truth(self.truth_folder, self._sensor, self._seed)
         self.operator.darken()
         with ExitStack() as running:
-            self._instruments = running.enter_context(VirtualInstruments(self._wires_folder))
+            self._instruments = running.enter_context(
+                VirtualInstruments(self._wires_folder, time_scale=self._time_scale)
+            )
             if self._camera_has_a_wire():
                 running.callback(self._stop_camera)
                 self._start_camera()
@@ -94,7 +103,6 @@ class VirtualBench:
             bench=self._kind,
             gate_port=str(self._instruments.gate_port),
             supply_port=str(self._instruments.supply_port),
-            supply_address=self._instruments.supply_address,
             camera=self._camera,
         )
 
@@ -110,7 +118,7 @@ class VirtualBench:
 
     def in_process_camera(self) -> InProcessCamera:
         """Return the camera without its wire."""
-        return InProcessCamera(self._wires_folder, self.truth_folder)
+        return InProcessCamera(self.folder, self._wires_folder)
 
     def truth(self) -> Truth:
         """Return what the bench really is: for whoever compares afterwards, never for whoever measures."""
@@ -130,7 +138,7 @@ class VirtualBench:
 
     def _start_camera(self) -> None:
         serial = "VB" + hashlib.sha256(str(self.folder).encode()).hexdigest()[:10]
-        command = [sys.executable, "-m", "simulate.rig.camera", str(self._wires_folder), str(self.truth_folder), serial]
+        command = [sys.executable, "-m", "simulate.rig.camera", str(self.folder), str(self._wires_folder), serial]
         with (self._wires_folder / "camera.log").open("ab") as log:
             self._process = subprocess.Popen(
                 [*command, "--parent", str(os.getpid())],
@@ -165,6 +173,12 @@ class VirtualBench:
             process.wait()
         if process.stdout:
             process.stdout.close()
+
+
+def _unused(folder: Path) -> Path:
+    """Return a folder for the wires of this run: instruments of a killed one may still be at their own."""
+    runs = (int(path.suffix[1:]) for path in folder.glob("wires.*") if path.suffix[1:].isdigit())
+    return folder / f"wires.{max(runs, default=0) + 1}"
 
 
 def _message(process: subprocess.Popen[str], until_s: float) -> dict[str, str] | None:

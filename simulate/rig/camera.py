@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from labdata.sensor import Sensor
 from simulate.rig import aravis_library as aravis
-from simulate.rig.truth_folder import read_truth
 from simulate.rig.tube import VirtualTube
 
 LOOPBACK = "127.0.0.1"
+MODEL = "VirtualICCD"
 PARENT_CHECK_S = 0.1
 LOCK_WAIT_S = 300.0
 
@@ -29,51 +28,50 @@ LOCK_WAIT_S = 300.0
 def main(arguments: list[str]) -> int:
     """Run the camera until the process that started it is gone."""
     parser = argparse.ArgumentParser(prog="python -m simulate.rig.camera")
-    parser.add_argument("bench", type=Path, help="folder of the bench")
-    parser.add_argument("truth", type=Path, help="folder of its truth")
+    parser.add_argument("folder", type=Path, help="folder of the bench")
+    parser.add_argument("wires", type=Path, help="folder of the wires of the instruments that now run")
     parser.add_argument("serial")
     parser.add_argument("--parent", type=int, required=True, help="process whose end is ours")
     options = parser.parse_args(arguments)
     try:
         lock = hold_loopback(options.parent)
-        camera = build(options.bench, options.truth, options.serial)
+        camera = build(VirtualTube(options.folder, options.wires), options.serial)
     except BadInput as refusal:
         tell({"error": str(refusal)})
         return 1
-    tell({"camera": f"Aravis-Fake-{options.serial}"})
+    tell({"camera": f"Aravis-{MODEL}-{options.serial}"})
     while os.getppid() == options.parent:
         time.sleep(PARENT_CHECK_S)
     del camera, lock
     return 0
 
 
-def build(bench: Path, truth_folder: Path, serial: str) -> aravis.FakeCamera:
+def build(tube: VirtualTube, serial: str) -> aravis.FakeCamera:
     """Switch the camera on with the size, depth and field time of its sensor."""
-    truth = read_truth(truth_folder)
-    tube = VirtualTube(bench, truth)
+    sensor = tube.sensor
     camera = aravis.FakeCamera(LOOPBACK, serial)
-    camera.name_model(f"Virtual {truth.sensor.name}")
-    field_rate_hz = float(truth.sensor.video.field_rate_hz)
-    fields = 2 if truth.sensor.video.interlaced else 1
+    camera.name_model(MODEL)
+    field_rate_hz = float(sensor.video.field_rate_hz)
+    fields = 2 if sensor.video.interlaced else 1
     for register, value in {
-        aravis.SENSOR_WIDTH: truth.sensor.ccd.columns,
-        aravis.SENSOR_HEIGHT: truth.sensor.ccd.rows,
-        aravis.WIDTH: truth.sensor.ccd.columns,
-        aravis.HEIGHT: truth.sensor.ccd.rows,
-        aravis.PIXEL_FORMAT: aravis.MONO_8 if truth.sensor.video.bit_depth <= 8 else aravis.MONO_16,
+        aravis.SENSOR_WIDTH: sensor.ccd.columns,
+        aravis.SENSOR_HEIGHT: sensor.ccd.rows,
+        aravis.WIDTH: sensor.ccd.columns,
+        aravis.HEIGHT: sensor.ccd.rows,
+        aravis.PIXEL_FORMAT: aravis.MONO_8 if sensor.video.bit_depth <= 8 else aravis.MONO_16,
         aravis.EXPOSURE_US: round(1e6 / field_rate_hz),
         aravis.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
     }.items():
         camera.write(register, value)
-    camera.fill_with(_painter(camera, tube, truth.sensor))
+    camera.fill_with(_painter(camera, tube))
     return camera
 
 
-def _painter(camera: aravis.FakeCamera, tube: VirtualTube, sensor: Sensor) -> Callable[[int, int, int], bytes]:
+def _painter(camera: aravis.FakeCamera, tube: VirtualTube) -> Callable[[int, int, int], bytes]:
     def paint(exposure_us: int, gain: int, pixel_format: int) -> bytes:
         try:
             frame = tube.expose(exposure_s=exposure_us * 1e-6, gain_db=float(gain))
-            return _as_sent(frame, pixel_format, sensor.video.bit_depth, _window(camera)).tobytes()
+            return _as_sent(frame, pixel_format, tube.sensor.video.bit_depth, _window(camera)).tobytes()
         except BaseException:
             # Nothing can leave through C; a camera that cannot expose falls dead rather than send something else.
             traceback.print_exc()

@@ -11,7 +11,6 @@ import numpy as np
 
 from labdata.capture import CameraSettings, Frame
 from labdata.errors import BadInput
-from simulate.rig.truth_folder import read_truth
 from simulate.rig.tube import VirtualTube
 
 
@@ -20,17 +19,17 @@ class InProcessCamera:
 
     Parameters
     ----------
-    bench
+    folder
         Folder of the bench.
-    truth
-        Folder of its truth.
+    wires
+        Folder of the wires of the instruments that now run.
     """
 
     identifier = "in-process"
 
-    def __init__(self, bench: Path, truth: Path) -> None:
-        self._folder, self._truth = bench, read_truth(truth)
-        sensor = self._truth.sensor
+    def __init__(self, folder: Path, wires: Path) -> None:
+        self._tube = VirtualTube(folder, wires)
+        sensor = self._tube.sensor
         field_rate_hz = float(sensor.video.field_rate_hz)
         self._number = 0
         self._settings = CameraSettings(
@@ -43,7 +42,6 @@ class InProcessCamera:
         )
 
     def __enter__(self) -> Self:
-        self._tube = VirtualTube(self._folder, self._truth)
         return self
 
     def __exit__(

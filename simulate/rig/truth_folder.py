@@ -13,6 +13,8 @@ from simulate.rig.operator import METER_RELATIVE_SD
 from simulate.rig.outputs import replace_file
 from simulate.rig.truth import draw_truth
 
+TRUTH = "truth"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
+from labdata.sensor import Sensor
 from simulate.lab import LabBench
 from simulate.rig.operator import Placement, read_placement
 from simulate.rig.outputs import read_outputs
-from simulate.rig.truth_folder import Truth
+from simulate.rig.truth_folder import TRUTH, read_truth
 
 
 class VirtualTube:
@@ -22,16 +23,22 @@ class VirtualTube:
     Parameters
     ----------
     folder
-        Folder of the bench: wires and placement.
-    truth
-        What the bench really is.
+        Folder of the bench: its truth, and what its operator placed.
+    wires
+        Folder of the wires of the instruments that now run.
     """
 
-    def __init__(self, folder: Path, truth: Truth) -> None:
-        self._folder, self._truth = folder, truth
+    def __init__(self, folder: Path, wires: Path) -> None:
+        self._folder, self._wires = Path(folder), Path(wires)
+        self._truth = truth = read_truth(self._folder / TRUTH)
         self._bench = LabBench(truth.sensor)
         self._placement = Placement()
         self._frame = 0
+
+    @property
+    def sensor(self) -> Sensor:
+        """The specimen."""
+        return self._truth.sensor
 
     def expose(self, *, exposure_s: float, gain_db: float) -> NDArray:
         """Expose one frame, shape (row, col), DN.
@@ -58,7 +65,7 @@ class VirtualTube:
 
     def conditions(self, placement: Placement, *, exposure_s: float, gain_db: float) -> Conditions:
         """Return the true conditions at the tube now."""
-        outputs = read_outputs(self._folder)
+        outputs = read_outputs(self._wires)
         return Conditions(
             exposure_s=exposure_s,
             mcp_v=round(outputs.mcp_v, 2),

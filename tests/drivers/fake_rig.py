@@ -1,0 +1,129 @@
+"""A rig of plain objects that write down in which order they are used."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+
+from labdata.capture import CameraSettings, Frame
+from labdata.conditions import Conditions
+
+SIZE = (6, 8)
+
+
+class FakeRig:
+    """Camera, bench and operator in one diary."""
+
+    def __init__(self, *, fail: Callable[[str], BaseException | None] = lambda event: None, lose: int = 0) -> None:
+        self.diary: list[str] = []
+        self.fail, self.lose = fail, lose
+        self.gate_open = False
+        self.light_lux = 0.0
+        self.mcp_v = 0.0
+        self.frames_sent = 0
+        self.camera, self.bench, self.operator = FakeCamera(self), FakeBench(self), FakeOperator(self)
+
+    def happens(self, event: str) -> None:
+        self.diary.append(event)
+        if error := self.fail(event):
+            raise error
+
+
+class _Opened:
+    name = ""
+
+    def __init__(self, rig: FakeRig) -> None:
+        self.rig = rig
+
+    def __enter__(self) -> Self:
+        self.rig.happens(f"{self.name} opens")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.rig.happens(f"{self.name} closes")
+
+
+class FakeCamera(_Opened):
+    name = "camera"
+    identifier = "fake"
+
+    def __init__(self, rig: FakeRig) -> None:
+        super().__init__(rig)
+        self.settings = CameraSettings(
+            rows=SIZE[0], columns=SIZE[1], pixel_format="Mono8", exposure_s=0.016683, gain_db=0.0, frame_rate_hz=30.0
+        )
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        given = {name: value for name, value in vars(settings).items() if value is not None}
+        # Whole microseconds, as a real exposure register.
+        if "exposure_s" in given:
+            given["exposure_s"] = round(given["exposure_s"] * 1e6) * 1e-6
+        self.settings = replace(self.settings, **given)
+        return self.settings
+
+    def capture(self, *, frames: int, discard: int = 0) -> "FakeCapture":
+        return FakeCapture(self.rig, frames, discard)
+
+
+class FakeCapture:
+    lost_frames = 0
+
+    def __init__(self, rig: FakeRig, frames: int, discard: int) -> None:
+        self.rig, self.frames, self.discard = rig, frames, discard
+
+    def __enter__(self) -> Self:
+        self.rig.happens("capture starts")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.rig.happens("capture stops")
+
+    def __iter__(self) -> Iterator[Frame]:
+        self.lost_frames = self.rig.lose
+        for _ in range(self.frames):
+            self.rig.frames_sent += 1
+            self.rig.happens("frame")
+            number = self.rig.frames_sent
+            yield Frame(pixels=np.full(SIZE, number % 251, np.uint8), number=number, time_s=float(number))
+
+
+class FakeBench(_Opened):
+    name = "bench"
+
+    def __exit__(self, *_: object) -> None:
+        self.rig.gate_open, self.rig.mcp_v = False, 0.0
+        super().__exit__()
+
+    def set_conditions(self, conditions: Conditions) -> Conditions:
+        self.rig.happens("conditions set")
+        self.rig.diary.append("light on" if self.rig.light_lux else "light out")
+        self.rig.gate_open, self.rig.mcp_v = bool(conditions.gate_ns), conditions.mcp_v or 0.0
+        # A supply reads back with its own resolution.
+        return Conditions(
+            mcp_v=None if conditions.mcp_v is None else conditions.mcp_v + 0.25, gate_ns=conditions.gate_ns
+        )
+
+    def close_gate(self) -> None:
+        self.rig.happens("gate closes")
+        self.rig.gate_open = False
+
+    def safe(self) -> None:
+        self.rig.happens("made safe")
+        self.rig.gate_open, self.rig.mcp_v = False, 0.0
+
+
+class FakeOperator:
+    def __init__(self, rig: FakeRig) -> None:
+        self.rig = rig
+
+    def place(self, *, kind: str, target: Any, illuminance_lux: float) -> Conditions:
+        self.rig.happens(f"{kind} placed at {illuminance_lux:g} lux")
+        if illuminance_lux == 0.0 and self.rig.gate_open:
+            raise AssertionError("a target was placed before an open gate")
+        self.rig.light_lux = illuminance_lux
+        return Conditions(illuminance_lux=illuminance_lux, illuminance_relative_sd=0.03)
+
+    def darken(self) -> None:
+        self.rig.happens("darkened")
+        self.rig.light_lux = 0.0
