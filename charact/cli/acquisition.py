@@ -1,0 +1,34 @@
+"""The verb `acquire`: a plan becomes a session, on real or virtual instruments."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from charact.cli import options
+from charact.cli.output import bad_input_ends
+from charact.cli.progress import progress_bar
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verb to the command."""
+    app.command()(acquire)
+
+
+def acquire(
+    plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML.")],
+    out: Annotated[Path, typer.Argument(help="Folder of the session.")],
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with a broken run; finished steps stay.")] = False,
+    events: options.Events = False,
+) -> None:
+    """Run an acquisition plan on real or virtual instruments into a session.
+
+    Example: charact acquire plan.toml day1
+    """
+    with bad_input_ends(str(plan), events=events), progress_bar(events=events) as progress:
+        from charact.cli.benches import take
+        from labdata.border import from_toml
+        from labdata.plan import Plan
+
+        session = take(from_toml(plan, Plan), out, resume=resume, progress=progress)
+        print(f"{out}: {len(session.stacks)} stacks\nNext: charact measure {out}")

@@ -1,0 +1,85 @@
+"""Wires a plan to its bench: the virtual one with its own processes, or real ports, camera and a person at the lamp."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from charact.cli.output import say
+from charact.cli.progress import Progress
+from labdata.errors import BadInput
+from labdata.plan import Plan
+from labdata.session import Session
+
+WATCHDOG_LOG = "watchdog.jsonl"
+
+
+@contextmanager
+def bench_failure_is_a_sentence() -> Iterator[None]:
+    """Turn a failure of an instrument into one sentence, as bad input is."""
+    from drivers.errors import BenchError
+
+    try:
+        yield
+    except BenchError as error:
+        raise BadInput(str(error)) from error
+
+
+def bench_folder(session: Path) -> Path:
+    """Folder of the virtual bench of a session: beside the session, never inside it."""
+    return session.with_name(session.name + ".bench")
+
+
+def take(plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None] = say) -> Session:
+    """Run a plan on the bench that it names and return the session."""
+    with bench_failure_is_a_sentence():
+        if plan.wires.bench == "real":
+            return _on_real_bench(plan, session, resume=resume, progress=progress)
+        return _on_virtual_bench(plan, session, resume=resume, progress=progress, tell=tell)
+
+
+def _on_virtual_bench(
+    plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
+) -> Session:
+    from charact.cli.judge import SaturationJudge
+    from drivers.acquire import acquire
+    from drivers.aravis import AravisCamera
+    from drivers.interlock import Bench
+    from labdata.sensors import load_sensor
+    from simulate.rig.bench import VirtualBench
+
+    if plan.sensor is None:
+        raise BadInput("a plan for the virtual bench must name its sensor, got none")
+    wires = plan.wires.bench
+    with VirtualBench(bench_folder(session), load_sensor(plan.sensor), plan.seed, wires=wires, say=tell) as virtual:
+        session.parent.mkdir(parents=True, exist_ok=True)
+        camera = virtual.in_process_camera() if virtual.left_out else AravisCamera(virtual.wires.camera)
+        log = bench_folder(session) / WATCHDOG_LOG
+        return acquire(
+            plan,
+            session,
+            camera=camera,
+            bench=Bench(virtual.wires, plan.limits, log=log),
+            operator=virtual.operator,
+            judge=SaturationJudge(),
+            resume=resume,
+            progress=progress,
+        )
+
+
+def _on_real_bench(plan: Plan, session: Path, *, resume: bool, progress: Progress) -> Session:
+    from charact.cli.judge import SaturationJudge
+    from charact.cli.prompting import PromptingOperator
+    from drivers.acquire import acquire
+    from drivers.aravis import AravisCamera
+    from drivers.interlock import Bench
+
+    return acquire(
+        plan,
+        session,
+        camera=AravisCamera(plan.wires.camera),
+        bench=Bench(plan.wires, plan.limits, log=session.with_name(f"{session.name}.{WATCHDOG_LOG}")),
+        operator=PromptingOperator(),
+        judge=SaturationJudge(),
+        resume=resume,
+        progress=progress,
+    )
