@@ -1,0 +1,270 @@
+"""The bench: gate and gain set in the order that spares the tube, and made safe by leaving through any door."""
+
+import contextlib
+import json
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from drivers.delay_generator import DelayGenerator, check_width
+from drivers.errors import BenchError, WatchdogLost
+from drivers.high_voltage import HighVoltage, check_voltage
+from drivers.line import Line
+from drivers.lines import open_gate_line, open_supply_line
+from drivers.safe import Safety, make_safe
+from drivers.watched import Guard
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.plan import Limits, Wires
+
+FIELD_RATE_HZ = 60.0 / 1.001
+"""Fields a second of 525-line video, Hz: the gate opens once in each."""
+
+_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+
+
+class Bench:
+    """Gate and gain of the tube, between `with` and the end of its block.
+
+    Opening shuts the gate and switches the high voltage off before anything else. Leaving, by whatever door
+    (an exception, Ctrl-C, SIGTERM), does the same and follows the voltage down; a killed process is seen to by the
+    watchdog process, which owns the serial ports.
+
+    Parameters
+    ----------
+    wires
+        Serial ports of the delay generator and of the supply's adapter.
+    limits
+        What may never be exceeded; also set in the supply itself.
+    log
+        File to which every safety step is appended as a line of JSON.
+    lines
+        Lines to delay generator and supply that are ready-made, where there are no serial ports; then no watchdog
+        guards the bench, and `wires_left_out` says so.
+    gate_hz
+        Openings of the gate a second, Hz: one for each exposure of the camera.
+
+    Raises
+    ------
+    BadInput
+        If a port is not named, or conditions break a limit.
+    BenchError
+        If an instrument fails; the bench is safe by then, or the sentence says what is not.
+    """
+
+    def __init__(
+        self,
+        wires: Wires,
+        limits: Limits,
+        *,
+        log: Path,
+        lines: tuple[Line, Line] | None = None,
+        gate_hz: float = FIELD_RATE_HZ,
+    ) -> None:
+        if lines is None and not (wires.gate_port and wires.supply_port):
+            raise BadInput(
+                f"gate_port and supply_port must name serial ports, got {wires.gate_port!r} and {wires.supply_port!r}"
+            )
+        self._wires, self._limits, self._log, self._lines = wires, limits, Path(log), lines
+        self._gate_hz = gate_hz
+        self._guard: Guard | None = None
+        self._before: dict[signal.Signals, Callable | int | None] = {}
+        self._conditions = Conditions()
+
+    @property
+    def wires_left_out(self) -> tuple[str, ...]:
+        """What is not on real wires here, one phrase each."""
+        if self._lines is None:
+            return ()
+        return ("serial lines: the instruments answer inside this process", "watchdog: no process guards the bench")
+
+    def __enter__(self) -> "Bench":
+        self._catch_signals()
+        try:
+            if self._lines is None:
+                self._guard = self._started_guard()
+            gate, supply = self._both_lines()
+            self._gate, self._supply = DelayGenerator(gate), HighVoltage(supply)
+            self._gate.identify()
+            self._gate.shut()
+            self._supply.identify()
+            self._supply.prepare(limit_v=self._limits.mcp_v)
+            if self._guard is not None:
+                self._guard.gate.watch(True)
+        except BaseException as error:
+            self._leave(error)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._leave(error)
+
+    def set_conditions(self, conditions: Conditions) -> Conditions:
+        """Set gate and gain: gate shut first, then the gain, verified, then the gate.
+
+        Parameters
+        ----------
+        conditions
+            What is asked. `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut.
+
+        Returns
+        -------
+        Conditions
+            The same, with `mcp_v` and `gate_ns` as read back.
+
+        Raises
+        ------
+        BadInput
+            If a limit is exceeded or an instrument could not do it; nothing was changed then.
+        """
+        volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
+        self._check_limits(conditions, volts, width_ns)
+        self.check()
+        self._gate.shut()
+        read_v = self._set_gain(volts)
+        read_ns = self._gate.open(width_ns=width_ns, rate_hz=self._gate_hz) if width_ns else 0.0
+        self.check()
+        self._conditions = replace(conditions, mcp_v=read_v, gate_ns=read_ns)
+        return self._conditions
+
+    def check(self) -> None:
+        """Raise what went wrong at the bench since the last look: a trip, a silent line, a lost port."""
+        if self._guard is not None:
+            self._guard.check()
+        elif self._supply.is_on:
+            self._supply.check_on()
+
+    def safe(self) -> None:
+        """Shut the gate and switch the high voltage off now; a BenchError if that could not be verified."""
+        if self._guard is not None:
+            safety = self._guard.safe()
+        else:
+            safety = make_safe(gate=self._both_lines()[0], supply=self._both_lines()[1], record=self._record)
+        self._supply.is_on = False
+        _raise_unless_whole(safety)
+
+    def _check_limits(self, conditions: Conditions, volts: float, width_ns: float) -> None:
+        for name in ("mcp_v", "gate_ns", "illuminance_lux"):
+            asked, limit = getattr(conditions, name), getattr(self._limits, name)
+            if asked is not None and not asked <= limit:
+                raise BadInput(f"{name} must not exceed the limit {limit:g}, got {asked:g}")
+        if volts:
+            check_voltage(volts)
+        if width_ns:
+            check_width(width_ns, rate_hz=self._gate_hz)
+
+    def _set_gain(self, volts: float) -> float:
+        if not volts:
+            return self._gain_off()
+        if not self._supply.is_on:
+            self._supply.switch_on()
+            self._watch_supply(True)
+        elif volts < (present_v := self._supply.measured_v()) and not math.isclose(volts, present_v, abs_tol=0.5):
+            return self._supply.lower_to(volts, check=self.check)
+        return self._supply.raise_to(volts, rate_v_per_s=self._limits.ramp_v_per_s, check=self.check)
+
+    def _gain_off(self) -> float:
+        self._watch_supply(False)
+        return self._supply.off()
+
+    def _watch_supply(self, on: bool) -> None:
+        if self._guard is not None:
+            self._guard.supply.watch(on)
+
+    def _both_lines(self) -> tuple[Line, Line]:
+        if self._lines is not None:
+            return self._lines
+        assert self._guard is not None
+        return self._guard.gate, self._guard.supply
+
+    def _started_guard(self) -> Guard:
+        assert self._wires.gate_port is not None and self._wires.supply_port is not None
+        return Guard(
+            gate_port=self._wires.gate_port,
+            supply_port=self._wires.supply_port,
+            supply_address=self._wires.supply_address,
+            log=self._log,
+        )
+
+    # Leaving
+
+    def _leave(self, error: BaseException | None) -> None:
+        try:
+            safety = self._left_safe()
+        except BenchError as failure:
+            if error is None:
+                raise
+            error.add_note(str(failure))
+            return
+        finally:
+            self._restore_signals()
+        if safety is None or safety.whole:
+            return
+        if error is None:
+            _raise_unless_whole(safety)
+        else:
+            error.add_note(_left_unsafe(safety))
+
+    def _left_safe(self) -> Safety | None:
+        if self._lines is not None:
+            return make_safe(gate=self._lines[0], supply=self._lines[1], record=self._record)
+        if self._guard is None:
+            return None
+        guard, self._guard = self._guard, None
+        try:
+            return guard.leave()
+        except WatchdogLost:
+            return self._safe_without_watchdog()
+
+    def _safe_without_watchdog(self) -> Safety:
+        """The watchdog is gone and its ports are free: take them ourselves."""
+        self._record("the watchdog is gone; its client makes the bench safe")
+        gate = _opened(lambda: open_gate_line(str(self._wires.gate_port)))
+        supply = _opened(lambda: open_supply_line(str(self._wires.supply_port), address=self._wires.supply_address))
+        try:
+            return make_safe(gate=gate, supply=supply, record=self._record)
+        finally:
+            for line in (gate, supply):
+                if line is not None:
+                    line.close()
+
+    def _record(self, event: str, **details: object) -> None:
+        now = time.time()
+        with self._log.open("a") as log:
+            log.write(json.dumps({"time": now, "monotonic_s": time.monotonic(), "event": event, **details}) + "\n")
+
+    def _catch_signals(self) -> None:
+        if threading.current_thread() is threading.main_thread():
+            self._before = {number: signal.signal(number, _end) for number in _SIGNALS}
+
+    def _restore_signals(self) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+        self._before = {}
+
+
+def _end(number: int, _frame: FrameType | None) -> None:
+    """Let a signal unwind the stack like Ctrl-C, so that every `with` is left properly."""
+    raise SystemExit(128 + number)
+
+
+def _opened(opener: Callable[[], Line]) -> Line | None:
+    with contextlib.suppress(BenchError):
+        return opener()
+
+
+def _raise_unless_whole(safety: Safety) -> None:
+    if not safety.whole:
+        raise BenchError(_left_unsafe(safety))
+
+
+def _left_unsafe(safety: Safety) -> str:
+    why = f" ({safety.failures[0]})" if safety.failures else ""
+    return f"the bench must be left with gate shut and high voltage off, got: {safety.sentence()}{why}"

@@ -1,0 +1,58 @@
+"""Faults of the virtual instruments, provoked from the simulator's side only, through a file in the bench's folder."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from simulate.rig.outputs import replace_file
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """What is wrong with one instrument.
+
+    Parameters
+    ----------
+    silent
+        It hears nothing and says nothing.
+    mute
+        It obeys, but none of its answers arrives.
+    late_s
+        Extra time before each answer, s.
+    tripped
+        A short circuit of the load: the supply trips on current as long as this holds.
+    """
+
+    silent: bool = False
+    mute: bool = False
+    late_s: float = 0.0
+    tripped: bool = False
+
+
+def provoke(folder: Path, instrument: str, faults: Faults) -> None:
+    """Give an instrument ("delay_generator", "high_voltage") its faults; `Faults()` heals it."""
+    replace_file(_path(folder, instrument), json.dumps(asdict(faults)))
+
+
+class FaultFile:
+    """The faults of one instrument as its file says now; the file is read again only after a change."""
+
+    def __init__(self, folder: Path, instrument: str) -> None:
+        self._path = _path(folder, instrument)
+        self._stamp: tuple[int, int] | None = None
+        self._faults = Faults()
+
+    def now(self) -> Faults:
+        """The faults at this moment."""
+        try:
+            status = self._path.stat()
+        except FileNotFoundError:
+            return self._faults
+        stamp = (status.st_mtime_ns, status.st_ino)
+        if stamp != self._stamp:
+            self._stamp, self._faults = stamp, Faults(**json.loads(self._path.read_text()))
+        return self._faults
+
+
+def _path(folder: Path, instrument: str) -> Path:
+    return Path(folder) / f"{instrument}.faults.json"

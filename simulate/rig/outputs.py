@@ -1,0 +1,85 @@
+"""The electrical wires of the virtual bench: what the instruments put out now, where the virtual tube can read it."""
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+_GATE_FILE, _VOLTAGE_FILE = "gate.output.json", "high_voltage.output.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class GateOutput:
+    """What the delay generator's AB output does to the gate unit.
+
+    Parameters
+    ----------
+    gate_open
+        Whether the gate opens at all.
+    gate_ns
+        Width of one opening, ns; infinite where the output idles in the state that opens the gate.
+    gate_hz
+        Openings per second, Hz.
+    """
+
+    gate_open: bool = False
+    gate_ns: float = 0.0
+    gate_hz: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """What reaches the tube at this moment.
+
+    Parameters
+    ----------
+    mcp_v
+        Voltage across the microchannel plate, V.
+    gate_open, gate_ns, gate_hz
+        See `GateOutput`.
+    """
+
+    mcp_v: float
+    gate_open: bool
+    gate_ns: float
+    gate_hz: float
+
+    def open_ns(self, exposure_s: float) -> float:
+        """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over its phase."""
+        if not self.gate_open:
+            return 0.0
+        exposure_ns = exposure_s * 1e9
+        if self.gate_ns * self.gate_hz >= 1e9:
+            return exposure_ns
+        return min(self.gate_ns * self.gate_hz * exposure_s, exposure_ns)
+
+
+def publish_gate(folder: Path, gate: GateOutput) -> None:
+    """Put the gate's drive on the wire."""
+    replace_file(folder / _GATE_FILE, json.dumps(vars(gate)))
+
+
+def publish_voltage(folder: Path, mcp_v: float) -> None:
+    """Put the voltage, V, on the wire."""
+    replace_file(folder / _VOLTAGE_FILE, json.dumps({"mcp_v": mcp_v}))
+
+
+def read_outputs(folder: Path) -> Outputs:
+    """Read the wires of the bench in a folder; an instrument that was never switched on puts out nothing."""
+    gate = _read(Path(folder) / _GATE_FILE) or vars(GateOutput())
+    voltage = _read(Path(folder) / _VOLTAGE_FILE) or {"mcp_v": 0.0}
+    return Outputs(**gate, **voltage)
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a file so that a reader sees the old text or the new one, never a part."""
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+    unfinished.write_text(text)
+    unfinished.replace(path)
+
+
+def _read(path: Path) -> dict | None:
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
