@@ -112,7 +112,7 @@ class ArrayWriter:
         import zarr
 
         # A frame that is black all over must have its chunk too: absence would look like loss.
-        array = zarr.open_array(_durable_store(self.path), mode="r+", config={"write_empty_chunks": True})
+        array = zarr.open_array(_durable_store(self.path), mode="r+").with_config({"write_empty_chunks": True})
         if array.shape[1:] != self._shape or array.dtype != self._dtype:
             raise BadInput(
                 f"{self.path.name} was begun with frames of {array.shape[1:]} {array.dtype}, "

@@ -1,0 +1,276 @@
+"""The store: what was acknowledged is there and whole, whenever the writer dies."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labdata import BadInput, Conditions, Target, open_session, store
+from labdata.store import SessionWriter
+from labdata.store.appending import ArrayWriter
+
+SHAPE = (49, 77)
+
+# Appends frames for ever and tells of each once append has returned.
+WRITER = """
+import sys
+import numpy as np
+from pathlib import Path
+from labdata import Conditions
+from labdata.store import SessionWriter
+
+folder = Path(sys.argv[1])
+if (folder / "session.toml").exists():
+    writer = SessionWriter.resume(folder)
+else:
+    writer = SessionWriter.create(folder, name="killed")
+stack = writer.begin_stack("flat", "flat", (493, 768), np.uint16, Conditions(mcp_v=700.0))
+print("begun", len(stack), flush=True)
+while True:
+    n = len(stack)
+    frame = np.random.default_rng(n).integers(0, 65536, (493, 768), dtype=np.uint16)
+    done = stack.append(frame, n / 30, n)
+    print(done.index, done.sha256, flush=True)
+"""
+
+
+def expected_sha256(index: int) -> str:
+    frame = np.random.default_rng(index).integers(0, 65536, (493, 768), dtype=np.uint16)
+    return hashlib.sha256(frame.tobytes()).hexdigest()
+
+
+def killed_after(frames: int, folder: Path) -> list[str]:
+    """Start the writer, kill it -9 once it has told of some frames, and return all that it told."""
+    process = subprocess.Popen([sys.executable, "-c", WRITER, str(folder)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    told = [process.stdout.readline() for _ in range(frames + 1)]
+    os.kill(process.pid, signal.SIGKILL)
+    told += process.stdout.readlines()
+    process.stdout.close()
+    process.wait()
+    return [line for line in told if line.endswith("\n") and not line.startswith("begun")]
+
+
+def test_every_acknowledged_frame_outlives_a_kill(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    folder = tmp_path / "session"
+    told: dict[int, str] = {}
+    for _ in range(5):
+        lines = killed_after(int(rng.integers(1, 25)), folder)
+        told |= {int(index): digest for index, digest in map(str.split, lines)}
+        stack = open_session(folder).stack("flat").read()
+        assert len(stack) >= len(told)
+        assert stack.frame_number.tolist() == list(range(len(stack)))
+        assert [store.sha256(frame) for frame in stack.data] == [expected_sha256(n) for n in range(len(stack))]
+        assert all(expected_sha256(index) == digest for index, digest in told.items())
+    assert sorted(told) == list(range(len(told)))
+
+
+def test_the_array_of_a_killed_writer_opens_with_zarr_alone(tmp_path):
+    import zarr
+
+    folder = tmp_path / "session"
+    lines = killed_after(3, folder)
+    array = zarr.open_array(folder / "frames" / "flat.zarr", mode="r")
+    assert array.metadata.zarr_format == 3
+    assert array.chunks == (1, 493, 768)
+    assert array.shape[0] >= len(lines)
+    assert hashlib.sha256(np.asarray(array[0]).tobytes()).hexdigest() == expected_sha256(0)
+
+
+def frame(level: int) -> np.ndarray:
+    return np.full(SHAPE, level, np.uint8)
+
+
+def writer_of(folder: Path, **keys) -> SessionWriter:
+    return SessionWriter.create(folder, name="test", **keys)
+
+
+def begun(writer: SessionWriter, label: str = "flat", **changes) -> store.StackWriter:
+    keys = {"kind": "flat", "shape": SHAPE, "dtype": np.uint8, "conditions": Conditions(mcp_v=700.0), **changes}
+    return writer.begin_stack(label, **keys)
+
+
+def test_frames_come_back_with_their_stamps_numbers_and_losses(tmp_path):
+    taken = {"asked": Conditions(mcp_v=701.0), "target": Target(contrast=0.9)}
+    with writer_of(tmp_path / "s", sensor="pulnix-ag5745ef3", bit_depth=8) as writer, begun(writer, **taken) as stack:
+        for n in range(4):
+            stack.append(frame(10 * n), 0.5 + n / 30, 100 + 2 * n)
+        stack.finish(lost_frames=3, notes=("warm",))
+    entry = open_session(tmp_path / "s").stack("flat")
+    read = entry.read()
+    assert read.data[:, 0, 0].tolist() == [0, 10, 20, 30]
+    assert read.time_s == pytest.approx([0.5 + n / 30 for n in range(4)])
+    assert read.frame_number.tolist() == [100, 102, 104, 106]
+    assert read.lost_frames == 3
+    assert read.notes == ("warm",)
+    assert read.full_scale_dn == 255
+    assert entry.conditions == Conditions(mcp_v=700.0)
+    assert entry.asked == Conditions(mcp_v=701.0)
+    assert entry.target == Target(contrast=0.9)
+    assert entry.finished
+
+
+def test_a_black_frame_has_its_chunk_like_any_other(tmp_path):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    array.append(frame(0), 0.0, 0)
+    array.close()
+    assert (tmp_path / "a.zarr" / "c.0.0.0").stat().st_size == frame(0).nbytes
+
+
+def test_big_endian_pixels_are_refused_rather_than_turned(tmp_path):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint16)
+    with pytest.raises(BadInput, match=r"must be \(49, 77\) uint16, got"):
+        array.append(np.zeros(SHAPE, ">u2"), 0.0, 0)
+    with pytest.raises(BadInput, match="must be"):
+        array.append(np.zeros((3, 3), "<u2"), 0.0, 0)
+    array.close()
+
+
+def test_bytes_are_on_the_disk_before_the_name_and_the_name_before_the_journal(tmp_path, monkeypatch):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    events = []
+    fsync, replace = os.fsync, os.replace
+
+    def logged_fsync(descriptor):
+        events.append(("sync", Path(os.readlink(f"/proc/self/fd/{descriptor}")).name.split(".partial")[0]))
+        fsync(descriptor)
+
+    def logged_replace(source, target):
+        events.append(("rename", Path(target).name))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", logged_fsync)
+    monkeypatch.setattr(os, "replace", logged_replace)
+    array.append(frame(7), 0.0, 0)
+    array.close()
+    chunk = events.index(("rename", "c.0.0.0"))
+    assert events[chunk - 1][0] == "sync"
+    assert events[chunk - 1][1].startswith(".c.0.0.0")
+    assert events[chunk + 1] == ("sync", "a.zarr")
+    assert events[-1] == ("sync", "journal.jsonl")
+
+
+def test_what_the_journal_does_not_hold_is_not_read(tmp_path):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    for n in range(3):
+        array.append(frame(n), n, n)
+    array.close()
+    journal = tmp_path / "a.zarr" / "journal.jsonl"
+    whole = journal.read_bytes()
+    for cut in range(len(whole)):
+        journal.write_bytes(whole[:cut])
+        complete = whole[:cut].count(b"\n")
+        assert len(store.journal(tmp_path / "a.zarr")) == complete
+    journal.write_bytes(whole[:-5])
+    again = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    assert len(again) == 2
+    again.append(frame(9), 2, 2)
+    again.close()
+    assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [0, 1, 9]
+
+
+def test_a_frame_that_changed_on_the_disk_is_refused(tmp_path):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    for n in range(3):
+        array.append(frame(n), n, n)
+    array.close()
+    chunk = tmp_path / "a.zarr" / "c.1.0.0"
+    content = bytearray(chunk.read_bytes())
+    content[5] ^= 1
+    chunk.write_bytes(content)
+    with pytest.raises(BadInput, match="got other pixels in frame 1"):
+        store.read(tmp_path / "a.zarr")
+    chunk.unlink()
+    with pytest.raises(BadInput, match="got other pixels in frame 1"):
+        store.read(tmp_path / "a.zarr")
+
+
+def test_resuming_goes_on_behind_the_last_frame_and_keeps_what_is_finished(tmp_path):
+    with writer_of(tmp_path / "s") as writer:
+        with begun(writer, "dark", kind="dark") as stack:
+            stack.append(frame(1), 0, 0)
+            stack.finish()
+        with begun(writer) as stack:
+            stack.append(frame(2), 0, 0)
+    assert not open_session(tmp_path / "s").stack("flat").finished
+    assert "broken off after 1 frames" in open_session(tmp_path / "s").stack("flat").read().notes[0]
+    with SessionWriter.resume(tmp_path / "s") as writer:
+        assert writer.finished == ("dark",)
+        assert writer.partial == {"flat": 1}
+        with pytest.raises(BadInput, match="a complete stack cannot be begun again, got 'dark'"):
+            begun(writer, "dark", kind="dark")
+        with begun(writer) as stack:
+            assert len(stack) == 1
+            stack.append(frame(3), 1, 1)
+            stack.finish()
+        assert writer.partial == {}
+    session = open_session(tmp_path / "s")
+    assert [entry.label for entry in session.stacks] == ["dark", "flat"]
+    assert session.stack("flat").read().data[:, 0, 0].tolist() == [2, 3]
+
+
+def test_a_stack_goes_on_only_as_it_was_begun(tmp_path):
+    with writer_of(tmp_path / "s") as writer, begun(writer, asked=Conditions(mcp_v=700.0)) as stack:
+        stack.append(frame(2), 0, 0)
+    with SessionWriter.resume(tmp_path / "s") as writer:
+        with pytest.raises(BadInput, match="another kind, target or setting for 'flat'"):
+            begun(writer, asked=Conditions(mcp_v=720.0))
+        with pytest.raises(BadInput, match=r"was begun with frames of \(49, 77\) uint8, got \(4, 4\) uint8"):
+            begun(writer, asked=Conditions(mcp_v=700.0), shape=(4, 4))
+        writer.discard_stack("flat")
+        with begun(writer, shape=(4, 4)) as stack:
+            assert len(stack) == 0
+            stack.append(np.zeros((4, 4), np.uint8), 0, 0)
+            stack.finish()
+    assert open_session(tmp_path / "s").stack("flat").read().shape == (1, 4, 4)
+
+
+def test_a_stack_without_frames_is_no_part_of_the_session(tmp_path):
+    with writer_of(tmp_path / "s") as writer:
+        with begun(writer, "dark", kind="dark") as stack:
+            stack.append(frame(1), 0, 0)
+            stack.finish()
+        with begun(writer) as stack, pytest.raises(BadInput, match="at least one frame, got none in 'flat'"):
+            stack.finish()
+    assert [entry.label for entry in open_session(tmp_path / "s").stacks] == ["dark"]
+
+
+def test_two_writers_do_not_share_a_session(tmp_path):
+    code = "import sys; from labdata.store import SessionWriter; SessionWriter.resume(sys.argv[1])"
+    with writer_of(tmp_path / "s"):
+        other = subprocess.run([sys.executable, "-c", code, str(tmp_path / "s")], capture_output=True, text=True)
+    assert other.returncode == 1
+    assert "one process may write to a session at a time" in other.stderr
+    assert subprocess.run([sys.executable, "-c", code, str(tmp_path / "s")], check=False).returncode == 0
+
+
+def test_a_new_session_does_not_write_over_another(tmp_path):
+    writer_of(tmp_path / "s").close()
+    with pytest.raises(BadInput, match="needs a folder without one"):
+        writer_of(tmp_path / "s")
+
+
+@pytest.mark.parametrize("label", ["", "a/b", ".hidden", "a\\b"])
+def test_a_label_that_is_no_file_name_is_refused(tmp_path, label):
+    with writer_of(tmp_path / "s") as writer, pytest.raises(BadInput, match="a label must be a file name"):
+        begun(writer, label)
+
+
+def test_the_journal_is_plain_lines_of_json(tmp_path):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    array.append(frame(5), 1.25, 42)
+    array.close()
+    (line,) = (tmp_path / "a.zarr" / "journal.jsonl").read_text().splitlines()
+    assert json.loads(line) == {
+        "index": 0,
+        "frame_number": 42,
+        "time_s": 1.25,
+        "sha256": hashlib.sha256(frame(5).tobytes()).hexdigest(),
+    }
