@@ -38,9 +38,8 @@ class Beside:
     @property
     def title(self) -> str:
         """The quantity in words, and where it was measured."""
-        frequency = self.measurement.frequency_cy_per_px
-        where = "" if frequency is None else f" at {frequency:.4g} cy/px"
-        return QUANTITIES[self.measurement.quantity].title + where
+        title, frequency = QUANTITIES[self.measurement.quantity].title, self.measurement.frequency_cy_per_px
+        return title if frequency is None else title.replace("one frequency", f"{frequency:.4g} cy/px")
 
     @property
     def truth_text(self) -> str:

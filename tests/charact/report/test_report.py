@@ -1,0 +1,197 @@
+"""The report holds every number with its unit, interval, verdict and reason, and asks nothing of the network."""
+
+import re
+import sys
+from html import unescape
+
+import numpy as np
+import pytest
+
+from charact.report import beside_truth, fragment, page, write
+from charact.report.corner import corner_svg, varying
+from charact.report.evidence import figure_of
+from charact.report.numerals import plus_minus, rounded
+from charact.report.pictures import grey_limits, picture_of
+from labdata.errors import BadInput
+from labdata.flags import FLAGS
+from labdata.measurement import Posterior, Result, from_sd, measured
+from labdata.quantity import QUANTITIES
+from labdata.session import Session
+
+
+@pytest.fixture(scope="module")
+def html(made) -> str:
+    return page(
+        made.session(), made.result(), truth={"mtf50": 0.19, "mtf": lambda f, angle: np.exp(-((f / 0.26) ** 1.18))}
+    )
+
+
+def _text(html: str) -> str:
+    return unescape(re.sub(r"<[^>]+>", " ", html))
+
+
+def test_every_measurement_is_there_with_its_title_unit_method_and_verdict(made, html):
+    table = _text(html[html.index('id="quantities"') : html.index('id="frames"')])
+    for m in made.result().measurements:
+        assert QUANTITIES[m.quantity].title in table
+        assert m.quantity in table
+        assert m.method in table
+        assert m.unit in table
+        assert m.status in table
+
+
+def test_both_intervals_of_every_number_are_there(html):
+    table = _text(html[html.index('id="quantities"') : html.index('id="frames"')])
+    assert "3.451 … 3.569" in table
+    assert "3.480 … 3.540" in table
+    assert "(3.11 … 3.89) × 10⁻¹¹" in table
+
+
+def test_every_flag_stands_with_its_sentence_and_every_refusal_with_its_reason(made, html):
+    text = _text(html)
+    assert FLAGS["lag"] in text
+    assert FLAGS["prior-bound"] in text
+    assert made.reason in text
+    assert made.note in text
+
+
+def test_the_making_of_the_numbers_is_recorded(made, html):
+    text = _text(html)
+    for piece in ("9.8.7", "77", "window_px", "21", made.digest, "edge-1.tif", "numpy", made.wires):
+        assert piece in text
+
+
+def test_the_page_asks_nothing_of_the_network(html):
+    assert not re.search(r"https?:|//[a-z]|\bsrc=|@import|<script|<link|<iframe", html)
+    assert not re.search(r"url\((?!#)", html)
+    assert set(re.findall(r'href="(.)', html)) <= {"#", "d"}
+
+
+def test_axes_carry_units(html):
+    for label in ("spatial frequency (cy/px)", "MTF (1)", "(DN)"):
+        assert label in html
+
+
+def test_labels_from_outside_are_escaped(made):
+    hostile = made.result().find("covariance_gain")[0].with_(stack=made.hostile)
+    evidence = {f"edge-spread:{made.hostile}": {"figure": "edge-spread", "why": made.hostile}}
+    written = page(made.session(made.hostile), Result(measurements=(hostile,), evidence=evidence))
+    assert "<script>alert" not in written
+    assert "&lt;script&gt;" in written
+
+
+def test_evidence_of_an_unknown_or_broken_kind_is_told_and_not_drawn(html):
+    text = " ".join(_text(html).split())
+    assert "Not drawn: no figure of the kind 'of-tomorrow'" in text
+    assert "strength dn 4.5" in text
+    assert "Not drawn: its data cannot be drawn" in text
+
+
+def test_conditions_tell_what_was_asked_where_it_differs(html):
+    assert "780 (asked 781)" in _text(html)
+
+
+def test_truth_stands_beside_the_measured_with_z(html):
+    section = _text(html[html.index('id="truth"') : html.index('id="quantities"')])
+    assert "0.190" in section
+    assert re.search(r"[+-]\d\.\d\d", section)
+
+
+def test_z_is_the_distance_in_standard_errors_of_the_side_the_truth_is_on():
+    lopsided = measured("mtf50", "cy/px", 0.20, None, (0.19, 0.24), method="m")
+    below, above = (beside_truth(Result(measurements=(lopsided,)), {"mtf50": truth})[0].z for truth in (0.18, 0.22))
+    assert below == pytest.approx(0.02 / 0.01 * 1.96, rel=1e-3)
+    assert above == pytest.approx(-0.02 / 0.04 * 1.96, rel=1e-3)
+
+
+def test_a_truth_of_the_mtf_is_asked_at_the_frequency_and_direction_measured():
+    bars = from_sd("mtf", "1", 0.5, 0.02, method="m", frequency_cy_per_px=0.15, orientation_deg=90.0)
+    found = beside_truth(Result(measurements=(bars,)), {"mtf": lambda f, angle: f + angle / 1000})
+    assert found[0].truth == pytest.approx(0.24)
+
+
+def test_refused_numbers_have_no_truth_beside_them(made):
+    assert beside_truth(made.result(), {"halo_diameter": 47.0}) == ()
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "text"),
+    [
+        (0.18024, 0.0095, "0.1802"),
+        (3.51, 0.03, "3.510"),
+        (-3.51, 0.3, "−3.51"),
+        (1234.6, 25.0, "1235"),
+        (123456.0, 2500.0, "1.235 × 10⁵"),
+        (3.5e-11, 2e-12, "3.50 × 10⁻¹¹"),
+        (0.0, 0.01, "0.000"),
+        (0.0, None, "0.000"),
+        (float("inf"), None, "∞"),
+        (5.0, float("inf"), "5.000"),
+    ],
+)
+def test_a_number_has_two_digits_of_its_uncertainty(value, spread, text):
+    assert rounded(value, spread) == text
+
+
+def test_unequal_arms_are_both_given():
+    m = measured("mtf50", "cy/px", 0.2, (0.19, 0.22), (0.18, 0.25), method="m")
+    assert plus_minus(m) == "0.200 +0.050 −0.020"
+
+
+def test_a_corner_plot_names_its_parameters_with_units_and_skips_those_that_do_not_vary(made):
+    draws = np.column_stack([made.posterior().draws[:, 0], np.full(400, 2.0)])
+    constant = Posterior(names=("tube_frequency", "fixed"), units=("cy/px", "px"), draws=draws)
+    assert varying(constant) == (0,)
+    assert "(cy/px)" in corner_svg(made.posterior(), "edge")
+    assert "No parameter varies" in corner_svg(
+        Posterior(names=("fixed",), units=("px",), draws=np.ones((9, 1))), "none"
+    )
+
+
+def test_the_grey_scale_of_a_picture_is_stated_even_where_all_pixels_are_equal():
+    assert grey_limits(np.full((8, 8), 7)) == (7.0, 8.0)
+    assert "Black 7 DN, white 8 DN." in picture_of(np.full((8, 8), 7), "flat").caption
+
+
+def test_a_region_is_drawn_with_the_worst_verdict_of_its_numbers(made):
+    region = (10, 20, 60, 80)
+    good = from_sd("mtf50", "cy/px", 0.2, 0.01, method="m", stack="edge-1", region=region)
+    written = page(made.session(), Result(measurements=(good, good.with_(flags=("low-signal",)))))
+    assert "m: suspect" in written
+    assert "m: ok" not in written
+
+
+def test_a_session_without_results_still_has_its_page(made):
+    bare = Session(
+        folder=made.session().folder, name="nothing", stacks=(made.held("s", "scene", np.zeros((1, 9, 9), int)),)
+    )
+    assert "Nothing was measured." in page(bare, Result())
+
+
+def test_the_fragment_is_the_table_of_the_report(made):
+    piece = fragment(made.result())
+    assert "Covariance gain" in piece
+    assert "<html" not in piece
+
+
+def test_text_of_a_figure_keeps_its_digits():
+    data = {"figure": "edge-spread", "distance_px": [0.0, 1.0, 2.0], "value_dn": [0.0002, 0.0004, 0.0006]}
+    svg = figure_of("edge-spread", data).svg or ""
+    assert "0.0004" in svg or "0.00040" in svg
+
+
+def test_the_same_result_writes_the_same_page(made, monkeypatch):
+    stamp = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC")
+    first, second = (stamp.sub("", page(made.session(), made.result())) for _ in range(2))
+    assert first == second
+
+
+def test_the_file_is_written_where_asked(made, tmp_path):
+    path = write(made.session(), Result(), tmp_path / "deep" / "report.html")
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+def test_a_pdf_without_its_library_ends_in_one_sentence_with_the_install_command(made, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "weasyprint", None)
+    with pytest.raises(BadInput, match=r"pip install 'charact\[pdf\]'"):
+        write(made.session(), Result(), tmp_path / "r.html", pdf=True)
