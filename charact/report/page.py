@@ -84,6 +84,7 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
         sensor_facts=tables.sensor_facts(session.sensor) if session.sensor else (),
         left_out=left_out(session),
         provenance=tables.provenance(result.measurements),
+        charted=tables.charted(result),
     )
 
 

@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from charact import __version__
+from charact.method.registry import chart_table
 from charact.report.numerals import interval_text, plain, plus_minus, rounded, value_text
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
@@ -171,6 +172,28 @@ def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
             if isinstance(value, (str, int, bool)):
                 facts.append((f"{stage.name} {item.name}".replace("_", " "), plain(value)))
     return facts
+
+
+def charted(result: Result) -> list[dict[str, str]]:
+    """Measured error and time of every method, for each quantity of the result that was ever charted.
+
+    These are the rows by which `auto` chose; a method that measured something here is marked.
+    """
+    used = {m.method for m in result.measurements}
+    quantities = dict.fromkeys(m.quantity for m in result.measurements)
+    return [
+        {
+            "quantity": quantity,
+            "method": row["method"],
+            "used": "yes" if row["method"] in used else "no",
+            "error": f"{row['error_percent']:.2g} %",
+            "seconds": f"{row['seconds']:.2g} s",
+            "cases": plain(row.get("cases")),
+            "silent": plain(row.get("silent")),
+        }
+        for quantity in quantities
+        for row in chart_table(quantity)
+    ]
 
 
 def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:

@@ -102,7 +102,7 @@ def stability(
     repeats: int | None = None,
     axes: tuple[str, ...] | None = None,
     methods: tuple[Method, ...] | None = None,
-    workers: int = 1,
+    workers: int | None = None,
 ) -> Stability:
     """Sweep the axes of a quantity past the breaking point and map what every method does.
 
@@ -125,13 +125,14 @@ def stability(
     methods
         The methods; None: all that are registered for the quantity.
     workers
-        Processes that share the cases.
+        Processes that share the cases; None: two for registered methods, one for methods given here.
 
     Raises
     ------
     BadInput
         If no study of the quantity exists.
     """
+    workers = workers or (2 if methods is None and not quick else 1)
     methods = methods_of(quantity) if methods is None else methods
     study = STUDIES[quantity]
     cases = study.stability_cases(seed, repeats or (1 if quick else study.repeats), axes or study.axes)
