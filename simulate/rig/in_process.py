@@ -1,95 +1,73 @@
-"""The virtual camera without its wire: the same frames from inside this process, where Aravis cannot be had."""
+"""The virtual instruments inside this process, behind ports of bytes, where there are no pseudo-terminals."""
 
+import threading
 import time
-from collections.abc import Iterator
-from dataclasses import fields, replace
-from pathlib import Path
-from types import TracebackType
-from typing import Self
 
-import numpy as np
-
-from labdata.capture import CameraSettings, Frame
-from labdata.errors import BadInput
-from simulate.rig.tube import VirtualTube
+from simulate.rig.delay_generator import DelayGenerator
+from simulate.rig.faults import Faults
+from simulate.rig.high_voltage import HighVoltageSupply
+from simulate.rig.outputs import Outputs
+from simulate.rig.prologix import PrologixAdapter
+from simulate.rig.pseudo_terminal import Instrument
 
 
-class InProcessCamera:
-    """A camera with the interface of the driver's; it sends the frames that the virtual camera on its wire would.
+class InProcessPort:
+    """A port whose far end is an instrument in this process; it answers at once.
 
     Parameters
     ----------
-    folder
-        Folder of the bench.
-    wires
-        Folder of the wires of the instruments that now run.
+    instrument
+        The instrument.
     """
 
-    identifier = "in-process"
+    def __init__(self, instrument: Instrument) -> None:
+        self._instrument, self._answers = instrument, b""
+        self._turn = threading.RLock()
+        self.faults = Faults()
+        """What is wrong with the instrument; replace it to provoke a fault."""
 
-    def __init__(self, folder: Path, wires: Path) -> None:
-        self._tube = VirtualTube(folder, wires)
-        sensor = self._tube.sensor
-        field_rate_hz = float(sensor.video.field_rate_hz)
-        self._number = 0
-        self._settings = CameraSettings(
-            rows=sensor.ccd.rows,
-            columns=sensor.ccd.columns,
-            pixel_format="Mono8" if sensor.video.bit_depth <= 8 else "Mono16",
-            exposure_s=round(1e6 / field_rate_hz) * 1e-6,
-            gain_db=0.0,
-            frame_rate_hz=field_rate_hz / (2 if sensor.video.interlaced else 1),
-        )
+    def send(self, data: bytes) -> None:
+        """Send bytes."""
+        with self._turn:
+            self.advance()
+            answers = [] if self.faults.silent else self._instrument.receive(data)
+            if not self.faults.mute:
+                self._answers += b"".join(answer for _, answer in answers)
 
-    def __enter__(self) -> Self:
-        return self
+    def receive(self, timeout_s: float) -> bytes:
+        """Bytes that came; where none did, the wait takes its time."""
+        with self._turn:
+            answers, self._answers = self._answers, b""
+        if not answers:
+            time.sleep(timeout_s)
+        return answers
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
+    def advance(self) -> None:
+        """Let the instrument's physics catch up with the clock."""
+        with self._turn:
+            self._instrument.advance(time.monotonic(), self.faults)
 
-    def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set what is not None and return every setting; the picture's size and format are the sensor's own."""
-        given = {item.name: value for item in fields(settings) if (value := getattr(settings, item.name)) is not None}
-        for name in ("rows", "columns", "pixel_format"):
-            own = getattr(self._settings, name)
-            if given.get(name, own) != own:
-                raise BadInput(f"{name} of the in-process camera must be {own}, got {given[name]}")
-        self._settings = replace(self._settings, **given)
-        return self._settings
-
-    def capture(self, *, frames: int, discard: int = 0) -> "InProcessCapture":
-        """Return a capture of `frames` frames after `discard` that are thrown away."""
-        return InProcessCapture(self, frames=frames, discard=discard)
-
-    def expose(self) -> Frame:
-        """Expose one frame now."""
-        self._number += 1
-        pixels = self._tube.expose(
-            exposure_s=self._settings.exposure_s or 0.0, gain_db=self._settings.gain_db or 0.0
-        ).astype(np.uint8 if self._settings.pixel_format == "Mono8" else np.uint16)
-        return Frame(pixels=pixels, number=self._number, time_s=time.time())
+    def close(self) -> None:
+        """Nothing to let go of."""
 
 
-class InProcessCapture:
-    """A capture that loses nothing."""
+class InProcessInstruments:
+    """Delay generator and high-voltage supply in this process.
 
-    lost_frames = 0
+    Parameters
+    ----------
+    supply_address
+        GPIB address of the supply behind its adapter.
+    time_scale
+        How much faster than life the supply's output moves, dimensionless.
+    """
 
-    def __init__(self, camera: InProcessCamera, *, frames: int, discard: int) -> None:
-        self._camera, self._frames, self._discard = camera, frames, discard
+    def __init__(self, *, supply_address: int = 14, time_scale: float = 1.0) -> None:
+        self._gate, self._supply = DelayGenerator(), HighVoltageSupply(time_scale=time_scale)
+        self.gate_port = InProcessPort(self._gate)
+        self.supply_port = InProcessPort(PrologixAdapter({supply_address: self._supply}))
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
-
-    def __iter__(self) -> Iterator[Frame]:
-        for taken in range(self._discard + self._frames):
-            frame = self._camera.expose()
-            if taken >= self._discard:
-                yield frame
+    def outputs(self) -> Outputs:
+        """What reaches the tube at this moment."""
+        self.supply_port.advance()
+        return Outputs(mcp_v=self._supply.output_v, **vars(self._gate.gate()))
