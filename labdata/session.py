@@ -194,10 +194,11 @@ def open_session(path: str | Path) -> Session:
     folder = path.parent if path.name == MANIFEST else path
     if not (folder / MANIFEST).is_file():
         raise BadInput(f"a session must be a folder with a {MANIFEST}, got {path}")
-    return _session(folder, from_toml(folder / MANIFEST, SessionForm))
+    return session_of(folder, from_toml(folder / MANIFEST, SessionForm))
 
 
-def _session(folder: Path, form: "SessionForm") -> Session:
+def session_of(folder: Path, form: "SessionForm") -> Session:
+    """Return the session that a manifest describes, checked as `open_session` checks it."""
     from labdata.sensors import load_sensor
 
     _check(form, folder)

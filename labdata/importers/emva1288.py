@@ -10,7 +10,7 @@ from labdata.conditions import Conditions
 from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.form import SessionForm, StackForm, stack_form
-from labdata.session import MANIFEST, Kind, Session, open_session
+from labdata.session import MANIFEST, Kind, Session, session_of
 
 KINDS: dict[str, Kind] = {"b": "flat", "d": "dark"}
 
@@ -90,16 +90,16 @@ def import_emva1288(file: str | Path, out: str | Path) -> Session:
 
 
 def write_session(form: SessionForm, out: Path) -> Session:
-    """Write the manifest of a new session and open it."""
+    """Return a new session, its manifest written once it has been checked."""
     if (out / MANIFEST).exists():
         raise BadInput(f"a new session needs a folder without one, got {out}")
-    from_mapping(to_mapping(form), SessionForm, where=MANIFEST)
+    session = session_of(out, from_mapping(to_mapping(form), SessionForm, where=MANIFEST))
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadInput(f"a session must be a folder that can be written, got {out}: {error.strerror}") from None
     write_durably(out / MANIFEST, to_toml(form).encode())
-    return open_session(out)
+    return session
 
 
 def relative(path: Path, folder: Path) -> str:

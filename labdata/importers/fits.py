@@ -27,14 +27,17 @@ def _first_image(fits, path: Path) -> np.ndarray:
 
     try:
         # Headers out of order are common and harmless; a file that ends early is neither.
-        with warnings.catch_warnings(action="ignore"):
-            warnings.filterwarnings("error", message=".*truncated.*")
-            with fits.open(path, memmap=False) as file:
-                return _image_of(file, path)
+        with warnings.catch_warnings(record=True) as told, open(path, "rb") as content:
+            warnings.simplefilter("always")
+            with fits.open(content, memmap=False) as file:
+                image = _image_of(file, path)
     except BadInput:
         raise
     except Exception:
         raise BadInput(f"a FITS file must be whole and readable, got {path}") from None
+    if any("truncated" in str(warning.message) for warning in told):
+        raise BadInput(f"a FITS file must be whole, got {path} without its end")
+    return image
 
 
 def _image_of(file, path: Path) -> np.ndarray:

@@ -1,5 +1,6 @@
 """NumPy arrays in .npy files: (row, col) or (frame, row, col)."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from labdata.importers import planes
 def read(path: Path, plane: str | None = None) -> FrameStack:
     """Read an array as frames; see `labdata.importers.read_frames`."""
     try:
-        data = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError):
+        with warnings.catch_warnings(action="ignore"):
+            data = np.load(path, allow_pickle=False)
+    except Exception:  # a damaged header is read as Python, and fails in as many ways
         raise BadInput(f"a .npy file must hold one whole array of numbers, got {path}") from None
     if not isinstance(data, np.ndarray):
         raise BadInput(f"a .npy file must hold one array, got an archive in {path}")

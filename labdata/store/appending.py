@@ -43,7 +43,8 @@ class ArrayWriter:
             left_over.unlink()
         self._array = self._opened()
         self._frames = len(journal(path))
-        self._journal = self._journal_after_last()
+        self._journal = open(path / JOURNAL, "r+b", buffering=0)  # noqa: SIM115 - open as long as the writer
+        self._end = sum(len(line) for line in self._journal.readlines()[: self._frames])
 
     def __len__(self) -> int:
         return self._frames
@@ -65,13 +66,16 @@ class ArrayWriter:
             raise BadInput(
                 f"a frame of {self.path.name} must be {self._shape} {self._dtype}, got {frame.shape} {frame.dtype}"
             )
-        self._write(frame)
         entry = Acknowledged(
             index=self._frames, frame_number=int(frame_number), time_s=float(time_s), sha256=sha256(frame)
         )
-        self._journal.write(json.dumps(asdict(entry)).encode() + b"\n")
-        self._journal.flush()
-        os.fsync(self._journal.fileno())
+        try:
+            self._write(frame)
+            self._acknowledge(entry)
+        except OSError as error:
+            raise BadInput(
+                f"the disk must take every frame, got {error.strerror!r} after {self._frames} frames of {self.path}"
+            ) from None
         self._frames += 1
         return entry
 
@@ -83,6 +87,14 @@ class ArrayWriter:
         if self._array.shape[0] <= self._frames:
             self._array.resize((self._frames + 1, *self._shape))
         self._array[self._frames] = frame
+
+    def _acknowledge(self, entry: Acknowledged) -> None:
+        # What a failed or interrupted line left behind is cut off first.
+        self._journal.seek(self._end)
+        self._journal.truncate()
+        self._journal.write(json.dumps(asdict(entry)).encode() + b"\n")
+        os.fsync(self._journal.fileno())
+        self._end = self._journal.tell()
 
     def _create(self) -> None:
         """Make the array with its empty journal under another name, then put it in place whole."""
@@ -119,15 +131,6 @@ class ArrayWriter:
                 f"got {self._shape} {self._dtype}"
             )
         return array
-
-    def _journal_after_last(self) -> Any:
-        """Open the journal behind its last whole line; a crash may have left a part of one."""
-        file = open(self.path / JOURNAL, "r+b")  # noqa: SIM115 - it stays open as long as the writer
-        for _ in range(self._frames):
-            file.readline()
-        file.truncate(file.tell())
-        file.seek(0, os.SEEK_END)
-        return file
 
 
 def _durable_store(root: Path) -> Any:

@@ -176,6 +176,23 @@ def test_what_the_journal_does_not_hold_is_not_read(tmp_path):
     assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [0, 1, 9]
 
 
+def test_a_full_disk_is_a_sentence_and_the_frames_so_far_are_kept(tmp_path, monkeypatch):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    array.append(frame(1), 0, 0)
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(BadInput, match="the disk must take every frame, got 'No space left on device' after 1 "):
+            array.append(frame(2), 1, 1)
+    assert not list((tmp_path / "a.zarr").glob(".*.partial"))
+    array.append(frame(3), 2, 2)
+    array.close()
+    assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [1, 3]
+
+
 def test_a_frame_that_changed_on_the_disk_is_refused(tmp_path):
     array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     for n in range(3):

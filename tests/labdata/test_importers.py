@@ -1,0 +1,271 @@
+"""Frames made elsewhere come in unchanged, or are refused in one sentence."""
+
+import importlib.util
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from labdata import BadInput
+from labdata.importers import read_frames
+
+TYPES = ["u1", "u2", "u4", "i2", "i4", "f4", "f8"]
+
+
+def pixels(kind: str, shape: tuple[int, ...] = (3, 5, 7)) -> np.ndarray:
+    values = np.random.default_rng(1).integers(0, 200, shape)
+    return (values / (3.0 if np.dtype(kind).kind == "f" else 1)).astype(kind)
+
+
+def dng_module():
+    """The writer beside this file; test folders are no packages."""
+    specification = importlib.util.spec_from_file_location("dng", Path(__file__).with_name("dng.py"))
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("kind", TYPES)
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_tiff_pages_are_frames_in_either_byte_order(tmp_path, kind, order):
+    data = pixels(kind)
+    tifffile.imwrite(tmp_path / "a.tif", data, byteorder=order, photometric="minisblack")
+    read = read_frames(tmp_path / "a.tif").data
+    assert np.array_equal(read, data)
+    assert read.dtype == np.dtype(kind).newbyteorder("=")
+    assert not read.flags.writeable
+
+
+@pytest.mark.parametrize("compression", [None, "deflate", "lzw"])
+def test_one_page_is_a_stack_of_one_frame(tmp_path, compression):
+    data = pixels("u2", (5, 7))
+    options = {"compression": compression} if compression != "lzw" or has_lzw() else {}
+    tifffile.imwrite(tmp_path / "a.tiff", data, **options)
+    assert np.array_equal(read_frames(tmp_path / "a.tiff").data, data[None])
+
+
+def has_lzw() -> bool:
+    return importlib.util.find_spec("imagecodecs") is not None
+
+
+def test_pages_written_one_by_one_are_frames_too(tmp_path):
+    data = pixels("u2")
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for frame in data:
+            file.write(frame, contiguous=False, metadata=None)
+    assert np.array_equal(read_frames(tmp_path / "a.tif").data, data)
+
+
+def test_pages_of_several_sizes_are_refused(tmp_path):
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(np.zeros((5, 7), np.uint8), metadata=None)
+        file.write(np.zeros((4, 7), np.uint8), metadata=None)
+    with pytest.raises(BadInput, match="must have one shape"):
+        read_frames(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("planar", ["contig", "separate"])
+def test_colour_planes_are_kept_apart_and_the_luminance_is_said(tmp_path, planar):
+    data = pixels("u1", (5, 7, 3))
+    stored = data if planar == "contig" else np.moveaxis(data, -1, 0)
+    tifffile.imwrite(tmp_path / "a.tif", stored, photometric="rgb", planarconfig=planar)
+    for index, name in enumerate("rgb"):
+        plane = read_frames(tmp_path / "a.tif", plane=name)
+        assert np.array_equal(plane.data[0], data[..., index])
+        assert plane.plane == name
+    luminance = read_frames(tmp_path / "a.tif")
+    assert luminance.data[0] == pytest.approx(data @ np.array([0.2125, 0.7154, 0.0721]))
+    assert "0.2125 R + 0.7154 G + 0.0721 B" in luminance.notes[0]
+    assert luminance.full_scale_dn == 255
+    with pytest.raises(BadInput, match="must be r, g or b, got 'g1' for a"):
+        read_frames(tmp_path / "a.tif", plane="g1")
+
+
+def test_npy_and_fits_and_png_come_in_unchanged(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    data = pixels("u2")
+    np.save(tmp_path / "a.npy", data)
+    fits.PrimaryHDU(data).writeto(tmp_path / "a.fits")
+    cv2.imwrite(str(tmp_path / "a.png"), data[0])
+    assert np.array_equal(read_frames(tmp_path / "a.npy").data, data)
+    assert np.array_equal(read_frames(tmp_path / "a.fits").data, data)
+    assert np.array_equal(read_frames(tmp_path / "a.png").data, data[:1])
+    assert read_frames(tmp_path / "a.png").data.dtype == np.uint16
+    assert read_frames(tmp_path / "a.fits").data.dtype.isnative
+
+
+def test_a_fits_image_behind_an_empty_header_is_found(tmp_path):
+    fits = pytest.importorskip("astropy.io.fits")
+    data = pixels("i2")
+    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(data)]).writeto(tmp_path / "a.fits")
+    assert np.array_equal(read_frames(tmp_path / "a.fits").data, data)
+
+
+def test_the_colours_of_a_png_are_in_their_places(tmp_path):
+    data = pixels("u1", (5, 7, 3))
+    cv2.imwrite(str(tmp_path / "a.png"), data[..., ::-1])
+    for index, name in enumerate("rgb"):
+        assert np.array_equal(read_frames(tmp_path / "a.png", plane=name).data[0], data[..., index])
+
+
+def test_a_zarr_array_of_anyone_is_read(tmp_path):
+    import zarr
+
+    data = pixels("f4")
+    zarr.save_array(str(tmp_path / "a.zarr"), data)
+    assert np.array_equal(read_frames(tmp_path / "a.zarr").data, data)
+
+
+@pytest.mark.parametrize(
+    ("plane", "row", "col", "black"), [("r", 0, 0, 64), ("g1", 0, 1, 65), ("g2", 1, 0, 66), ("b", 1, 1, 67)]
+)
+def test_a_mosaic_is_taken_apart_and_never_interpolated(tmp_path, plane, row, col, black):
+    dng = dng_module()
+    data = np.arange(40 * 60, dtype=np.uint16).reshape(40, 60)
+    dng.write(tmp_path / "a.dng", data)
+    stack = read_frames(tmp_path / "a.dng", plane=plane)
+    active = data[dng.TOP : dng.BOTTOM, dng.LEFT : dng.RIGHT]
+    assert np.array_equal(stack.data[0], active[row::2, col::2])
+    assert stack.plane == plane
+    assert stack.black_level_dn == black
+    assert stack.full_scale_dn == dng.WHITE
+
+
+def test_a_mosaic_must_be_told_which_plane(tmp_path):
+    dng_module().write(tmp_path / "a.dng", np.ones((40, 60), np.uint16))
+    for plane in (None, "g"):
+        with pytest.raises(BadInput, match=f"must be one of b, g1, g2, r, got {plane} for a.dng"):
+            read_frames(tmp_path / "a.dng", plane=plane)
+
+
+def written(tmp_path: Path, name: str) -> Path:
+    """Write a good file of a kind and return its path."""
+    path = tmp_path / name
+    data = pixels("u2", (3, 50, 70))
+    if path.suffix == ".tif":
+        tifffile.imwrite(path, data, photometric="minisblack")
+    elif path.suffix == ".npy":
+        np.save(path, data)
+    elif path.suffix == ".png":
+        cv2.imwrite(str(path), data[0])
+    elif path.suffix == ".dng":
+        dng_module().write(path, np.ones((40, 60), np.uint16))
+    else:
+        pytest.importorskip("astropy.io.fits").PrimaryHDU(data).writeto(path)
+    return path
+
+
+KINDS = ["a.tif", "a.npy", "a.png", "a.fits", "a.dng"]
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused_in_one_sentence(tmp_path, name, share):
+    path = written(tmp_path, name)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * (len(content) - 1))])
+    with pytest.raises(BadInput) as error:
+        read_frames(path, plane="r" if name == "a.dng" else None)
+    assert name in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_text_with_the_name_of_a_picture_is_refused_in_one_sentence(tmp_path, name):
+    (tmp_path / name).write_text("these are words and not a picture\n" * 99)
+    with pytest.raises(BadInput) as error:
+        read_frames(tmp_path / name)
+    assert name in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_damaged_in_its_middle_is_never_a_crash(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    for name in ("a.tif", "a.npy", "a.png"):
+        path = written(tmp_path, name)
+        whole = path.read_bytes()
+        for _ in range(30):
+            content = bytearray(whole)
+            content[int(rng.integers(0, min(len(content), 300)))] ^= int(rng.integers(1, 256))
+            path.write_bytes(content)
+            try:
+                read_frames(path)
+            except BadInput as error:
+                assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_picture_that_is_not_finite_is_refused_with_its_name(tmp_path, bad):
+    data = pixels("f4")
+    data[1, 2, 3] = bad
+    tifffile.imwrite(tmp_path / "a.tif", data, photometric="minisblack")
+    with pytest.raises(
+        BadInput, match=r"every pixel must be finite, got 1 that are NaN or infinite of 105, in .*a\.tif"
+    ):
+        read_frames(tmp_path / "a.tif")
+
+
+def test_a_picture_that_falls_with_light_is_refused(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", pixels("u1", (5, 7)), photometric="miniswhite")
+    with pytest.raises(BadInput, match="must rise with light, got the type MINISWHITE"):
+        read_frames(tmp_path / "a.tif")
+
+
+def test_an_unknown_kind_is_answered_with_the_known_ones(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(b"x")
+    with pytest.raises(BadInput, match=r"one of \.tif, .*\.fits.*\.png.*\.dng.* or a Zarr array, got 'a\.jpg'"):
+        read_frames(tmp_path / "a.jpg")
+
+
+def test_what_is_not_there_is_refused(tmp_path):
+    with pytest.raises(BadInput, match=r"must exist to be read, got .*none\.tif"):
+        read_frames(tmp_path / "none.tif")
+    with pytest.raises(BadInput, match="must be a file or a Zarr array, got the folder"):
+        read_frames(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "data", [np.zeros(5), np.zeros((2, 3, 4, 5)), np.array([["a", "b"]]), np.zeros((2, 2), complex)]
+)
+def test_an_array_that_is_no_stack_of_pictures_is_refused(tmp_path, data):
+    np.save(tmp_path / "a.npy", data)
+    with pytest.raises(BadInput):
+        read_frames(tmp_path / "a.npy")
+
+
+def test_pickled_objects_are_never_loaded(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
+    with pytest.raises(BadInput, match="one whole array of numbers"):
+        read_frames(tmp_path / "a.npy")
+
+
+def test_fits_without_astropy_names_the_way_to_it(tmp_path, monkeypatch):
+    (tmp_path / "a.fits").write_bytes(b"SIMPLE")
+    monkeypatch.setitem(__import__("sys").modules, "astropy.io", None)
+    with pytest.raises(BadInput, match=r"need astropy, got a\.fits: pip install 'charact\[fits\]'"):
+        read_frames(tmp_path / "a.fits")
+
+
+def test_a_colour_plane_of_a_grey_picture_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="can only be taken of a colour picture, got plane 'r' of a"):
+        read_frames(written(tmp_path, "a.tif"), plane="r")
+
+
+def test_the_real_emccd_frames_are_read(shared_data):
+    stack = read_frames(shared_data / "emccd_ryan2021" / "1x-gain_level-01.tif")
+    assert stack.shape == (5000, 3, 3)
+    assert stack.data.dtype == np.uint16
+    assert 955 <= stack.data.min() <= stack.data.max() <= 1141
+    assert read_frames(shared_data / "emccd_ryan2021" / "1x-gain_no-signal_sigma.tif").data.dtype == np.float32
+
+
+def test_the_real_edge_and_its_rotation_hold_the_same_pixels(shared_data):
+    horizontal = read_frames(shared_data / "burns_sfrmat3" / "h_edge.tif").data[0]
+    vertical = read_frames(shared_data / "burns_sfrmat3" / "v_edge.tif").data[0]
+    assert horizontal.shape == (125, 300)
+    assert vertical.shape == (300, 125)
+    assert any(np.array_equal(np.rot90(horizontal, turns), vertical) for turns in (1, 3))

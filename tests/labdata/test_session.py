@@ -1,0 +1,141 @@
+"""A session opens as it is written, reads its frames when asked, and names what is wrong in one sentence."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from labdata import BadInput, Conditions, Session, Target, open_session
+
+
+def session_of(folder: Path, manifest: str, **files: np.ndarray) -> Path:
+    """Write a session with .npy files of the given names."""
+    folder.mkdir(exist_ok=True)
+    (folder / "session.toml").write_text(manifest)
+    for name, data in files.items():
+        np.save(folder / f"{name}.npy", data)
+    return folder
+
+
+FLAT = '[[stack]]\nlabel = "flat-03"\nkind = "flat"\nframes = "a.npy"\n'
+
+
+def test_a_session_opens_as_it_is_written(tmp_path):
+    manifest = """
+name = "flat series, 21 March"
+sensor = "pulnix-ag5745ef3"
+bit_depth = 12
+
+[[stack]]
+label = "flat-03"
+kind = "flat"
+frames = "flat-03.tif"
+exposure_s = 0.0167
+mcp_v = 780.0
+gate_ns = 1.6e7
+illuminance_lux = 1e-4
+photons_per_px = 5200.0
+target = { bars = 4, frequency_cy_per_px = 0.12, angle_deg = 90.0 }
+"""
+    folder = session_of(tmp_path, manifest)
+    data = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
+    tifffile.imwrite(folder / "flat-03.tif", data, photometric="minisblack")
+    for path in (folder, str(folder), folder / "session.toml"):
+        session = open_session(path)
+        assert session.name == "flat series, 21 March"
+        assert session.sensor is not None
+        assert session.is_interlaced
+        (stack,) = session.of_kind("flat")
+        assert stack.conditions == Conditions(
+            exposure_s=0.0167, mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, photons_per_px=5200.0
+        )
+        assert stack.target == Target(bars=4, frequency_cy_per_px=0.12, angle_deg=90.0)
+    read = session.stack("flat-03").read()
+    assert np.array_equal(read.data, data)
+    assert read.full_scale_dn == 4095
+
+
+def test_frames_are_not_read_before_they_are_asked_for(tmp_path):
+    folder = session_of(tmp_path, 'name = "s"\n' + FLAT)
+    (folder / "a.npy").write_text("no array")
+    session = open_session(folder)
+    assert isinstance(session, Session)
+    with pytest.raises(BadInput, match=r"a \.npy file must hold one whole array of numbers"):
+        session.stack("flat-03").read()
+
+
+def test_files_of_one_stack_follow_one_another(tmp_path):
+    first, second = np.zeros((2, 3, 4), np.uint8), np.ones((3, 4), np.uint8)
+    manifest = 'name = "s"\n' + FLAT.replace('"a.npy"', '["a.npy", "b.npy"]')
+    session = open_session(session_of(tmp_path, manifest, a=first, b=second))
+    assert session.stack("flat-03").read().data[:, 0, 0].tolist() == [0, 0, 1]
+    np.save(tmp_path / "b.npy", np.ones((9, 9), np.uint8))
+    with pytest.raises(BadInput, match=r"must have one picture size, got \(3, 4\) and \(9, 9\) in 'flat-03'"):
+        session.stack("flat-03").read()
+
+
+def test_a_sensor_beside_the_session_is_found(tmp_path):
+    from dataclasses import replace
+
+    from labdata.sensors import load_sensor, save_sensor
+
+    ours = replace(load_sensor("pulnix-ag5745ef3"), name="ours")
+    session_of(tmp_path, 'name = "s"\nsensor = "ours.toml"\ninterlaced = false\n' + FLAT, a=np.zeros((1, 2, 2)))
+    save_sensor(ours, tmp_path / "ours.toml")
+    session = open_session(tmp_path)
+    assert session.sensor == ours
+    assert not session.is_interlaced
+
+
+def test_pixels_beyond_the_digitiser_are_refused(tmp_path):
+    folder = session_of(tmp_path, 'name = "s"\nbit_depth = 8\n' + FLAT, a=np.full((1, 2, 2), 300, np.uint16))
+    with pytest.raises(BadInput, match="must not exceed the 255 DN of 8 bits, got 300 in stack 'flat-03'"):
+        open_session(folder).stack("flat-03").read()
+
+
+@pytest.mark.parametrize(
+    ("manifest", "sentence"),
+    [
+        ('name = "s"\n', "a session must have at least one stack, got none in {folder}"),
+        ('name = "s"\n' + FLAT * 2, "every stack's label must be its own, got 'flat-03' twice in {folder}"),
+        (
+            'name = "s"\n' + FLAT.replace("a.npy", "b.npy"),
+            "the frames of stack 'flat-03' must exist, got {folder}/b.npy",
+        ),
+        (
+            'name = "s"\n' + FLAT.replace('"a.npy"', "[]"),
+            "a stack must name its frames, got none for 'flat-03' in {folder}",
+        ),
+        ('name = "s"\nbit_depth = 0\n' + FLAT, "bit_depth must lie between 1 and 32, got 0 in {folder}"),
+        (
+            'name = "s"\n' + FLAT + "mcp_volt = 7.0\n",
+            "unknown key 'mcp_volt' in stack 1 (\"flat-03\") of session.toml; did you mean 'mcp_v'?",
+        ),
+        (
+            'name = "s"\n' + FLAT + "mcp_v = -7.0\n",
+            'mcp_v must not be negative, got -7, in stack 1 ("flat-03") of session.toml',
+        ),
+        (
+            'name = "s"\nsensor = "none"\n' + FLAT,
+            "a sensor must be one of pulnix-ag5745ef3 or the path of a TOML file, got 'none'",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_session_is_one_sentence(tmp_path, manifest, sentence):
+    folder = session_of(tmp_path, manifest, a=np.zeros((1, 2, 2)))
+    with pytest.raises(BadInput) as error:
+        open_session(folder)
+    assert str(error.value) == sentence.format(folder=folder)
+
+
+def test_what_is_no_session_is_refused(tmp_path):
+    for path in (tmp_path, tmp_path / "none", tmp_path / "none" / "session.toml"):
+        with pytest.raises(BadInput, match=r"a session must be a folder with a session\.toml, got"):
+            open_session(path)
+
+
+def test_an_unknown_stack_is_answered_with_the_known_ones(tmp_path):
+    session = open_session(session_of(tmp_path, 'name = "s"\n' + FLAT, a=np.zeros((1, 2, 2))))
+    with pytest.raises(BadInput, match=r"a stack must be one of \['flat-03'\], got 'flat-3'"):
+        session.stack("flat-3")
