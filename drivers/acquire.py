@@ -117,7 +117,8 @@ class _Run:
         with self._begin(step, conditions) as stack:
             there = len(stack)
             lost = self._fill(step, stack) if there < step.frames else 0
-            self._bench.close_gate()
+            # No target moves before an open gate.
+            self._bench.set_conditions(replace(step.conditions, gate_ns=None))
             stack.finish(lost_frames=lost, notes=tuple(self._notes(step, there, conditions)))
         self._done += step.frames
 
@@ -149,6 +150,7 @@ class _Run:
         with self._camera.capture(frames=step.frames - len(stack), discard=DISCARDED_FRAMES) as capture:
             try:
                 for frame in capture:
+                    self._bench.check()
                     stack.append(frame.pixels, frame.time_s, frame.number)
                     self._tell(step, len(stack))
             except BaseException as error:

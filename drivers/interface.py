@@ -53,11 +53,14 @@ class Bench(Protocol):
     """Gate and gain of the tube, made safe by leaving its block."""
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain, and return what the instruments read back."""
+        """Set gate and gain, the gate shut meanwhile, and return what the instruments read back.
+
+        `gate_ns` None or 0 leaves the gate shut.
+        """
         ...
 
-    def close_gate(self) -> None:
-        """Close the gate and leave the gain, as between two stacks."""
+    def check(self) -> None:
+        """Raise what went wrong at the bench since the last look."""
         ...
 
     def safe(self) -> None:

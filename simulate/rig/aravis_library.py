@@ -3,7 +3,7 @@
 import ctypes
 import ctypes.util
 from collections.abc import Callable
-from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_uint32, c_void_p
+from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_uint32, c_void_p
 from typing import Any
 
 from labdata.errors import BadInput
@@ -19,11 +19,14 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_fake_camera_read_register": (c_bool, (c_void_p, c_uint32, POINTER(c_uint32))),
     "arv_fake_camera_write_register": (c_bool, (c_void_p, c_uint32, c_uint32)),
     "arv_fake_camera_write_memory": (c_bool, (c_void_p, c_uint32, c_uint32, c_char_p)),
+    "arv_fake_camera_set_trigger_frequency": (None, (c_void_p, c_double)),
     "arv_buffer_get_data": (c_void_p, (c_void_p, c_void_p)),
 }
 
 # Registers of the fake camera, as its GenICam description gives them.
 MODEL_NAME, MODEL_NAME_BYTES = 0x68, 32
+GAIN_RAW, ACQUISITION = 0x110, 0x124
+TRIGGER_MODE, TRIGGER_SOURCE, TRIGGER_SOFTWARE = 0x300, 0x304, 0x30C
 WIDTH, HEIGHT, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x118, 0x11C
 EXPOSURE_US, PIXEL_FORMAT, X_OFFSET, Y_OFFSET, FRAME_PERIOD_US = 0x120, 0x128, 0x130, 0x134, 0x138
 MONO_8, MONO_16 = 0x01080001, 0x01100007
@@ -70,16 +73,27 @@ class FakeCamera:
         text = name.encode()[: MODEL_NAME_BYTES - 1].ljust(MODEL_NAME_BYTES, b"\0")
         self._call("arv_fake_camera_write_memory", self._registers, MODEL_NAME, len(text), text)
 
-    def fill_with(self, draw: Callable[[int, int, int], bytes]) -> None:
-        """Fill every frame with what `draw` returns for exposure in us, gain and pixel format."""
+    def send_when_triggered(self, frame_rate_hz: float, ready: Callable[[], bytes]) -> None:
+        """Send a frame for each `trigger`, at most so many a second, with the pixels that `ready` hands over."""
 
-        def fill(buffer: int, _: int | None, exposure_us: int, gain: int, pixel_format: int) -> None:
-            pixels = draw(exposure_us, gain, pixel_format)
+        def fill(buffer: int, *_: int | None) -> None:
+            pixels = ready()
             # The buffer reports a size of 0 here; its memory holds width x height pixels.
             ctypes.memmove(self._call("arv_buffer_get_data", buffer, None), pixels, len(pixels))
 
         self._callback = _FILL(fill)
+        self._call("arv_fake_camera_set_trigger_frequency", self._registers, frame_rate_hz)
         self._call("arv_fake_camera_set_fill_pattern", self._registers, self._callback, None)
+        self.hold_trigger()
+
+    def hold_trigger(self) -> None:
+        """Keep the camera waiting for triggers, whatever a client switched."""
+        self.write(TRIGGER_SOURCE, 1)
+        self.write(TRIGGER_MODE, 1)
+
+    def trigger(self) -> None:
+        """Have one frame sent."""
+        self.write(TRIGGER_SOFTWARE, 1)
 
     def _call(self, name: str, *arguments: Any) -> Any:
         return getattr(self._library, name)(*arguments)

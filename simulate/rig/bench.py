@@ -18,8 +18,10 @@ from labdata.plan import Wires
 from labdata.sensor import Sensor
 from simulate.rig import aravis_library
 from simulate.rig.camera import LOCK_WAIT_S
-from simulate.rig.in_process import InProcessCamera
+from simulate.rig.in_process import InProcessInstruments
+from simulate.rig.in_process_camera import InProcessCamera
 from simulate.rig.operator import VirtualOperator
+from simulate.rig.outputs import Outputs, read_outputs
 from simulate.rig.process import VirtualInstruments
 from simulate.rig.truth_folder import TRUTH, Truth, make_truth, read_truth
 
@@ -39,8 +41,8 @@ class VirtualBench:
     seed
         Seed of the specimen and of every frame.
     wires
-        "virtual": the camera on a loopback GigE Vision wire. "in-process": the camera inside this process. Where
-        Aravis cannot be had, "virtual" leaves that wire out and says so.
+        "virtual": camera and instruments are processes on real wires; where Aravis cannot be had, the camera's wire
+        is left out and said to be. "in-process": everything inside this process; `inside` then holds the instruments.
     time_scale
         How much faster than life the high voltage moves, dimensionless.
     say
@@ -53,6 +55,7 @@ class VirtualBench:
     """
 
     silence_s = SILENCE_S
+    """Longest time that a frame of the virtual camera may take, s."""
 
     def __init__(
         self,
@@ -74,6 +77,8 @@ class VirtualBench:
         self._kind: Literal["virtual", "in-process"] = wires
         self.operator = VirtualOperator(self.folder)
         self.left_out: tuple[str, ...] = ()
+        self.inside: InProcessInstruments | None = None
+        self._instruments: VirtualInstruments | None = None
         self._camera: str | None = None
         self._process: subprocess.Popen[str] | None = None
 
@@ -101,8 +106,8 @@ class VirtualBench:
         """How the instruments are reached."""
         return Wires(
             bench=self._kind,
-            gate_port=str(self._instruments.gate_port),
-            supply_port=str(self._instruments.supply_port),
+            gate_port=self._instruments.gate_port if self._instruments else None,
+            supply_port=self._instruments.supply_port if self._instruments else None,
             camera=self._camera,
         )
 
@@ -118,15 +123,29 @@ class VirtualBench:
 
     def in_process_camera(self) -> InProcessCamera:
         """Return the camera without its wire."""
-        return InProcessCamera(self.folder, self._wires_folder)
+        return InProcessCamera(self.folder, self.outputs)
+
+    def outputs(self) -> Outputs:
+        """What the instruments put on the tube's wires now."""
+        return self.inside.outputs() if self.inside else read_outputs(self._wires_folder)
 
     def truth(self) -> Truth:
         """Return what the bench really is: for whoever compares afterwards, never for whoever measures."""
         return read_truth(self.truth_folder)
 
+    def _start_instruments(self, running: ExitStack) -> None:
+        if self._kind == "in-process":
+            self.inside = InProcessInstruments(time_scale=self._time_scale)
+        else:
+            instruments = VirtualInstruments(self._wires_folder, time_scale=self._time_scale)
+            self._instruments = running.enter_context(instruments)
+
     def _camera_has_a_wire(self) -> bool:
         if self._kind == "in-process":
-            self.left_out = ("The camera's GigE Vision wire was left out, as asked: it lives inside this process.",)
+            self.left_out = (
+                "All wires were left out, as asked: camera and instruments live inside this process, "
+                "and no watchdog guards them.",
+            )
         elif not aravis_library.is_available():
             self.left_out = (
                 "The camera's GigE Vision wire was left out: the Aravis library is not on this machine "

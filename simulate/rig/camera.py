@@ -1,28 +1,33 @@
 """The virtual camera's own process: a GigE Vision camera on loopback whose frames are drawn as they are exposed."""
 
 import argparse
+import contextlib
 import fcntl
 import json
 import os
+import queue
 import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import IO
 
-import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.rig import aravis_library as aravis
-from simulate.rig.tube import VirtualTube
+from simulate.rig.operator import Placement
+from simulate.rig.outputs import read_outputs
+from simulate.rig.tube import Scene, VirtualTube
 
 LOOPBACK = "127.0.0.1"
 MODEL = "VirtualICCD"
 PARENT_CHECK_S = 0.1
 LOCK_WAIT_S = 300.0
+IDLE_S = 0.002
+STUCK_S = 60.0
 
 
 def main(arguments: list[str]) -> int:
@@ -35,63 +40,103 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     try:
         lock = hold_loopback(options.parent)
-        camera = build(VirtualTube(options.folder, options.wires), options.serial)
+        tube = VirtualTube(options.folder, partial(read_outputs, options.wires))
+        camera = VirtualCamera(tube, options.serial)
     except BadInput as refusal:
         tell({"error": str(refusal)})
         return 1
     tell({"camera": f"Aravis-{MODEL}-{options.serial}"})
     while os.getppid() == options.parent:
-        time.sleep(PARENT_CHECK_S)
-    del camera, lock
-    return 0
+        camera.turn()
+    lock.close()
+    # The wire's own thread must not outlive the pixels that it sends.
+    os._exit(0)
 
 
-def build(tube: VirtualTube, serial: str) -> aravis.FakeCamera:
-    """Switch the camera on with the size, depth and field time of its sensor."""
-    sensor = tube.sensor
-    camera = aravis.FakeCamera(LOOPBACK, serial)
-    camera.name_model(MODEL)
-    field_rate_hz = float(sensor.video.field_rate_hz)
-    fields = 2 if sensor.video.interlaced else 1
-    for register, value in {
-        aravis.SENSOR_WIDTH: sensor.ccd.columns,
-        aravis.SENSOR_HEIGHT: sensor.ccd.rows,
-        aravis.WIDTH: sensor.ccd.columns,
-        aravis.HEIGHT: sensor.ccd.rows,
-        aravis.PIXEL_FORMAT: aravis.MONO_8 if sensor.video.bit_depth <= 8 else aravis.MONO_16,
-        aravis.EXPOSURE_US: round(1e6 / field_rate_hz),
-        aravis.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
-    }.items():
-        camera.write(register, value)
-    camera.fill_with(_painter(camera, tube))
-    return camera
+class VirtualCamera:
+    """A camera that exposes as long as a client asks for frames.
 
+    Frames are drawn here, at the pace of drawing, and handed to the wire's own thread, which never waits for a
+    drawing and so answers its client at any time.
 
-def _painter(camera: aravis.FakeCamera, tube: VirtualTube) -> Callable[[int, int, int], bytes]:
-    def paint(exposure_us: int, gain: int, pixel_format: int) -> bytes:
+    Parameters
+    ----------
+    tube
+        What it sees.
+    serial
+        Its serial number.
+    """
+
+    def __init__(self, tube: VirtualTube, serial: str) -> None:
+        self._tube = tube
+        self._wire = aravis.FakeCamera(LOOPBACK, serial)
+        self._slot: queue.Queue[bytes] = queue.Queue(maxsize=1)
+        self._prepared: Placement | None = None
+        self._wire.name_model(MODEL)
+        video, ccd = tube.sensor.video, tube.sensor.ccd
+        field_rate_hz, fields = float(video.field_rate_hz), 2 if video.interlaced else 1
+        for register, value in {
+            aravis.SENSOR_WIDTH: ccd.columns,
+            aravis.SENSOR_HEIGHT: ccd.rows,
+            aravis.WIDTH: ccd.columns,
+            aravis.HEIGHT: ccd.rows,
+            aravis.PIXEL_FORMAT: aravis.MONO_8 if video.bit_depth <= 8 else aravis.MONO_16,
+            aravis.EXPOSURE_US: round(1e6 / field_rate_hz),
+            aravis.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
+        }.items():
+            self._wire.write(register, value)
+        self._wire.send_when_triggered(field_rate_hz / fields, self._handed_over)
+
+    def turn(self) -> None:
+        """Expose the next frame if one is asked for; else look at what stands before the camera."""
+        self._wire.hold_trigger()
+        scene = self._scene()
+        if not self._wire.read(aravis.ACQUISITION):
+            self._drain()
+            self._prepare(scene)
+            time.sleep(IDLE_S)
+        elif self._slot.empty():
+            frame = self._tube.expose(scene)
+            # A frame whose scene changed while it was drawn is of no time at all.
+            if self._scene() == scene:
+                self._slot.put(self._as_sent(frame))
+                self._wire.trigger()
+        else:
+            time.sleep(IDLE_S)
+
+    def _scene(self) -> Scene:
+        return self._tube.scene(
+            exposure_s=self._wire.read(aravis.EXPOSURE_US) * 1e-6, gain_db=float(self._wire.read(aravis.GAIN_RAW))
+        )
+
+    def _prepare(self, scene: Scene) -> None:
+        if scene.placement != self._prepared:
+            self._tube.prepare(scene)
+            self._prepared = scene.placement
+
+    def _drain(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            self._slot.get_nowait()
+
+    def _handed_over(self) -> bytes:
+        """Give the wire the frame in the slot; called by the wire's thread."""
         try:
-            frame = tube.expose(exposure_s=exposure_us * 1e-6, gain_db=float(gain))
-            return _as_sent(frame, pixel_format, tube.sensor.video.bit_depth, _window(camera)).tobytes()
+            return self._slot.get(timeout=STUCK_S)
         except BaseException:
-            # Nothing can leave through C; a camera that cannot expose falls dead rather than send something else.
+            # Nothing can leave through C; a camera without a frame falls dead rather than send something else.
             traceback.print_exc()
             os._exit(1)
 
-    return paint
-
-
-def _window(camera: aravis.FakeCamera) -> tuple[slice, slice]:
-    row, col = camera.read(aravis.Y_OFFSET), camera.read(aravis.X_OFFSET)
-    return slice(row, row + camera.read(aravis.HEIGHT)), slice(col, col + camera.read(aravis.WIDTH))
-
-
-def _as_sent(frame: NDArray, pixel_format: int, bit_depth: int, window: tuple[slice, slice]) -> NDArray:
-    """Return the frame's window in a pixel format; 8-bit pixels of a deeper digitiser are its upper bits."""
-    if pixel_format == aravis.MONO_16:
-        return np.ascontiguousarray(frame[window], "<u2")
-    if pixel_format == aravis.MONO_8:
-        return np.ascontiguousarray(frame[window].astype(np.int64) >> max(0, bit_depth - 8), "u1")
-    raise BadInput(f"the virtual camera sends Mono8 and Mono16, got pixel format {pixel_format:#x}")
+    def _as_sent(self, frame: NDArray) -> bytes:
+        """Return the frame's window in the pixel format; 8-bit pixels of a deeper digitiser are its upper bits."""
+        row, col = self._wire.read(aravis.Y_OFFSET), self._wire.read(aravis.X_OFFSET)
+        pixels = frame[row : row + self._wire.read(aravis.HEIGHT), col : col + self._wire.read(aravis.WIDTH)]
+        pixel_format = self._wire.read(aravis.PIXEL_FORMAT)
+        if pixel_format == aravis.MONO_16:
+            return pixels.astype("<u2").tobytes()
+        if pixel_format == aravis.MONO_8:
+            return (pixels >> max(0, self._tube.sensor.video.bit_depth - 8)).astype("u1").tobytes()
+        raise BadInput(f"the virtual camera sends Mono8 and Mono16, got pixel format {pixel_format:#x}")
 
 
 def hold_loopback(parent: int) -> IO[str]:

@@ -1,5 +1,7 @@
 """The virtual tube: frame after frame of what stands before it, under the voltages on its wires at that moment."""
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +11,19 @@ from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from simulate.lab import LabBench
 from simulate.rig.operator import Placement, read_placement
-from simulate.rig.outputs import read_outputs
+from simulate.rig.outputs import Outputs
 from simulate.rig.truth_folder import TRUTH, read_truth
+
+GATE_EXTINCTION = 1e-7  # light that a closed gate lets through, over an open one: 1e6 to 1e7 to one in the visible
+MCP_FLOOR_V = 1.0  # a plate without voltage multiplies by next to nothing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """All that the next frame depends on, but its noise."""
+
+    placement: Placement
+    conditions: Conditions
 
 
 class VirtualTube:
@@ -24,24 +37,25 @@ class VirtualTube:
     ----------
     folder
         Folder of the bench: its truth, and what its operator placed.
-    wires
-        Folder of the wires of the instruments that now run.
+    outputs
+        Returns what the instruments put on its wires now.
     """
 
-    def __init__(self, folder: Path, wires: Path) -> None:
-        self._folder, self._wires = Path(folder), Path(wires)
-        self._truth = truth = read_truth(self._folder / TRUTH)
-        self._bench = LabBench(truth.sensor)
-        self._placement = Placement()
+    def __init__(self, folder: Path, outputs: Callable[[], Outputs]) -> None:
+        self._folder, self._outputs = Path(folder), outputs
+        self._truth = read_truth(self._folder / TRUTH)
+        self._benches: dict[float, LabBench] = {}
+        self._scene: Scene | None = None
         self._frame = 0
+        self._frames: Iterator[NDArray] = iter(())
 
     @property
     def sensor(self) -> Sensor:
         """The specimen."""
         return self._truth.sensor
 
-    def expose(self, *, exposure_s: float, gain_db: float) -> NDArray:
-        """Expose one frame, shape (row, col), DN.
+    def scene(self, *, exposure_s: float, gain_db: float) -> Scene:
+        """Return what stands before the camera now, and the true conditions at the tube.
 
         Parameters
         ----------
@@ -50,29 +64,45 @@ class VirtualTube:
         gain_db
             Gain behind the sensor, dB.
         """
-        placement = read_placement(self._folder)
-        self._frame = self._frame + 1 if placement.number == self._placement.number else 0
-        self._placement = placement
-        stack = self._bench.expose(
-            placement.kind,
-            placement.target,
-            self.conditions(placement, exposure_s=exposure_s, gain_db=gain_db),
-            frames=1,
-            seed=frame_seed(self._truth.seed, placement.number),
-            first_frame=self._frame,
-        )
-        return stack.data[0]
-
-    def conditions(self, placement: Placement, *, exposure_s: float, gain_db: float) -> Conditions:
-        """Return the true conditions at the tube now."""
-        outputs = read_outputs(self._wires)
-        return Conditions(
+        placement, outputs = read_placement(self._folder), self._outputs()
+        exposure_s = min(exposure_s, 1.0 / float(self.sensor.video.field_rate_hz))
+        conditions = Conditions(
             exposure_s=exposure_s,
-            mcp_v=round(outputs.mcp_v, 2),
-            gate_ns=outputs.open_ns(exposure_s),
+            mcp_v=max(round(outputs.mcp_v, 2), MCP_FLOOR_V),
+            gate_ns=max(outputs.open_ns(exposure_s), exposure_s * 1e9 * GATE_EXTINCTION),
             illuminance_lux=placement.illuminance_lux * self._truth.light_per_reading,
             camera_gain_db=gain_db,
         )
+        return Scene(placement=placement, conditions=conditions)
+
+    def prepare(self, scene: Scene) -> None:
+        """Render the picture of what stands before the camera, so that its first frame does not wait for it."""
+        self._bench(scene).photoelectrons(scene.placement.kind, scene.placement.target, scene.conditions)
+
+    def expose(self, scene: Scene) -> NDArray:
+        """Expose one frame of a scene, shape (row, col), DN."""
+        if scene != self._scene:
+            same_placement = self._scene is not None and scene.placement.number == self._scene.placement.number
+            self._frame = self._frame if same_placement else 0
+            self._scene = scene
+            self._frames = self._bench(scene).stream(
+                scene.placement.kind,
+                scene.placement.target,
+                scene.conditions,
+                seed=frame_seed(self._truth.seed, scene.placement.number),
+                first_frame=self._frame,
+            )
+        self._frame += 1
+        return next(self._frames)
+
+    def _bench(self, scene: Scene) -> LabBench:
+        """Return the bench at a video gain, which multiplies the signal before the digitiser."""
+        gain_db = scene.conditions.camera_gain_db or 0.0
+        if gain_db not in self._benches:
+            path = "video.conversion_gain_dn_per_e"
+            gain_dn_per_e = float(self.sensor.parameters()[path]) * 10.0 ** (gain_db / 20.0)
+            self._benches = {gain_db: LabBench(self.sensor.with_values({path: gain_dn_per_e}))}
+        return self._benches[gain_db]
 
 
 def frame_seed(seed: int, placement: int) -> int:

@@ -97,16 +97,16 @@ class FakeBench(_Opened):
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
         self.rig.happens("conditions set")
-        self.rig.diary.append("light on" if self.rig.light_lux else "light out")
+        if conditions.gate_ns:
+            self.rig.diary.append("light on" if self.rig.light_lux else "light out")
         self.rig.gate_open, self.rig.mcp_v = bool(conditions.gate_ns), conditions.mcp_v or 0.0
         # A supply reads back with its own resolution.
         return Conditions(
             mcp_v=None if conditions.mcp_v is None else conditions.mcp_v + 0.25, gate_ns=conditions.gate_ns
         )
 
-    def close_gate(self) -> None:
-        self.rig.happens("gate closes")
-        self.rig.gate_open = False
+    def check(self) -> None:
+        self.rig.happens("bench checked")
 
     def safe(self) -> None:
         self.rig.happens("made safe")

@@ -62,8 +62,7 @@ def test_asked_and_read_back_are_both_recorded(tmp_path):
 def test_light_is_out_while_gate_and_gain_move_and_the_gate_is_shut_while_targets_move(tmp_path):
     rig = FakeRig()
     take(rig, tmp_path / "s")
-    after = [rig.diary[place + 1] for place, event in enumerate(rig.diary) if event == "conditions set"]
-    assert after == ["light out"] * 3
+    assert [event for event in rig.diary if event.startswith("light ")] == ["light out"] * 3
 
 
 def test_the_bench_opens_last_and_closes_first(tmp_path):
@@ -93,6 +92,16 @@ def test_a_bench_that_cannot_be_made_safe_does_not_hide_the_first_error(tmp_path
     with pytest.raises(CameraError, match="has gone") as caught:
         take(rig, tmp_path / "s")
     assert any("the gate does not answer" in note for note in caught.value.__notes__)
+
+
+def test_a_trip_of_the_supply_ends_the_run_at_the_next_frame(tmp_path):
+    checks = iter(range(1, 100))
+    trip = CameraError("high-voltage supply tripped")
+    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and next(checks) == 6 else None)
+    with pytest.raises(CameraError, match="tripped"):
+        take(rig, tmp_path / "s")
+    assert not rig.gate_open
+    assert [len(entry.read()) for entry in open_session(tmp_path / "s").stacks] == [4, 1]
 
 
 def test_lost_frames_are_counted_in_the_session(tmp_path):
