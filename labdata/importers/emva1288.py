@@ -93,12 +93,13 @@ def write_session(form: SessionForm, out: Path) -> Session:
     """Return a new session, its manifest written once it has been checked."""
     if (out / MANIFEST).exists():
         raise BadInput(f"a new session needs a folder without one, got {out}")
-    session = session_of(out, from_mapping(to_mapping(form), SessionForm, where=MANIFEST))
+    form = from_mapping(to_mapping(form), SessionForm, where=MANIFEST)
     try:
         out.mkdir(parents=True, exist_ok=True)
+        session = session_of(out, form)
+        write_durably(out / MANIFEST, to_toml(form).encode())
     except OSError as error:
         raise BadInput(f"a session must be a folder that can be written, got {out}: {error.strerror}") from None
-    write_durably(out / MANIFEST, to_toml(form).encode())
     return session
 
 
