@@ -1,0 +1,200 @@
+"""The drivers say exactly what the manuals ask for: each test is the list of exchanges on the line."""
+
+import pytest
+
+from drivers.delay_generator import DelayGenerator
+from drivers.errors import InstrumentConfused, InstrumentRefused, InstrumentTripped
+from drivers.high_voltage import HighVoltage
+from drivers.prologix import PrologixLine
+from labdata.errors import BadInput
+
+
+class Exchanges:
+    """A line that knows what must be said, in order, and what is answered (None: nothing)."""
+
+    def __init__(self, *expected: tuple[str, str | None], name: str = "instrument") -> None:
+        self.name, self._expected = name, list(expected)
+
+    def write(self, command: str) -> None:
+        self._next(command, None)
+
+    def ask(self, question: str, *, about: str = "") -> str:
+        answer = self._next(question, "an answer")
+        assert answer is not None, f"{question} is answered by nothing"
+        return answer
+
+    def close(self) -> None:
+        pass
+
+    def _next(self, said: str, kind: str | None) -> str | None:
+        assert self._expected, f"nothing more must be said, got {said!r}"
+        must, answer = self._expected.pop(0)
+        assert said == must
+        assert (answer is None) == (kind is None), said
+        return answer
+
+    def __enter__(self) -> "Exchanges":
+        return self
+
+    def __exit__(self, kind, error, trace) -> None:
+        if kind is None:
+            assert not self._expected, f"still to be said: {self._expected}"
+
+
+def sets(*commands: str) -> list[tuple[str, str | None]]:
+    """Each command, and the error queue asked after it."""
+    return [exchange for command in commands for exchange in ((command, None), ("LERR?", "0"))]
+
+
+SHUT = [
+    ("TSRC 5", None),
+    ("LPOL 1,1", None),
+    ("LOFF 1,0", None),
+    ("LERR?", "0"),
+    ("TSRC?", "5"),
+    ("LPOL? 1", "1"),
+    ("LOFF? 1", "+0.00"),
+]
+OTHER_EDGES = [f"DLAY {edge},0,0" for edge in range(4, 10)]
+PROGRAM = sets(
+    *OTHER_EDGES, "BURM 0", "ADVT 0", "INHB 0", "LAMP 1,4", "TRAT 60.000000", "DLAY 2,0,0.000000000000",
+    "DLAY 3,2,0.016000000000",
+)  # fmt: skip
+READ_BACK = [("TRAT?", "+60.000000"), ("LAMP? 1", "+4.00"), ("DLAY? 3", "2,+0.016000000000")]
+TRIGGER = [("INSR?", "0"), *sets("TSRC 0"), ("TSRC?", "0")]
+
+
+def test_the_gate_is_shut_by_removing_triggers_first():
+    with Exchanges(*SHUT) as line:
+        DelayGenerator(line).shut()
+
+
+def test_the_gate_is_programmed_while_shut_and_read_back_before_it_opens():
+    with Exchanges(*SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "5")) as line:
+        assert DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0) == pytest.approx(1.6e7)
+
+
+def test_lost_triggers_shut_the_gate_again():
+    with Exchanges(*SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "7"), *SHUT, name="delay generator") as line:
+        with pytest.raises(InstrumentRefused, match="must use every trigger, got some lost at 60 Hz"):
+            DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
+
+
+def test_a_width_read_back_otherwise_never_opens_the_gate():
+    back = [*READ_BACK[:2], ("DLAY? 3", "2,+0.015000000000")]
+    with Exchanges(*SHUT, *PROGRAM, *back) as line:
+        with pytest.raises(InstrumentRefused, match=r"must keep a gate of 1.6e[+]07 ns, got 1.5e[+]07 ns back"):
+            DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
+
+
+def test_a_refused_command_is_told_with_its_meaning():
+    with Exchanges(("TSRC 5", None), ("LPOL 1,1", None), ("LOFF 1,0", None), ("LERR?", "171")) as line:
+        with pytest.raises(InstrumentRefused, match="error 171: overrun") as refusal:
+            DelayGenerator(line).shut()
+    assert refusal.value.code == 171
+
+
+@pytest.mark.parametrize("width_ns", [0.001, 1.67e7, float("nan")])
+def test_a_gate_that_does_not_fit_between_triggers_is_refused_before_anything_is_said(width_ns):
+    with Exchanges() as line, pytest.raises(BadInput, match="gate_ns must lie between"):
+        DelayGenerator(line).open(width_ns=width_ns, rate_hz=60.0)
+
+
+def test_a_supply_on_the_gates_line_is_no_delay_generator():
+    with Exchanges(("*IDN?", "StanfordResearchSystems,PS350,2067,1.40")) as line:
+        with pytest.raises(InstrumentConfused, match="must be a DG645"):
+            DelayGenerator(line).identify()
+
+
+def done(*commands: str) -> list[tuple[str, str | None]]:
+    """Each command, and the event status asked after it."""
+    return [exchange for command in commands for exchange in ((command, None), ("*ESR?", "0"))]
+
+
+def test_the_supply_is_off_and_limited_before_anything_else():
+    with Exchanges(*done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "900")) as line:
+        HighVoltage(line).prepare(limit_v=900)
+
+
+def test_a_limit_read_back_higher_is_refused():
+    with Exchanges(*done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "5000")) as line:
+        with pytest.raises(InstrumentRefused, match="must keep a limit of 900 V, got 5000 V back"):
+            HighVoltage(line).prepare(limit_v=900)
+
+
+def test_the_voltage_rises_in_small_steps_and_is_verified_at_the_output():
+    steps = done("VSET 100", "VSET 150", "VSET 180")
+    settling = [("VOUT?", volts) for volts in ("150", "170", "180", "180")]
+    with Exchanges(("VSET?", "50"), *steps, *settling) as line:
+        assert HighVoltage(line).raise_to(180, rate_v_per_s=1000) == 180
+
+
+def test_an_output_that_does_not_follow_is_refused():
+    with Exchanges(("VSET?", "50"), *done("VSET 100"), ("VOUT?", "50"), ("VOUT?", "50")) as line:
+        with pytest.raises(InstrumentRefused, match="must put out 100 V as set, got 50 V"):
+            HighVoltage(line).raise_to(100, rate_v_per_s=1000)
+
+
+def test_a_step_beyond_the_supplys_own_limit_is_refused_with_its_meaning():
+    with Exchanges(("VSET?", "50"), ("VSET 100", None), ("*ESR?", "16")) as line:
+        with pytest.raises(InstrumentRefused, match="'VSET 100', got event status 16: not possible"):
+            HighVoltage(line).raise_to(100, rate_v_per_s=1000)
+
+
+def test_a_check_ends_the_ramp_at_once():
+    def tripped() -> None:
+        raise InstrumentTripped("the supply must stay on, got a trip")
+
+    with Exchanges(("VSET?", "50")) as line, pytest.raises(InstrumentTripped):
+        HighVoltage(line).raise_to(800, rate_v_per_s=1000, check=tripped)
+
+
+@pytest.mark.parametrize(("status", "how"), [(130, "on voltage"), (4, "on current"), (0, "without a trip bit")])
+def test_a_supply_that_switched_itself_off_is_tripped(status, how):
+    with Exchanges(("*STB?", str(status))) as line, pytest.raises(InstrumentTripped, match=how):
+        HighVoltage(line).check_on()
+
+
+def test_a_trip_not_cleared_at_the_instrument_keeps_it_off():
+    with Exchanges(*done("VSET 50"), ("HVON", None), ("*ESR?", "16")) as line:
+        supply = HighVoltage(line)
+        with pytest.raises(InstrumentTripped, match="find its cause"):
+            supply.switch_on()
+        assert not supply.is_on
+
+
+def test_off_follows_the_output_until_it_is_discharged():
+    with Exchanges(*done("HVOF"), ("VOUT?", "300"), ("VOUT?", "30"), ("VOUT?", "9")) as line:
+        assert HighVoltage(line).off() == 9
+
+
+def test_words_where_a_number_belongs_are_confusion():
+    with Exchanges(("VOUT?", "OK")) as line, pytest.raises(InstrumentConfused, match=r"VOUT\? with a number, got 'OK'"):
+        HighVoltage(line).measured_v()
+
+
+ADAPTER = [
+    *((f"++{s}", None) for s in ("savecfg 0", "auto 0", "mode 1", "eoi 1", "eos 2", "read_tmo_ms 200", "addr 14")),
+    ("++addr", "14"),
+]
+
+
+def test_the_adapter_never_talks_by_itself_nor_wears_its_memory():
+    with Exchanges(*ADAPTER, ("VOUT?", None), ("++read eoi", "800"), ("HVOF", None)) as line:
+        line.hurry = None
+        supply = PrologixLine(line, address=14)
+        assert supply.ask("VOUT?") == "800"
+        supply.write("HVOF")
+
+
+def test_what_the_adapter_would_eat_is_escaped():
+    with Exchanges(*ADAPTER, ("VSET 1\x1b+2", None)) as line:
+        line.hurry = None
+        PrologixLine(line, address=14).write("VSET 1+2")
+
+
+def test_an_adapter_that_keeps_another_address_is_confusion():
+    with Exchanges(*ADAPTER[:-1], ("++addr", "9"), name="supply") as line:
+        line.hurry = None
+        with pytest.raises(InstrumentConfused, match="must keep the address 14, got '9'"):
+            PrologixLine(line, address=14)
