@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from charact.report.style import DATA, INK, MODEL, as_svg, note, panels, styled
 from labdata.measurement import QUANTILES, Posterior
 
-MOST_PARAMETERS = 6
-BINS = 28
+MOST_PARAMETERS = 5
+BINS = 22
 # A name that ends in its unit need not say it twice.
 UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg", "e-": "_e", "DN2": "_dn2", "pe": "_pe"}
 
@@ -20,7 +20,7 @@ def corner_svg(posterior: Posterior, title: str) -> str:
     Parameters
     ----------
     posterior
-        The draws; at most six parameters are shown, those that vary, in their order.
+        The draws; at most five parameters are shown, those that vary, in their order.
     title
         What it is the posterior of.
     """
@@ -37,7 +37,7 @@ def corner_svg(posterior: Posterior, title: str) -> str:
 
 
 def varying(posterior: Posterior) -> tuple[int, ...]:
-    """Indices of the parameters that vary and are finite, at most six."""
+    """Indices of the parameters that vary and are finite, at most five."""
     draws = posterior.draws
     good = (
         np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0) if len(draws) else np.zeros(draws.shape[1], bool)
@@ -84,8 +84,7 @@ def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     levels = _levels_holding(density, (0.95, 0.68))
     middles = (x_edges[:-1] + x_edges[1:]) / 2, (y_edges[:-1] + y_edges[1:]) / 2
     if levels[0] < levels[1] < density.max():
-        axes.contourf(*middles, density.T, levels=[*levels, density.max()], colors=[DATA, DATA], alpha=0.3)
-        axes.contour(*middles, density.T, levels=levels, colors=[DATA], linewidths=0.9)
+        axes.contourf(*middles, density.T, levels=[*levels, density.max()], colors=[(DATA, 0.25), (DATA, 0.6)])
     else:
         axes.plot(x[::10], y[::10], ".", color=DATA, markersize=2)
     axes.plot(np.median(x), np.median(y), "+", color=MODEL, markersize=7)

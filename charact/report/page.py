@@ -74,7 +74,7 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
         quantities=tables.quantity_rows(result),
         beside=beside_truth(result, truth or {}),
         mtf_figure=overlay,
-        mtf_class="wide" if overlay and overlay.count('id="axes_') > 1 else "single",
+        mtf_class="wide" if overlay and overlay.count("frequency; bands") > 1 else "single",
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         pictures=representative(session, result.measurements),
         validation=None if validation is None else validation_section(validation),

@@ -81,18 +81,23 @@ def as_svg(figure: Any, description: str) -> str:
     """
     text = StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None})
-    svg = text.getvalue()
+    svg = _lean(text.getvalue()).replace(INK, "currentColor")
+    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', 1)
+
+
+def _lean(svg: str) -> str:
+    """Strip what an HTML page does not need: prologue, metadata, name spaces, names of groups, idle digits and space."""
     svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
-    svg = re.sub(r"<!--.*?-->\s*", "", svg, flags=re.S)
+    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
     svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href")
     svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
     svg = re.sub(r"'DejaVu Sans'[^;\"]*", "sans-serif", svg)
+    # Names of groups would repeat from figure to figure; definitions keep theirs, made from their content.
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
     # Only inside tags: what a reader reads keeps its digits.
-    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d+\.\d{2})\d+", r"\1", tag.group()), svg).replace(
-        INK, "currentColor"
-    )
-    return svg.replace("<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', 1)
+    svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d\.\d)\d+", r"\1", " ".join(tag.group().split())), svg)
+    svg = re.sub(r">\s+<", "><", svg)
+    return re.sub(r"(<g/>)|(<g></g>)", "", svg)
 
 
 def thinned(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], ...]:
