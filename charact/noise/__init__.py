@@ -1,0 +1,34 @@
+"""Noise against gain, from dark and evenly lit frames."""
+
+from charact.method import Context, choose
+from charact.noise import covariance_sum, variance
+from labdata.errors import BadInput
+from labdata.measurement import Result
+from labdata.session import Session
+
+__all__ = ["covariance_sum", "measure", "variance"]
+
+
+def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+    """Measure noise and gain from the darks and flats of a session.
+
+    Parameters
+    ----------
+    session
+        Session with at least one dark or flat stack.
+    method
+        "auto" or the name of a registered method of kind "flats".
+    within_percent
+        Tolerance that the automatic choice must meet, percent.
+    context
+        What the method is told besides.
+
+    Raises
+    ------
+    BadInput
+        If the session has neither darks nor flats, or the method is unknown.
+    """
+    chosen = choose("flats", method, within_percent=within_percent)
+    if not session.of_kind("dark", "flat"):
+        raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
+    return chosen.function(session, context=context)

@@ -1,0 +1,132 @@
+"""What can be wrong with a series of flats: each check returns flags and says in words what it saw."""
+
+import numpy as np
+
+from charact.method import Context
+from charact.noise.level import Level
+from charact.noise.series import CLIPPED_SHARE, Series, gain_of
+from labdata.conditions import Conditions
+
+Finding = tuple[str | None, str]
+
+# A check speaks up when the effect is both beyond its noise and large enough to move a number.
+SIGNIFICANT = 5.0
+DRIFT_SHARE = 0.02
+FLICKER_SHARE = 0.01
+# Share of a change of light that the mean must follow at least.
+FOLLOWED = 0.5
+NONLINEAR_SHARE = 0.05
+# EMVA 1288, 6.6: below this variance (0.24 DN^2) the digitiser's steps no longer act as noise.
+QUANTISED_DN2 = 0.24
+LOW_SIGNAL = 5.0
+
+
+def series_findings(series: Series, *, context: Context) -> list[Finding]:
+    """Return the flags, with their sentences, that concern every number made of the series."""
+    found: list[Finding] = []
+    if series.reference != "dark":
+        found.append(("no-darks", f"no dark frames: levels are counted from the {series.reference}"))
+    found += _steadiness(series)
+    found += _light(series)
+    found += _codes(series)
+    alike = {gain_of(dark.conditions) for dark in series.darks} | {gain_of(flat.conditions) for flat in series.flats}
+    if len({gain for gain in alike if None not in gain or gain[0] is not None}) > 1:
+        found.append(("unlike-conditions", "the darks were taken at another gain than the flats"))
+    left = int(series.fitted.sum())
+    if left < 3:
+        word = "level" if left == 1 else "levels"
+        found.append(("too-few-frames", f"only {left} {word} inside the linear range: the law cannot be checked"))
+    return found
+
+
+def _steadiness(series: Series) -> list[Finding]:
+    found: list[Finding] = []
+    for flat, signal in zip(series.flats, series.signal_dn, strict=True):
+        drift, flicker = unsteadiness(flat)
+        if abs(drift) > DRIFT_SHARE * abs(signal):
+            found.append(("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame"))
+        if flicker > FLICKER_SHARE * abs(signal):
+            found.append(("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
+    return found
+
+
+def unsteadiness(level: Level) -> tuple[float, float]:
+    """Return drift from first to last frame and rms flicker, DN; zero where they are within their noise.
+
+    Noise of a frame's mean: its variance by the covariance sum, which blur cannot exceed 100-fold at these sizes.
+    """
+    means = level.frame_mean_dn
+    if len(means) < 4:
+        return 0.0, 0.0
+    power = level.variance_dn2 if level.many is None else _low_power(level)
+    noise = np.sqrt(max(power, level.variance_dn2) / level.pixels)
+    time = np.linspace(-0.5, 0.5, len(means))
+    slope = float(time @ means / (time @ time))
+    slope_sd = noise / np.sqrt(time @ time)
+    rest = means - means.mean() - slope * time
+    rms = float(np.sqrt(rest @ rest / (len(means) - 2)))
+    significant = rms > noise * (1 + SIGNIFICANT / np.sqrt(2 * len(means)))
+    drift = slope if abs(slope) > SIGNIFICANT * max(slope_sd, rms / np.sqrt(time @ time)) else 0.0
+    return drift, rms if significant else 0.0
+
+
+def _low_power(level: Level) -> float:
+    """Power of the lowest bins, all lags."""
+    spectrum = level.many
+    low = np.argsort(np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px))[:8]
+    power = spectrum.power_dn2[low]
+    return float(power[:, 0].mean() + 2.0 * np.clip(power[:, 1:].mean(axis=0), 0, None).sum())
+
+
+def light_of(conditions: Conditions) -> float | None:
+    """What the signal should be proportional to, in arbitrary units; None where the light is unknown."""
+    if conditions.photons_per_px is not None:
+        return conditions.photons_per_px
+    if conditions.illuminance_lux is None:
+        return None
+    time = conditions.gate_ns if conditions.gate_ns is not None else conditions.exposure_s
+    return conditions.illuminance_lux * (1.0 if time is None else time)
+
+
+def _light(series: Series) -> list[Finding]:
+    """Whether the signal follows the light between the levels that are fitted."""
+    chosen = np.flatnonzero(series.fitted)
+    light = [light_of(series.flats[i].conditions) for i in chosen]
+    if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
+        return []
+    exposure, signal = np.array(light, float), series.signal_dn[chosen]
+    span = exposure.max() / exposure.min()
+    if span < 1.3:
+        return []
+    slope = float(np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0])
+    if slope < FOLLOWED:
+        return [("agc", f"the light changed {span:.3g}-fold and the mean only as its power {slope:.2f}")]
+    ratio = signal / exposure
+    reference = float(exposure @ signal / (exposure @ exposure))
+    off = float(np.abs(ratio / reference - 1.0)[signal > 0.05 * signal.max()].max())
+    if off > NONLINEAR_SHARE:
+        return [("nonlinear", f"signal over light departs by {100 * off:.1f} % from its mean")]
+    return []
+
+
+def _codes(series: Series) -> list[Finding]:
+    found: list[Finding] = []
+    found += [
+        ("clipped", f"{100 * level.low_share:.1f} % of the pixels of {level.label} are at code 0")
+        for level in (*series.all_darks, *series.flats)
+        if level.low_share > 0.01
+    ]
+    over = [flat.label for flat in series.flats if flat.high_share > CLIPPED_SHARE]
+    if over and not series.fitted.any():
+        found.append(("saturated", f"pixels of {', '.join(over)} are at the highest code"))
+    return found
+
+
+def notes_of(findings: list[Finding]) -> tuple[str, ...]:
+    """The sentences."""
+    return tuple(dict.fromkeys(sentence for _, sentence in findings))
+
+
+def flags_of(findings: list[Finding]) -> tuple[str, ...]:
+    """The flags."""
+    return tuple(dict.fromkeys(flag for flag, _ in findings if flag))

@@ -1,0 +1,176 @@
+"""Gain of a camera that blurs after its gain: from the covariance summed over pixels and exposures."""
+
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from charact.method import Context, register
+from charact.noise import model, standard
+from charact.noise.calibrated import calibrated_quantities
+from charact.noise.checks import flags_of, notes_of, series_findings
+from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
+from charact.noise.level import Level
+from charact.noise.provenance import provenance
+from charact.noise.quantities import correlated, dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.series import Series, read_levels, series_of
+from charact.noise.summary import Summary, summarise
+from charact.noise.verdict import lit, problem, timed, without_flats
+from labdata.measurement import Measurement, Result, from_draws, refused
+from labdata.session import Session
+
+METHOD = "covariance-sum"
+# Levels whose covariance over signal departs by more than this share and this many standard errors are no one line.
+LEVEL_SHARE = 0.06
+LEVEL_ERRORS = 5.0
+
+
+@register(
+    "flats",
+    METHOD,
+    quantities=("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain"),
+    scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more.",
+)
+def covariance_sum(session: Session, *, context: Context) -> Result:
+    """Measure covariance gain, blur factor and all that follows from darks and flats.
+
+    Parameters
+    ----------
+    session
+        Session with dark and flat stacks.
+    context
+        Seed and settings; the sensor, where known, gives pitches and priors.
+
+    Notes
+    -----
+    Covariance gain is K + k F^2, the power of the noise at frequency 0 over the signal, summed over the lags of the
+    phosphor. See `charact.noise.model`.
+    """
+    began = perf_counter()
+    darks, flats, single = read_levels(session, context=context, spectra=True)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    series = series_of(flats, darks) if flats else None
+    if series is None or problem(series) is not None:
+        out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
+        alone = _blur_of_darks(darks, context, fields) if darks else Result()
+        return Result(measurements=timed([*out, *alone.measurements], began), evidence=alone.evidence)
+    return _of_series(series, context, fields, began)
+
+
+def _of_series(series: Series, context: Context, fields: dict[str, Any], began: float) -> Result:
+    """All quantities of a series of flats."""
+    context.progress("posterior of the covariance gain", 0.9)
+    summary = summarise(series)
+    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=_exponent(context))
+    levels, spread = level_gains(series, summary, fit)
+    findings = series_findings(series, context=context) + _model_findings(summary, fit, levels, spread, context)
+    flags, notes = flags_of(findings), notes_of(findings)
+    own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
+    out = [
+        from_draws("covariance_gain", "DN", fit.posterior["covariance_gain"], **own),
+        from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
+    ]
+    common = flags_of(series_findings(series, context=context))
+    gain = None if correlated(lit(series)) else standard.gain_line(series, context=context)
+    out += _gain_quantities(series, gain, fit, context, common, fields)
+    out.append(saturation(series, flags=common, **fields))
+    out += dark_quantities(series.all_darks, flags=common, **fields) if series.all_darks else []
+    out += pattern_quantities(series, None if gain is None else gain.slope, flags=common, **fields)
+    evidence = {
+        "photon-transfer": transfer_evidence(
+            series,
+            gain=None if gain is None else float(np.median(gain.slope)),
+            covariance_dn2=(levels * series.signal_dn).tolist(),
+            covariance_sd_dn2=(spread * series.signal_dn).tolist(),
+            covariance_gain_dn=float(np.median(fit.posterior["covariance_gain"])),
+            blur_factor=float(np.median(fit.posterior["blur_factor"])),
+            lag_factor=float(np.median(fit.posterior["lag_factor"])),
+        ),
+        "noise-spectrum": spectrum_evidence(summary, fit),
+        "autocorrelation": correlation_evidence(series, summary),
+    }
+    return Result(measurements=timed(out, began), evidence=evidence)
+
+
+def _exponent(context: Context) -> tuple[float, float]:
+    """Prior of the exponent of the blur: the sensor's own where it is known."""
+    if context.sensor is None:
+        return model.EXPONENT
+    known = context.sensor.tube.mtf_exponent
+    spread = 0.0 if known.low is None or known.high is None else (known.high - known.low) / 3.92
+    return float(known), max(spread, 0.05)
+
+
+def _gain_quantities(series: Series, gain: standard.Line | None, fit: model.Fit, context: Context,
+                     flags: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Gain in DN per electron where noise is white; the gain per photoelectron where the light is known."""
+    if gain is None:
+        blur = float(np.median(fit.posterior["blur_factor"]))
+        reason = (
+            f"neighbouring pixels share noise (blur factor {blur:.3g}): the variance over the signal is no gain "
+            "per electron; see covariance_gain"
+        )
+        return [refused("system_gain", "DN/e-", reason, **fields), *calibrated_quantities(
+            series, fit.posterior, context=context, flags=flags, **fields)]  # fmt: skip
+    own = flags + gain.posterior.flags
+    first = from_draws("system_gain", "DN/e-", gain.slope, flags=own, posterior=gain.posterior, **fields)
+    return [first, *white_quantities(series, gain, context=context, flags=own, **fields)]
+
+
+def level_gains(series: Series, summary: Summary, fit: model.Fit):
+    """Return the covariance over signal of every flat under the common blur, and its standard error, DN."""
+    shape = fit.model_dn / float(np.median(fit.posterior["power"]))
+    name = "many" if summary.lag.seen else "few"
+    use = fit.used
+    gains, errors = [], []
+    for flat, dark, signal in zip(series.flats, series.darks, series.signal_dn, strict=True):
+        power = getattr(flat, name).power_dn2[use, 0] - getattr(dark, name).power_dn2[use, 0]
+        modes = flat.bins.modes[use] * flat.bins.efficiency
+        weight = modes / modes.sum()
+        scaled = power / shape[use] / signal
+        gains.append(float(weight @ scaled))
+        own = np.sqrt(weight**2 @ (scaled - gains[-1]) ** 2)
+        errors.append(float(np.hypot(own, gains[-1] * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12))))
+    return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor
+
+
+def _model_findings(summary: Summary, fit: model.Fit, levels, spread, context: Context):
+    """What the fit itself says against or about its numbers."""
+    found: list[tuple[str | None, str]] = []
+    if fit.chance < 1e-4:
+        found.append(("model-misfit", f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"))
+    blur = float(np.median(fit.posterior["blur_factor"]))
+    if blur < 0.9:
+        found.append((None, f"noise is correlated between pixels (blur factor {blur:.3g}) and was treated as such"))
+    if summary.lag.seen:
+        found.append((None, f"earlier exposures glow on (lag factor {summary.lag.factor:.3g}); all lags were summed"))
+    if not summary.lag.tested and context.sensor is not None:
+        found.append(("too-few-frames", "too few frames to look for light of earlier exposures"))
+    found += [(flag, "see the posterior") for flag in fit.posterior.flags]
+    return found
+
+
+def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any]) -> Result:
+    """Blur factor of the noise of darks alone."""
+    dark = max(darks, key=lambda level: (level.frames, -(level.conditions.exposure_s or 0.0)))
+    if dark.variance_dn2 <= 0:
+        return Result(measurements=(refused("blur_factor", "1", f"{dark.label} does not change", **fields),))
+    nothing = replace(dark, label="nothing", variance_dn2=0.0, variance_sd_dn2=0.0, few=_zero(dark.few),
+                      many=_zero(dark.many))  # fmt: skip
+    one = np.ones(1)
+    series = Series(flats=(dark,), darks=(nothing,), all_darks=(dark,), signal_dn=one,
+                    variance_dn2=one * dark.variance_dn2, variance_sd_dn2=one * dark.variance_sd_dn2,
+                    fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
+    summary = summarise(series)
+    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=_exponent(context))
+    flags = ("model-misfit",) if fit.chance < 1e-4 else ()
+    flags += ("quantised",) if dark.variance_dn2 < 0.24 else ()
+    note = ("from the darks alone: the electronics' white noise is in it",)
+    found = from_draws("blur_factor", "1", fit.posterior["blur_factor"], flags=flags + fit.posterior.flags,
+                       notes=note, posterior=fit.posterior, **fields)  # fmt: skip
+    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_evidence(summary, fit)})
+
+
+def _zero(spectrum):
+    return replace(spectrum, power_dn2=0.0 * spectrum.power_dn2, variance_dn2=0.0)

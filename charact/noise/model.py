@@ -1,0 +1,185 @@
+"""The noise spectrum of a camera that blurs after its gain, and the posterior of the covariance gain under it.
+
+Photoelectrons arrive independently and everything after the gain blurs them, so the power of the noise is
+(K + k F^2) mu |H(f)|^2: at f -> 0 it is the covariance summed over all lags, whatever the blur. Blur of image tubes
+has long wings (transfer exp(-(f/fc)^n) with n near 1), so that no window of lags holds all of the sum; the spectrum is
+extrapolated instead with the form that such transfers have, and the extrapolation's uncertainty is in the interval.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.summary import Summary
+from charact.posterior import laplace, maximum, sample
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+NAMES = ("power", "fall_columns", "fall_rows", "strength", "exponent")
+UNITS = ("DN", "1", "1", "1", "1")
+DERIVED = ("covariance_gain", "blur_factor", "lag_factor")
+DERIVED_UNITS = ("DN", "1", "1")
+# Frequency at which the fall of the logarithm is stated, cycles per column pitch.
+REFERENCE_CY_PER_PX = 0.1
+# Flat priors but for the exponent. Falls and strength may go below zero, else a camera without blur would be pushed
+# to one side.
+BOUNDS = np.array([[0.0, np.inf], [-1.0, 6.0], [-1.0, 6.0], [-1.5, 6.0], [0.7, 2.5]])
+# Normal prior of the exponent where no sensor states it: image tubes lie between 1.1 and 1.7, Gaussian blur is left
+# to the widths that falls and strength leave. Mean and standard deviation.
+EXPONENT = (1.3, 0.2)
+# The spectrum is fitted up to one of these radii, the widest that the model describes.
+REACHES_CY_PER_PX = (0.25, 0.2, 0.16, 0.13, 0.1)
+# Least probability of the residuals by chance for the model to pass.
+LEAST_CHANCE = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """Posterior of the noise model with what it was fitted to.
+
+    Parameters
+    ----------
+    posterior
+        Draws of `NAMES`.
+    used
+        Bins fitted, shape (bin,).
+    model_dn
+        Power of the best fit in every bin, shape (bin,), DN.
+    chi2, freedom, chance
+        Squared residuals over their variance, degrees of freedom, and the probability of more by chance.
+    """
+
+    posterior: Posterior
+    used: NDArray[np.bool_]
+    model_dn: Array
+    chi2: float
+    freedom: int
+    chance: float
+
+
+def transfer(parameters: Array, column: Array, row: Array) -> Array:
+    """Return |H|^2 of the blur after the gain, shape (draw, bin).
+
+    exp(-b r^n - cx x^2 - cy y^2), frequencies in units of the reference: the tube's form times the leading term of
+    every aperture and filter. The parameters are the falls b + cx and b + cy at the reference, b and n.
+    """
+    columns, rows, strength, exponent = (parameters[:, i, None] for i in range(1, 5))
+    x, y = column / REFERENCE_CY_PER_PX, row / REFERENCE_CY_PER_PX
+    return np.exp(-strength * np.hypot(x, y) ** exponent - (columns - strength) * x**2 - (rows - strength) * y**2)
+
+
+def spectrum_at(parameters: Array, column: Array, row: Array) -> Array:
+    """Return the power per DN of signal at one time lag 0, shape (draw, bin), DN."""
+    return parameters[:, :1] * transfer(parameters, column, row)
+
+
+def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, float] = EXPONENT) -> Fit:
+    """Fit the model to the pooled spectrum, the variance and the correlation in time.
+
+    Parameters
+    ----------
+    summary
+        The statistics.
+    seed, quick
+        Seed of the draws; without a Markov chain.
+    exponent
+        Mean and standard deviation of the prior of the exponent n.
+    """
+    radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
+    for reach in REACHES_CY_PER_PX:
+        used = radius <= reach
+        peak = _climb(summary, used, exponent)
+        if peak.chance > LEAST_CHANCE or used.sum() < 24:
+            break
+    drawn = (laplace if quick else sample)(
+        peak.log_probability, names=NAMES, units=UNITS, start=peak.point, covariance=peak.covariance, seed=seed,
+        bounds=BOUNDS,
+    )  # fmt: skip
+    posterior = _with_gain(drawn, summary, np.random.default_rng([seed, 1]))
+    model = spectrum_at(peak.point[None], summary.column_cy_per_px, summary.row_cy_per_px)[0]
+    return Fit(posterior=posterior, used=used, model_dn=model, chi2=peak.chi2, freedom=peak.freedom, chance=peak.chance)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Peak:
+    """The best fit over a range of frequency."""
+
+    log_probability: Callable[[Array], Array]
+    point: Array
+    covariance: Array
+    chi2: float
+    freedom: int
+    chance: float
+
+
+def _climb(summary: Summary, used: NDArray[np.bool_], exponent: tuple[float, float]) -> _Peak:
+    """Find the peak; the errors of the bins are those of the fitted power, not of the scattered one."""
+    from scipy.stats import chi2 as chi_squared
+
+    column, row, power = summary.column_cy_per_px[used], summary.row_cy_per_px[used], summary.power_dn[used]
+    point = _start(summary, used, exponent[0])
+    for _ in range(2):
+        model = spectrum_at(point[None], column, row)[0]
+        own = summary.power_sd_dn[used] * model / np.maximum(power, 0.2 * model)
+        log_probability = _log_probability(summary, used, model, own, exponent)
+        point, covariance = maximum(log_probability, point, BOUNDS)
+    model = spectrum_at(point[None], column, row)[0]
+    chi2, freedom = float(np.sum(((power - model) / own) ** 2)), int(used.sum()) - 5
+    return _Peak(log_probability=log_probability, point=point, covariance=covariance, chi2=chi2, freedom=freedom,
+                 chance=float(chi_squared.sf(chi2, freedom)))  # fmt: skip
+
+
+def _with_gain(drawn: Posterior, summary: Summary, rng: np.random.Generator) -> Posterior:
+    """Put the gain, the blur factor and the lag factor before the draws of the spectrum.
+
+    The variance and the correlation in time are measured apart from the spectrum's height: their errors are drawn
+    independently.
+    """
+    power, count = drawn["power"], len(drawn.draws)
+    factor = summary.lag.factor + summary.lag.factor_sd * rng.standard_normal(count)
+    variance = summary.variance_dn + summary.variance_sd_dn * rng.standard_normal(count)
+    derived = np.stack([power * factor, variance / power, factor], axis=1)
+
+    def first_thrice(of: Array) -> Array:
+        return np.concatenate([np.repeat(of[:1], len(DERIVED)), of])
+
+    return replace(
+        drawn,
+        names=(*DERIVED, *NAMES),
+        units=(*DERIVED_UNITS, *UNITS),
+        draws=np.concatenate([derived, drawn.draws], axis=1),
+        autocorrelation_time=first_thrice(drawn.autocorrelation_time),
+        r_hat=first_thrice(drawn.r_hat),
+        effective_sample_size=first_thrice(drawn.effective_sample_size),
+    )
+
+
+def _start(summary: Summary, used: NDArray[np.bool_], exponent: float) -> Array:
+    """A linear fit of the logarithm, good enough to climb from."""
+    x = summary.column_cy_per_px[used] / REFERENCE_CY_PER_PX
+    y = summary.row_cy_per_px[used] / REFERENCE_CY_PER_PX
+    power = np.maximum(summary.power_dn[used], 1e-3 * summary.power_dn[used].max())
+    design = np.stack([np.ones_like(x), -(np.hypot(x, y) ** exponent), -(x**2), -(y**2)])
+    root = np.sqrt(summary.modes[used])
+    level, strength, columns, rows = np.linalg.lstsq((design * root).T, np.log(power) * root, rcond=None)[0]
+    falls = np.clip([columns + strength, rows + strength, strength], -0.8, 5.0)
+    return np.array([np.exp(level), *falls, exponent])
+
+
+def _log_probability(summary: Summary, used: NDArray[np.bool_], model: Array, own: Array, exponent):
+    """Gaussian likelihood of the spectrum; the bins share the error that pulse heights give them all."""
+    column, row, power = summary.column_cy_per_px[used], summary.row_cy_per_px[used], summary.power_dn[used]
+    shared = model * summary.variance_sd_dn / summary.variance_dn
+    root = np.linalg.cholesky(np.linalg.inv(np.diag(own**2) + np.outer(shared, shared)))
+
+    def log_probability(points: Array) -> Array:
+        inside = ((points >= BOUNDS[:, 0]) & (points <= BOUNDS[:, 1])).all(axis=1)
+        safe = np.where(inside[:, None], points, BOUNDS.mean(axis=1, where=np.isfinite(BOUNDS)))
+        residual = (power - spectrum_at(safe, column, row)) @ root
+        prior = ((safe[:, 4] - exponent[0]) / exponent[1]) ** 2
+        return np.where(inside, -0.5 * ((residual**2).sum(axis=1) + prior), -np.inf)
+
+    return log_probability

@@ -1,0 +1,146 @@
+"""From the statistics of darks and flats to the quantities that need no model of the blur."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise import standard
+from charact.noise.checks import QUANTISED_DN2
+from charact.noise.level import Level
+from charact.noise.series import Series
+from labdata.measurement import Measurement, from_draws, from_sd, refused
+
+Array = NDArray[np.float64]
+
+NEIGHBOURS_SHARE = 0.01
+SIGNIFICANT = 4.5
+
+
+def correlated(levels: tuple[Level, ...]) -> bool:
+    """Whether neighbours share more than 1 % of their noise, beyond its standard error."""
+    value = np.array([level.neighbour_correlation for level in levels])
+    sd = np.maximum([level.neighbour_sd for level in levels], 1e-9)
+    weight = 1.0 / sd**2
+    mean = float(weight @ value / weight.sum())
+    return abs(mean) > NEIGHBOURS_SHARE + SIGNIFICANT / np.sqrt(weight.sum())
+
+
+def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
+    """Read noise and level of the darks, DN; the shortest exposure speaks."""
+    dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
+    noise, sd = standard.noise_of(dark.variance_dn2, dark.variance_sd_dn2)
+    small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
+    out = []
+    if noise > 0:
+        note = ("temporal noise of a dark frame: electronics, digitiser and what scintillates in the dark",)
+        out.append(from_sd("read_noise", "DN", noise, sd, flags=flags + small, notes=note, **fields))
+    else:
+        out.append(refused("read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields))
+    scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
+    level_sd = max(scatter, np.sqrt(max(dark.variance_dn2, QUANTISED_DN2) / (dark.pixels * dark.frames)))
+    out.append(from_sd("dark_signal", "DN", dark.mean_dn, float(level_sd), flags=flags, **fields))
+    return out
+
+
+def saturation(series: Series, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
+    """Level at which the temporal variance peaks."""
+    if series.peak is None:
+        reason = f"the variance still rises at the brightest flat, {series.flats[-1].mean_dn:.4g} DN"
+        return refused("saturation", "DN", reason, **fields)
+    level = np.array([flat.mean_dn for flat in series.flats])
+    near = level[max(0, series.peak - 1) : series.peak + 2]
+    # The peak lies somewhere between the neighbouring levels: a triangular spread.
+    return from_sd("saturation", "DN", level[series.peak], float(np.ptp(near)) / np.sqrt(24.0), flags=flags, **fields)
+
+
+def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, ...], **fields: Any
+                       ) -> list[Measurement]:  # fmt: skip
+    """Non-uniformity of dark signal and of response, from the stacks of most frames."""
+    out = []
+    dark = max(series.all_darks, key=lambda level: level.frames) if series.all_darks else None
+    if dark is not None:
+        unit, scale = ("DN", np.ones(1)) if gain is None else ("e-", gain)
+        out.append(_root("dsnu", unit, dark.spatial_variance_dn2, dark.spatial_sd_dn2, lambda s: s / float(np.median(scale)),
+                         flags=flags, **fields))  # fmt: skip
+    chosen = np.flatnonzero(series.fitted)
+    if dark is None or not len(chosen):
+        return out
+    middle = 0.5 * series.signal_dn[series.peak if series.peak is not None else chosen[-1]]
+    best = max(chosen, key=lambda i: (series.flats[i].frames, -abs(series.signal_dn[i] - middle)))
+    flat, signal = series.flats[best], float(series.signal_dn[best])
+    variance = flat.spatial_variance_dn2 - dark.spatial_variance_dn2
+    sd = float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2))
+    out.append(_root("prnu", "%", variance, sd, lambda s: 100.0 * s / signal, flags=flags,
+                     notes=("shading of the light and of the lens included",), **fields))  # fmt: skip
+    return out
+
+
+def _root(quantity: str, unit: str, variance: float, sd: float, scaled: Callable[[float], float], *,
+          flags: tuple[str, ...], notes: tuple[str, ...] = (), **fields: Any) -> Measurement:  # fmt: skip
+    """A standard deviation over the image, refused where it drowns in temporal noise."""
+    if variance < 3.0 * sd or variance <= 0:
+        limit = float(scaled(np.sqrt(max(variance, 0.0) + 3.0 * sd)))
+        reason = f"it drowns in temporal noise: more frames are needed to see less than {limit:.3g} {unit}"
+        return refused(quantity, unit, reason, notes=notes, **fields)
+    root = float(np.sqrt(variance))
+    return from_sd(quantity, unit, float(scaled(root)), float(scaled(sd / (2 * root))), flags=flags, notes=notes,
+                   **fields)  # fmt: skip
+
+
+def white_quantities(series: Series, gain: standard.Line, *, context: Context, flags: tuple[str, ...], **fields: Any
+                     ) -> list[Measurement]:  # fmt: skip
+    """What EMVA 1288 makes of K where noise is white: efficiency, noise in electrons, range."""
+    slope = gain.slope
+    rng = np.random.default_rng([context.seed, 2])
+    out: list[Measurement] = []
+    photons = standard.photons_of(series)
+    efficiency = None
+    if photons is not None and (photons > 0).all():
+        response = standard.responsivity_line(series, photons, context=context)
+        efficiency = rng.permutation(response.slope) / slope
+        out.append(from_draws("quantum_efficiency", "%", 100 * efficiency, flags=flags, **fields))
+        out.append(_linearity(series, response, photons, flags=flags, **fields))
+    if not series.all_darks:
+        return out
+    dark, dark_sd = standard.dark_noise_dn(series)
+    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - standard.QUANTISATION_DN2
+    if np.quantile(square, 0.02) <= 0:
+        reason = f"the noise of {dark:.3g} DN is not above that of the digitiser's steps"
+        out.append(refused("read_noise", "e-", reason, **fields))
+        return out
+    dark_e2 = square / slope**2
+    out.append(from_draws("read_noise", "e-", np.sqrt(dark_e2), flags=flags, **fields))
+    return out + _range(series, slope, efficiency, dark_e2, photons, flags=flags, **fields)
+
+
+def _linearity(series: Series, response: standard.Line, photons: Array, *, flags: tuple[str, ...], **fields: Any
+               ) -> Measurement:  # fmt: skip
+    """Mean departure from the line between 5 and 70 % of saturation, percent of the line."""
+    chosen = np.flatnonzero(series.fitted)
+    value = np.median(response.slope) * photons[chosen]
+    inside = value > 0.05 * (series.signal_dn[series.peak] if series.peak is not None else value.max())
+    error = np.array([np.sqrt(series.flats[i].variance_dn2 / series.flats[i].pixels) for i in chosen])
+    departure = np.abs(response.residual[inside] / value[inside])
+    sd = np.hypot(float(np.sqrt(np.sum((error / value)[inside] ** 2))) / inside.sum(),
+                  float(np.std(response.slope) / np.median(response.slope)))  # fmt: skip
+    return from_sd("linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), flags=flags, **fields)
+
+
+def _range(series: Series, slope: Array, efficiency: Array | None, dark_e2: Array, photons: Array | None, *,
+           flags: tuple[str, ...], **fields: Any) -> list[Measurement]:  # fmt: skip
+    """Capacity, largest signal-to-noise ratio and dynamic range, at the level where the variance peaks."""
+    names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
+    if series.peak is None:
+        reason = f"no flat reaches saturation: the variance still rises at {series.flats[-1].mean_dn:.4g} DN"
+        return [refused(name, unit, reason, **fields) for name, unit in names]
+    if efficiency is not None and photons is not None:
+        capacity = efficiency * photons[series.peak]
+    else:
+        capacity = series.signal_dn[series.peak] / slope
+    least = standard.sensitivity_photons(np.ones_like(slope), dark_e2, slope)
+    # The peak is known to within the step between levels.
+    draws = (capacity, np.sqrt(capacity), capacity / least)
+    return [from_draws(name, unit, d, flags=flags, **fields) for (name, unit), d in zip(names, draws, strict=True)]

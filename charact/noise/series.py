@@ -1,0 +1,131 @@
+"""The flats of one gain with their darks: which stacks belong together and which of them a gain may be fitted to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.level import Level, read_level
+from labdata.conditions import Conditions
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+
+# EMVA 1288 Release 4, 6.5: gain and responsivity are fitted up to 70 % of saturation.
+FIT_SHARE = 0.7
+# Share of values at the highest code above which a level's variance is cut short by it.
+CLIPPED_SHARE = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """Flats at one gain in order of rising level, each with the dark it is measured against.
+
+    Parameters
+    ----------
+    flats
+        Levels.
+    darks
+        The dark of each flat, as many.
+    all_darks
+        Every dark of the session.
+    signal_dn, variance_dn2, variance_sd_dn2
+        Mean and variance above the dark's, shape (flat,), and the standard error of the variance.
+    fitted
+        Which flats a gain is fitted to, shape (flat,).
+    peak
+        Index of the flat where the variance peaks, or None while it still rises.
+    reference
+        "dark", "black level" or "lowest flat": what the signal is counted from.
+    """
+
+    flats: tuple[Level, ...]
+    darks: tuple[Level, ...]
+    all_darks: tuple[Level, ...]
+    signal_dn: Array
+    variance_dn2: Array
+    variance_sd_dn2: Array
+    fitted: NDArray[np.bool_]
+    peak: int | None
+    reference: str
+
+
+def read_levels(session: Session, *, context: Context, spectra: bool) -> tuple[list[Level], list[Level], list[str]]:
+    """Read every dark and flat of a session, one stack at a time.
+
+    Returns
+    -------
+    darks, flats, single
+        Their statistics, and the labels of stacks with a single frame, which have none.
+    """
+    darks, flats, single = [], [], []
+    entries = session.of_kind("dark", "flat")
+    for done, entry in enumerate(entries):
+        context.progress(f"noise of {entry.label}", done / max(1, len(entries)))
+        level = read_level(entry, context=context, spectra=spectra)
+        if level is None:
+            single.append(entry.label)
+        else:
+            (darks if entry.kind == "dark" else flats).append(level)
+    return darks, flats, single
+
+
+def gain_of(conditions: Conditions) -> tuple[float | None, float | None]:
+    """What sets the gain: the microchannel plate's voltage and the camera's own gain."""
+    return conditions.mcp_v, conditions.camera_gain_db
+
+
+def longest_series(flats: list[Level]) -> list[Level]:
+    """The flats of the gain that most of them were taken at, in order of rising level."""
+    groups: dict[tuple, list[Level]] = {}
+    for flat in flats:
+        groups.setdefault(gain_of(flat.conditions), []).append(flat)
+    chosen = max(groups.values(), key=len) if groups else []
+    return sorted(chosen, key=lambda level: level.mean_dn)
+
+
+def series_of(flats: list[Level], darks: list[Level]) -> Series:
+    """Set the flats of one gain against their darks and find the range where a gain may be fitted."""
+    chosen = longest_series(flats)
+    reference = "dark"
+    if not darks and len(chosen) > 1:
+        reference = "lowest flat"
+        darks, chosen = [chosen[0]], chosen[1:]
+    matched = tuple(_dark_of(flat, darks) for flat in chosen)
+    signal = np.array([f.mean_dn - d.mean_dn for f, d in zip(chosen, matched, strict=True)])
+    variance = np.array([f.variance_dn2 - d.variance_dn2 for f, d in zip(chosen, matched, strict=True)])
+    sd = np.array([np.hypot(f.variance_sd_dn2, d.variance_sd_dn2) for f, d in zip(chosen, matched, strict=True)])
+    peak = _peak(chosen)
+    high = np.array([flat.high_share for flat in chosen])
+    fitted = (signal > 0) & (high <= CLIPPED_SHARE)
+    if peak is not None:
+        fitted &= signal <= FIT_SHARE * signal[peak]
+    return Series(flats=tuple(chosen), darks=matched, all_darks=tuple(darks) if reference == "dark" else (),
+                  signal_dn=signal, variance_dn2=variance, variance_sd_dn2=sd, fitted=fitted, peak=peak,
+                  reference=reference)  # fmt: skip
+
+
+def _dark_of(flat: Level, darks: list[Level]) -> Level:
+    """The dark whose conditions agree in most; of equals the one of the nearest exposure, then of most frames."""
+
+    def unlike(dark: Level) -> tuple[int, float, int]:
+        here, there = flat.conditions, dark.conditions
+        same = sum(
+            getattr(here, name) is not None and getattr(here, name) == getattr(there, name)
+            for name in ("mcp_v", "camera_gain_db", "exposure_s", "gate_ns", "temperature_c")
+        )
+        known = here.exposure_s is not None and there.exposure_s is not None
+        return -same, abs((here.exposure_s or 0) - (there.exposure_s or 0)) if known else 0.0, -dark.frames
+
+    return min(darks, key=unlike)
+
+
+def _peak(flats: list[Level]) -> int | None:
+    """Index of the variance peak if the variance falls beyond it by more than its noise."""
+    if len(flats) < 3:
+        return None
+    variance = np.array([flat.variance_dn2 for flat in flats])
+    top = int(np.argmax(variance))
+    beyond = variance[top + 1 :]
+    return top if len(beyond) and beyond.min() < 0.9 * variance[top] else None

@@ -1,0 +1,187 @@
+"""All flats of one gain brought to one noise spectrum per DN of signal, with its sampling error and its lag."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.level import Level, rows_lags
+from charact.noise.series import Series
+from charact.noise.spectrum import Bins
+from charact.noise.temporal import independent
+
+Array = NDArray[np.float64]
+
+# Exposures of opposite rows are compared below this frequency only: beyond it the rows of one field alias.
+ODD_LAG_CY_PER_PX = 0.07
+SEEN = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag:
+    """How much of the light of earlier exposures is in the present one.
+
+    Parameters
+    ----------
+    lag
+        Exposures apart, shape (lag,), from 1.
+    correlation, correlation_sd
+        Correlation of the modes at those lags and standard errors, shape (lag,).
+    seen
+        Whether any is there beyond its noise.
+    factor, factor_sd
+        Sum of the correlation over all lags, earlier and later, and its standard error: 1 without lag.
+    tested
+        Whether there were frames enough to look for it.
+    """
+
+    lag: NDArray[np.int64]
+    correlation: Array
+    correlation_sd: Array
+    seen: bool
+    factor: float
+    factor_sd: float
+    tested: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Noise per DN of signal.
+
+    Parameters
+    ----------
+    column_cy_per_px, row_cy_per_px
+        Frequencies of the bins, cycles per column pitch, shape (bin,).
+    modes
+        Independent modes behind each bin, exposures counted, shape (bin,).
+    power_dn, power_sd_dn
+        Power of the fluctuations over the signal, both above the dark's, shape (bin,), DN.
+    variance_dn, variance_sd_dn
+        Variance of a pixel over the signal, DN.
+    lag
+        Correlation in time.
+    """
+
+    column_cy_per_px: Array
+    row_cy_per_px: Array
+    modes: Array
+    power_dn: Array
+    power_sd_dn: Array
+    variance_dn: float
+    variance_sd_dn: float
+    lag: Lag
+
+
+def summarise(series: Series) -> Summary:
+    """Pool the fitted flats of a series, each by what it knows."""
+    chosen = np.flatnonzero(series.fitted)
+    pairs = [(series.flats[i], series.darks[i]) for i in chosen]
+    signal = series.signal_dn[chosen]
+    exposures = np.array([flat.runs * (len(flat.time) - len(np.unique(flat.parity))) for flat, _ in pairs], float)
+    weight = exposures * signal / np.array([flat.variance_dn2 for flat, _ in pairs]) ** 2
+    weight = weight / (weight @ signal)
+    bins = pairs[0][0].bins
+    lag = _lag(*_power(pairs, weight, "many"), bins)
+    name = "many" if lag.seen else "few"
+    power, _ = _power(pairs, weight, name)
+    variance = np.array([getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs])
+    known = np.array([_independent(flat, name, lag) for flat, _ in pairs])
+    return Summary(
+        column_cy_per_px=bins.column_cy_per_px,
+        row_cy_per_px=bins.row_cy_per_px,
+        modes=bins.modes * bins.efficiency * known[:, 0].sum(),
+        power_dn=power[:, 0],
+        power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag),
+        variance_dn=float(weight @ variance),
+        variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
+        lag=lag,
+    )
+
+
+def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
+    """Pooled spectrum above the dark's, shape (bin, lag), and its lags."""
+    lags = min((getattr(level, name).lags for pair in pairs for level in pair), key=len)
+    above = [getattr(f, name).power_dn2[:, : len(lags)] - getattr(d, name).power_dn2[:, : len(lags)] for f, d in pairs]
+    return np.tensordot(weight, np.array(above), 1), lags
+
+
+def _independent(level: Level, name: str, lag: Lag) -> tuple[float, float]:
+    """Independent exposures behind the spectrum and behind the variance of a level."""
+    lags = getattr(level, name).lags
+    correlation = lag.correlation if lag.seen else np.empty(0)
+    spectrum = independent(level.time, level.parity, lags, correlation)
+    same = rows_lags(lags, level.parity)
+    variance = independent(level.time, level.parity, same, correlation, within_parity=True)
+    return level.runs * spectrum, level.runs * variance
+
+
+def _power_sd(pairs, weight: Array, name: str, known: Array, lag: Lag) -> Array:
+    """Standard error of the pooled spectrum; stacks that share a dark share its error."""
+    bins = pairs[0][0].bins
+    modes = bins.modes * bins.efficiency
+    square = sum(
+        (w * getattr(f, name).power_dn2[:, 0]) ** 2 / (modes * count)
+        for w, (f, _), count in zip(weight, pairs, known, strict=True)
+    )
+    for dark in {d.label: d for _, d in pairs}.values():
+        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
+        square = square + (shared * getattr(dark, name).power_dn2[:, 0]) ** 2 / (
+            modes * _independent(dark, name, lag)[0]
+        )
+    return np.sqrt(square)
+
+
+def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
+    """Standard error of the pooled variance over signal; `inflation` is the price of the lags allowed for."""
+    square = sum((w * f.variance_sd_dn2) ** 2 * more for w, (f, _), more in zip(weight, pairs, inflation, strict=True))
+    for dark in {d.label: d for _, d in pairs}.values():
+        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
+        square += (shared * dark.variance_sd_dn2) ** 2
+    return float(np.sqrt(square))
+
+
+def _lag(power: Array, lags: NDArray[np.int64], bins: Bins) -> Lag:
+    """Correlation in time, pooled over the bins, with errors from their scatter."""
+    if len(lags) < 2:
+        none = np.empty(0)
+        return Lag(lag=lags[1:], correlation=none, correlation_sd=none, seen=False, factor=1.0, factor_sd=0.0,
+                   tested=False)  # fmt: skip
+    radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
+    smooth = smoothed(power[:, 0], radius, bins.modes)
+    ratio = power[:, 1:] / smooth[:, None]
+    low = radius < ODD_LAG_CY_PER_PX
+    pooled = [_pooled(ratio[:, i], bins.modes * (low if lag % 2 else 1.0)) for i, lag in enumerate(lags[1:])]
+    value, sd = np.array(pooled).T
+    seen = bool((value[:3] > SEEN * sd[:3]).any())
+    reach = len(value) if seen else min(2, len(value))
+    parts = [
+        _pooled(ratio[:, :reach][:, chosen].sum(axis=1), bins.modes * mask)
+        for chosen, mask in ((lags[1 : reach + 1] % 2 == 0, np.ones_like(radius)), (lags[1 : reach + 1] % 2 == 1, low))
+        if chosen.any()
+    ]
+    left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
+    return Lag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen,
+               factor=float(1.0 + 2.0 * sum(part[0] for part in parts)),
+               factor_sd=float(2.0 * np.hypot(np.hypot.reduce([part[1] for part in parts]), left)),
+               tested=True)  # fmt: skip
+
+
+def _pooled(values: Array, weight: Array) -> tuple[float, float]:
+    """Weighted mean and its standard error from the scatter."""
+    mean = float(np.average(values, weights=weight))
+    share = weight / weight.sum()
+    return mean, float(np.sqrt(np.sum(share**2 * (values - mean) ** 2) * 1.1))
+
+
+def smoothed(power: Array, radius: Array, modes: Array) -> Array:
+    """Power as a smooth function of radius: a parabola in the logarithm of ring means."""
+    ring = np.round(radius * 100).astype(int)
+    where = np.unique(ring, return_inverse=True)[1]
+    count = np.bincount(where, modes)
+    mean = np.bincount(where, modes * power) / count
+    centre = np.bincount(where, modes * radius) / count
+    good = mean > 0
+    if good.sum() < 4:
+        return np.full_like(power, max(float(np.average(power, weights=modes)), 1e-12))
+    fit = np.polynomial.Polynomial.fit(centre[good], np.log(mean[good]), 3, w=np.sqrt(count[good]))
+    return np.exp(fit(radius))

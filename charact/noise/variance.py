@@ -1,0 +1,57 @@
+"""The plain way: gain from the variance of pixels, as for a camera whose noise is white (EMVA 1288 Release 4)."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from charact.method import Context, register
+from charact.noise import standard
+from charact.noise.checks import flags_of, notes_of, series_findings
+from charact.noise.evidence import transfer_evidence
+from charact.noise.provenance import provenance
+from charact.noise.quantities import correlated, dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.series import read_levels, series_of
+from charact.noise.verdict import lit, problem, timed, without_flats
+from labdata.measurement import Result, from_draws
+from labdata.session import Session
+
+METHOD = "variance"
+CORRELATED = "neighbouring pixels share noise: the variance is smaller than the covariance gain by the blur factor"
+
+
+@register(
+    "flats",
+    METHOD,
+    quantities=("system_gain", "read_noise", "quantum_efficiency", "saturation", "snr_max", "dynamic_range"),
+    scope="Cameras whose noise is white; blur after the gain stage makes it read low by the blur factor.",
+)
+def variance(session: Session, *, context: Context) -> Result:
+    """Measure gain, efficiency, noise and range from the variance and mean of darks and flats.
+
+    Parameters
+    ----------
+    session
+        Session with dark and flat stacks of at least two frames each.
+    context
+        Seed and settings.
+    """
+    began = perf_counter()
+    darks, flats, single = read_levels(session, context=context, spectra=False)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    series = series_of(flats, darks) if flats else None
+    if series is None or problem(series) is not None:
+        return Result(measurements=timed(without_flats(darks, series, single, **fields), began))
+    findings = series_findings(series, context=context)
+    flags = flags_of(findings)
+    white = not correlated(lit(series))
+    gain = standard.gain_line(series, context=context)
+    own = flags + (() if white else ("correlated-noise",)) + gain.posterior.flags
+    notes = notes_of(findings) + (() if white else (CORRELATED,))
+    out = [from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes, posterior=gain.posterior, **fields)]
+    out += dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
+    out.append(saturation(series, flags=flags, **fields))
+    out += white_quantities(series, gain, context=context, flags=own, **fields)
+    out += pattern_quantities(series, gain.slope, flags=own, **fields)
+    evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}
+    return Result(measurements=timed(out, began), evidence=evidence)

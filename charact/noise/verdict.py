@@ -1,0 +1,51 @@
+"""Whether darks and flats can give a gain at all, and what is said where they cannot."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from charact.noise.level import Level
+from charact.noise.quantities import dark_quantities
+from charact.noise.series import Series
+from labdata.measurement import Measurement, refused
+
+
+def lit(series: Series) -> tuple[Level, ...]:
+    """The flats that are fitted."""
+    return tuple(flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted)
+
+
+def problem(series: Series) -> str | None:
+    """Why no gain can be had from a series, or None."""
+    if not len(series.flats):
+        return "flats need at least two frames each, and darks or a second level to be counted from"
+    error = np.array([np.sqrt(f.variance_dn2 / (f.pixels * f.frames)) + 1e-12 for f in series.flats])
+    brighter = series.signal_dn > 5.0 * np.sqrt(50.0) * error
+    if not brighter.any():
+        return f"no flat is brighter than its dark: the largest difference is {series.signal_dn.max():.3g} DN"
+    noisier = series.variance_dn2 > 5.0 * series.variance_sd_dn2
+    if not (brighter & noisier).any():
+        return f"no flat is noisier than its dark: the largest difference is {series.variance_dn2.max():.3g} DN2"
+    if not (series.fitted & brighter & noisier).any():
+        return "every flat is saturated: none lies within 70 % of saturation and below the highest code"
+    return None
+
+
+def without_flats(darks, series: Series | None, single: list[str], *, quantity=("system_gain", "DN/e-"), **fields: Any
+                  ) -> list[Measurement]:  # fmt: skip
+    """What darks alone tell, and why there is no gain."""
+    if series is not None:
+        reason = problem(series) or "the flats cannot be used"
+    elif single:
+        reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
+    else:
+        reason = "there are no flats"
+    out = [refused(*quantity, reason, **fields)]
+    return out + (dark_quantities(tuple(darks), flags=(), **fields) if darks else [])
+
+
+def timed(measurements: list[Measurement], began: float) -> tuple[Measurement, ...]:
+    """Put the time since the beginning on every measurement, s."""
+    seconds = perf_counter() - began
+    return tuple(m.with_(seconds=seconds) for m in measurements)
