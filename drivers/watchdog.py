@@ -7,6 +7,7 @@ does that for a killed process), falls silent, or an instrument fails, gate and 
 import argparse
 import contextlib
 import json
+import os
 import select
 import signal
 import socket
@@ -101,6 +102,7 @@ class Watchdog:
 
     def serve(self, openers: dict[str, Callable[[], OwnedLine]]) -> None:
         """Open the lines and serve the client until it leaves or is lost; in the end the bench is safe."""
+        self._log("start", pid=os.getpid())
         self._open(openers)
         self._client.send({"ready": self._fault is None, "error": described(self._fault)})
         reason, leaving = self._converse() if self._fault is None else (str(self._fault), None)

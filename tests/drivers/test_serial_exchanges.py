@@ -75,22 +75,28 @@ def test_the_gate_is_programmed_while_shut_and_read_back_before_it_opens():
 
 
 def test_lost_triggers_shut_the_gate_again():
-    with Exchanges(*SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "7"), *SHUT, name="delay generator") as line:
-        with pytest.raises(InstrumentRefused, match="must use every trigger, got some lost at 60 Hz"):
-            DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
+    with (
+        Exchanges(*SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "7"), *SHUT, name="delay generator") as line,
+        pytest.raises(InstrumentRefused, match="must use every trigger, got some lost at 60 Hz"),
+    ):
+        DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
 
 
 def test_a_width_read_back_otherwise_never_opens_the_gate():
     back = [*READ_BACK[:2], ("DLAY? 3", "2,+0.015000000000")]
-    with Exchanges(*SHUT, *PROGRAM, *back) as line:
-        with pytest.raises(InstrumentRefused, match=r"must keep a gate of 1.6e[+]07 ns, got 1.5e[+]07 ns back"):
-            DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
+    with (
+        Exchanges(*SHUT, *PROGRAM, *back) as line,
+        pytest.raises(InstrumentRefused, match=r"must keep a gate of 1.6e[+]07 ns, got 1.5e[+]07 ns back"),
+    ):
+        DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
 
 
 def test_a_refused_command_is_told_with_its_meaning():
-    with Exchanges(("TSRC 5", None), ("LPOL 1,1", None), ("LOFF 1,0", None), ("LERR?", "171")) as line:
-        with pytest.raises(InstrumentRefused, match="error 171: overrun") as refusal:
-            DelayGenerator(line).shut()
+    with (
+        Exchanges(("TSRC 5", None), ("LPOL 1,1", None), ("LOFF 1,0", None), ("LERR?", "171")) as line,
+        pytest.raises(InstrumentRefused, match="error 171: overrun") as refusal,
+    ):
+        DelayGenerator(line).shut()
     assert refusal.value.code == 171
 
 
@@ -101,9 +107,11 @@ def test_a_gate_that_does_not_fit_between_triggers_is_refused_before_anything_is
 
 
 def test_a_supply_on_the_gates_line_is_no_delay_generator():
-    with Exchanges(("*IDN?", "StanfordResearchSystems,PS350,2067,1.40")) as line:
-        with pytest.raises(InstrumentConfused, match="must be a DG645"):
-            DelayGenerator(line).identify()
+    with (
+        Exchanges(("*IDN?", "StanfordResearchSystems,PS350,2067,1.40")) as line,
+        pytest.raises(InstrumentConfused, match="must be a DG645"),
+    ):
+        DelayGenerator(line).identify()
 
 
 def done(*commands: str) -> list[tuple[str, str | None]]:
@@ -117,9 +125,11 @@ def test_the_supply_is_off_and_limited_before_anything_else():
 
 
 def test_a_limit_read_back_higher_is_refused():
-    with Exchanges(*done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "5000")) as line:
-        with pytest.raises(InstrumentRefused, match="must keep a limit of 900 V, got 5000 V back"):
-            HighVoltage(line).prepare(limit_v=900)
+    with (
+        Exchanges(*done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "5000")) as line,
+        pytest.raises(InstrumentRefused, match="must keep a limit of 900 V, got 5000 V back"),
+    ):
+        HighVoltage(line).prepare(limit_v=900)
 
 
 def test_the_voltage_rises_in_small_steps_and_is_verified_at_the_output():
@@ -130,15 +140,19 @@ def test_the_voltage_rises_in_small_steps_and_is_verified_at_the_output():
 
 
 def test_an_output_that_does_not_follow_is_refused():
-    with Exchanges(("VSET?", "50"), *done("VSET 100"), ("VOUT?", "50"), ("VOUT?", "50")) as line:
-        with pytest.raises(InstrumentRefused, match="must put out 100 V as set, got 50 V"):
-            HighVoltage(line).raise_to(100, rate_v_per_s=1000)
+    with (
+        Exchanges(("VSET?", "50"), *done("VSET 100"), ("VOUT?", "50"), ("VOUT?", "50")) as line,
+        pytest.raises(InstrumentRefused, match="must put out 100 V as set, got 50 V"),
+    ):
+        HighVoltage(line).raise_to(100, rate_v_per_s=1000)
 
 
 def test_a_step_beyond_the_supplys_own_limit_is_refused_with_its_meaning():
-    with Exchanges(("VSET?", "50"), ("VSET 100", None), ("*ESR?", "16")) as line:
-        with pytest.raises(InstrumentRefused, match="'VSET 100', got event status 16: not possible"):
-            HighVoltage(line).raise_to(100, rate_v_per_s=1000)
+    with (
+        Exchanges(("VSET?", "50"), ("VSET 100", None), ("*ESR?", "16")) as line,
+        pytest.raises(InstrumentRefused, match="'VSET 100', got event status 16: not possible"),
+    ):
+        HighVoltage(line).raise_to(100, rate_v_per_s=1000)
 
 
 def test_a_check_ends_the_ramp_at_once():

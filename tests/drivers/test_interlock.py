@@ -1,0 +1,212 @@
+"""The bench raises and lowers the gain in the order that spares the tube, and leaves it safe."""
+
+import itertools
+import json
+import os
+import signal
+import threading
+import time
+from contextlib import nullcontext
+
+import pytest
+
+from drivers import safe
+from drivers.errors import BenchError, InstrumentSilent, InstrumentTripped
+from drivers.interlock import FIELD_RATE_HZ, Bench
+from drivers.lines import gate_line, supply_line
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.plan import Limits, Wires
+from simulate.rig.faults import Faults
+from simulate.rig.in_process import InProcessInstruments
+
+LIMITS = Limits(mcp_v=900.0, gate_ns=1.65e7, illuminance_lux=1e-2, ramp_v_per_s=10000.0)
+
+
+class Witness:
+    """Looks at the wires at every write to an instrument."""
+
+    def __init__(self, instruments) -> None:
+        self._instruments = instruments
+        self.seen: list = []
+
+    def wrap(self, line):
+        instruments, seen, write = self._instruments, self.seen, line.write
+
+        def watched(command: str) -> None:
+            write(command)
+            seen.append((command, instruments.outputs()))
+
+        line.write = watched
+        return line
+
+
+@pytest.fixture
+def virtual():
+    return InProcessInstruments(time_scale=60.0)
+
+
+@pytest.fixture
+def lines(virtual):
+    return gate_line(virtual.gate_port), supply_line(virtual.supply_port, address=14)
+
+
+@pytest.fixture
+def bench(lines, tmp_path):
+    return Bench(Wires(bench="in-process"), LIMITS, log=tmp_path / "safety.jsonl", lines=lines)
+
+
+def test_conditions_are_read_back_and_reach_the_tube(bench, virtual):
+    with bench:
+        read = bench.set_conditions(Conditions(mcp_v=780.4, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167))
+        assert read == Conditions(mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167)
+        out = virtual.outputs()
+        assert out.mcp_v == 780
+        assert out.open_ns(1 / FIELD_RATE_HZ) == pytest.approx(1.6e7, rel=1e-6)
+
+
+def test_what_is_not_asked_for_is_off(bench, virtual):
+    with bench:
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+        read = bench.set_conditions(Conditions())
+        assert not virtual.outputs().gate_open
+        assert read.gate_ns == 0
+        assert read.mcp_v is not None and read.mcp_v < 11
+
+
+@pytest.mark.parametrize(("first_v", "then_v"), [(600, 800), (800, 600), (800, 0), (700, 700)])
+def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, first_v, then_v):
+    witness = Witness(virtual)
+    lines = tuple(witness.wrap(line) for line in lines)
+    with Bench(Wires(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines) as bench:
+        bench.set_conditions(Conditions(mcp_v=first_v, gate_ns=1e6))
+        witness.seen.clear()
+        bench.set_conditions(Conditions(mcp_v=then_v, gate_ns=2e6))
+    moves = [out for command, out in witness.seen if command.startswith(("VSET", "HV"))]
+    assert not any(out.gate_open for out in moves)
+    opened = [out.mcp_v for command, out in witness.seen if command == "TSRC 0"]
+    assert len(opened) == 1
+    assert opened[0] == pytest.approx(then_v, abs=11 if then_v == 0 else 1)
+
+
+def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines, tmp_path):
+    witness = Witness(virtual)
+    lines = tuple(witness.wrap(line) for line in lines)
+    with Bench(Wires(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines) as bench:
+        began_s = time.monotonic()
+        bench.set_conditions(Conditions(mcp_v=650))
+        assert time.monotonic() - began_s >= 0.6
+    levels = [float(command.split()[1]) for command, _ in witness.seen if command.startswith("VSET")]
+    assert levels[0] == 50
+    assert max(after - before for before, after in itertools.pairwise(levels)) <= 50
+
+
+@pytest.mark.parametrize(
+    ("conditions", "rule"),
+    [
+        (Conditions(mcp_v=901), "mcp_v must not exceed the limit 900, got 901"),
+        (Conditions(mcp_v=30), "mcp_v must be 0 \\(off\\) or at least 50, got 30"),
+        (Conditions(mcp_v=600, gate_ns=1.66e7), "gate_ns must not exceed the limit 1.65e\\+07, got 1.66e\\+07"),
+        (Conditions(mcp_v=600, illuminance_lux=1.0), "illuminance_lux must not exceed the limit 0.01, got 1"),
+    ],
+)  # fmt: skip
+def test_nothing_beyond_a_limit_is_done_even_in_part(bench, virtual, conditions, rule):
+    with bench:
+        bench.set_conditions(Conditions(mcp_v=500, gate_ns=1e6))
+        before = virtual.outputs()
+        with pytest.raises(BadInput, match=rule):
+            bench.set_conditions(conditions)
+        assert virtual.outputs() == before
+
+
+@pytest.mark.parametrize("door", [None, RuntimeError, KeyboardInterrupt, SystemExit, BadInput])
+def test_every_door_leaves_the_tube_safe(bench, virtual, door):
+    with pytest.raises(door) if door else nullcontext(), bench:
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+        if door:
+            raise door("out")
+    out = virtual.outputs()
+    assert not out.gate_open
+    assert out.mcp_v < 11
+
+
+def test_sigterm_is_a_door_too(bench, virtual):
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(SystemExit) as end, bench:
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM)).start()
+        time.sleep(5)
+    assert end.value.code == 128 + signal.SIGTERM
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert not virtual.outputs().gate_open
+    assert virtual.outputs().mcp_v < 11
+
+
+def test_opening_makes_a_bench_safe_that_was_left_on(virtual, lines, bench):
+    gate, supply = lines
+    gate.write("DLAY 3,2,1e-3;LAMP 1,4;TSRC 0")
+    supply.write("VSET 600;HVON")
+    time.sleep(0.05)
+    assert virtual.outputs().gate_open
+    with bench:
+        assert not virtual.outputs().gate_open
+        assert virtual.outputs().mcp_v < 600
+
+
+def test_safe_can_be_asked_for_and_work_go_on(bench, virtual):
+    with bench:
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+        bench.safe()
+        assert not virtual.outputs().gate_open
+        assert virtual.outputs().mcp_v < 11
+        assert bench.set_conditions(Conditions(mcp_v=600, gate_ns=1e6)).mcp_v == 600
+
+
+def test_a_trip_ends_the_work_and_says_so(bench, virtual):
+    with pytest.raises(InstrumentTripped, match="high-voltage supply must stay on, got a trip on current"), bench:
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+        bench.check()
+        virtual.supply_port.faults = Faults(tripped=True)
+        virtual.outputs()
+        bench.check()
+    assert not virtual.outputs().gate_open
+
+
+def test_a_supply_that_cannot_be_verified_is_told_on_leaving(bench, virtual, monkeypatch):
+    monkeypatch.setattr(safe, "DEAF_S", 1.0)
+    with pytest.raises(BenchError, match="high voltage was ordered off but not verified"), bench:
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+        virtual.supply_port.faults = Faults(mute=True)
+    assert not virtual.outputs().gate_open
+    assert virtual.outputs().mcp_v < 11  # it obeyed all the same
+
+
+def test_what_fails_on_leaving_is_a_note_on_what_ended_the_work(bench, virtual):
+    with pytest.raises(InstrumentSilent, match="delay generator must answer") as end, bench:
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+        virtual.gate_port.faults = Faults(silent=True)
+        bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
+    assert "the gate may be open, the high voltage is off" in end.value.__notes__[0]
+    assert virtual.outputs().mcp_v < 11
+
+
+def test_every_safety_step_is_logged(bench, tmp_path):
+    with bench:
+        bench.set_conditions(Conditions(mcp_v=300))
+    events = [json.loads(line) for line in (tmp_path / "safety.jsonl").read_text().splitlines()]
+    steps = [event["event"] for event in events]
+    assert steps.count("gate: TSRC 5") == steps.count("high voltage: HVOF") == 1
+    volts = [event["result"] for event in events if event["event"] == "high voltage: VOUT?"]
+    assert volts == sorted(volts, reverse=True)
+    assert volts[-1] <= 10
+
+
+def test_the_wires_left_out_are_named(bench, tmp_path):
+    assert bench.wires_left_out
+    on_wires = Bench(Wires(gate_port="/dev/a", supply_port="/dev/b"), LIMITS, log=tmp_path / "log")
+    assert on_wires.wires_left_out == ()
+
+
+def test_a_bench_needs_ports(tmp_path):
+    with pytest.raises(BadInput, match="gate_port and supply_port must name serial ports, got None and None"):
+        Bench(Wires(), LIMITS, log=tmp_path / "log")
