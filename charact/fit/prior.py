@@ -1,0 +1,142 @@
+"""What is believed of a sensor before its frames are looked at: the ranges of its description."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit.forward import Values
+from labdata.parameter import Parameter
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+# Nuisance of the bench, not of the sensor: the one factor by which the illuminance meter is wrong.
+ILLUMINANCE_SCALE = "bench.illuminance_scale"
+
+# Shares and probabilities end at 1.
+_AT_MOST_ONE = (
+    "photocathode.halo_fraction",
+    "photocathode.halo_elastic_share",
+    "microchannel_plate.detection_probability",
+    "tube.post_gain_share",
+    "taper.transmission",
+    "ccd.quantum_efficiency",
+)
+
+# Factors of products and powers: drawn as logarithms, so that a product that the data know is a straight ridge.
+_FACTORS = (
+    "photocathode.luminous_sensitivity_ua_per_lm",
+    "photocathode.ebi_lm_per_cm2",
+    "microchannel_plate.detection_probability",
+    "microchannel_plate.pulse_height_shape",
+    "tube.luminous_gain",
+    "taper.demagnification",
+    "taper.transmission",
+    "ccd.quantum_efficiency",
+    "video.conversion_gain_dn_per_e",
+)
+
+# Half of a Gaussian's 95 % interval in standard deviations.
+HALF_WIDTH95_SD = 1.959964
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """Independent priors: halves of two Gaussians that meet at the value, so that low..high hold 95 %.
+
+    Parameters
+    ----------
+    names
+        Paths of the parameters asked.
+    logarithmic
+        Whether a parameter's coordinate is its logarithm, shape (parameter,).
+    centre, sd_below, sd_above
+        Coordinate of the value and the two widths, shape (parameter,).
+    bounds
+        Of the coordinates, where a number loses its meaning, shape (parameter, 2).
+    """
+
+    names: tuple[str, ...]
+    logarithmic: NDArray[np.bool_]
+    centre: Array
+    sd_below: Array
+    sd_above: Array
+    bounds: Array
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviation of each coordinate's prior before the cut, shape (parameter,).
+
+        Notes
+        -----
+        Halves of the widths a and b with a common height have the variance (1 - 2/pi)(b - a)^2 + a b.
+        """
+        below, above = self.sd_below, self.sd_above
+        return np.sqrt((1.0 - 2.0 / np.pi) * (above - below) ** 2 + below * above)
+
+    def log_density(self, coordinates: Array) -> Array:
+        """Return the logarithm of the prior, not normalised, of coordinates (n, parameter): -inf outside bounds."""
+        away = coordinates - self.centre
+        z = away / np.where(away < 0, self.sd_below, self.sd_above)
+        inside = np.all((coordinates >= self.bounds[:, 0]) & (coordinates <= self.bounds[:, 1]), axis=1)
+        return np.where(inside, -0.5 * np.sum(z**2, axis=1), -np.inf)
+
+    def parameters(self, coordinates: Array) -> Array:
+        """Return the parameters at coordinates, shape (n, parameter)."""
+        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, coordinates, 0.0)), coordinates)
+
+
+def prior_of(sensor: Sensor, asked: tuple[str, ...], illuminance_relative_sd: float) -> Prior:
+    """Return the prior of the asked parameters that a sensor's ranges state; an exact one is not asked.
+
+    Parameters
+    ----------
+    sensor
+        The description whose low..high hold each parameter with 95 % probability.
+    asked
+        Paths of the parameters that the session's data speak of.
+    illuminance_relative_sd
+        Relative standard uncertainty of the illuminance, common to the session; 0 leaves the nuisance out.
+    """
+    known = sensor.parameters()
+    rows = [(path, *_row(path, known[path])) for path in asked if _has_range(known[path])]
+    if illuminance_relative_sd > 0:
+        rows.append((ILLUMINANCE_SCALE, True, 0.0, illuminance_relative_sd, illuminance_relative_sd, -np.inf, np.inf))
+    numbers = np.array([row[1:] for row in rows], float)
+    return Prior(
+        names=tuple(row[0] for row in rows),
+        logarithmic=numbers[:, 0] > 0,
+        centre=numbers[:, 1],
+        sd_below=numbers[:, 2],
+        sd_above=numbers[:, 3],
+        bounds=numbers[:, 4:6],
+    )
+
+
+def values_of(sensor: Sensor, prior: Prior, coordinates: Array) -> Values:
+    """Return every parameter's value, shape (n,) for those asked at coordinates (n, parameter), else (1,)."""
+    values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
+    values["video.filter_order"] = np.array([float(sensor.video.filter_order)])
+    values[ILLUMINANCE_SCALE] = np.ones(1)
+    values.update(zip(prior.names, prior.parameters(coordinates).T, strict=True))
+    return values
+
+
+def _has_range(parameter: Parameter) -> bool:
+    return parameter.low is not None and parameter.high is not None and parameter.high > parameter.low
+
+
+def _row(path: str, parameter: Parameter) -> tuple[bool, float, float, float, float, float]:
+    """Return whether the coordinate is a logarithm, its centre, its two widths and its bounds.
+
+    A value on an end of its own range takes a little of the other side.
+    """
+    low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
+    floor, ceiling = 0.0 if low == 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
+    logarithmic = path in _FACTORS and low > 0
+    if logarithmic:
+        floor, low, value, high, ceiling = np.log([floor, low, value, high, ceiling]).tolist()
+    least = 0.1 * (high - low) / HALF_WIDTH95_SD
+    below, above = max((value - low) / HALF_WIDTH95_SD, least), max((high - value) / HALF_WIDTH95_SD, least)
+    return logarithmic, value, below, above, floor, ceiling
