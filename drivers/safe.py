@@ -14,7 +14,7 @@ Record = Callable[..., None]
 """Called as record(step, **details) for each thing that was done."""
 
 FOLLOW_S = 0.2
-DEAF_S = 5.0
+DEAF_S = 3.0
 """A supply that answered nothing for this time is no longer asked, s."""
 
 
