@@ -220,6 +220,10 @@ def test_the_schema_of_a_sensor_holds_for_the_shipped_ones_and_not_for_a_misspel
         assert not keeps(mapping, schema, schema["$defs"])
 
 
+def test_the_schema_knows_no_null_as_toml_has_none():
+    assert not any("null" in str(file_schema(kind)) for kind in ("session", "sensor", "plan"))
+
+
 def test_the_schema_explains_the_keys():
     schema = file_schema("session")
     assert schema["$defs"]["StackForm"]["properties"]["mcp_v"]["description"] == (

@@ -113,14 +113,14 @@ def test_loose_files_become_a_stack_each(tmp_path):
 
 
 def test_conditions_are_read_from_names_and_gather_frames(tmp_path):
-    names = ("700V_5e6ns_1.npy", "700V_5e6ns_2.npy", "650.5V_5e6ns_1.npy")
+    names = ("700V_5e6ns_1.npy", "700V_5e6ns_2.npy", "1050.5V_5e6ns_1.npy")
     session = import_frames(
         frames(tmp_path / "in", *names), tmp_path / "S", kind="flat", name_pattern="{mcp_v}V_{gate_ns}ns_*"
     )
     low, high = session.stacks
-    assert low.conditions == Conditions(mcp_v=650.5, gate_ns=5e6)
-    assert high.conditions == Conditions(mcp_v=700.0, gate_ns=5e6)
-    assert high.read().data[:, 0, 0].tolist() == [0, 1]
+    assert low.conditions == Conditions(mcp_v=700.0, gate_ns=5e6)
+    assert high.conditions == Conditions(mcp_v=1050.5, gate_ns=5e6)
+    assert low.read().data[:, 0, 0].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize(

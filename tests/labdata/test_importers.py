@@ -60,6 +60,20 @@ def test_pages_written_one_by_one_are_frames_too(tmp_path):
     assert np.array_equal(read_frames(tmp_path / "a.tif").data, data)
 
 
+@pytest.mark.parametrize("options", [{}, {"rowsperstrip": 4}, {"tile": (16, 16)}, {"compression": "deflate"}])
+def test_no_way_of_laying_out_a_tiff_hides_that_its_end_is_missing(tmp_path, options):
+    data = pixels("u2", (2, 40, 48))
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        for frame in data:
+            file.write(frame, contiguous=False, metadata=None, **options)
+        last = file._fh.tell()
+    content = (tmp_path / "a.tif").read_bytes()
+    assert np.array_equal(read_frames(tmp_path / "a.tif").data, data)
+    (tmp_path / "a.tif").write_bytes(content[: last - 20])
+    with pytest.raises(BadInput, match="must be whole"):
+        read_frames(tmp_path / "a.tif")
+
+
 def test_pages_of_several_sizes_are_refused(tmp_path):
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
         file.write(np.zeros((5, 7), np.uint8), metadata=None)

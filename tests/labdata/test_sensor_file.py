@@ -196,6 +196,7 @@ def test_a_bare_number_is_an_exact_parameter(sensor):
     [
         (("optics", "fnumber"), 1.4, "unknown key 'fnumber' in optics of s.toml; did you mean 'f_number'?"),
         (("tube", "luminous_gain"), "high", 'luminous_gain must be a number or a table, got "high", in tube of s.toml'),
+        (("tube", "luminous_gain"), True, "luminous_gain must be a number or a table, got true, in tube of s.toml"),
         (("ccd", "rows"), 12.5, "rows must be a whole number, got 12.5, in ccd of s.toml"),
         (
             ("tube", "luminous_gain"),

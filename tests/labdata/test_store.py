@@ -168,6 +168,9 @@ def test_what_the_journal_does_not_hold_is_not_read(tmp_path):
         journal.write_bytes(whole[:cut])
         complete = whole[:cut].count(b"\n")
         assert len(store.journal(tmp_path / "a.zarr")) == complete
+    first, second, third = whole.splitlines(keepends=True)
+    journal.write_bytes(first + third + second)
+    assert len(store.journal(tmp_path / "a.zarr")) == 1
     journal.write_bytes(whole[:-5])
     again = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     assert len(again) == 2
