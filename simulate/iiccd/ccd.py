@@ -1,0 +1,93 @@
+"""The CCD: photons become charge, wells fill and overflow, and reading adds its noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from simulate.iiccd import pattern
+from simulate.iiccd.light import Light
+from simulate.iiccd.overflow import overflowed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ccd:
+    """Interline CCD as it is read, one charge per frame pixel.
+
+    Parameters
+    ----------
+    quantum_efficiency
+        Electrons per photon on the pixel, fill factor included, dimensionless.
+    full_well_e
+        Charge that one pixel as read holds, e-.
+    antibloom_ratio
+        Overexposure the drain carries off, in full wells.
+    dark_e
+        Mean dark charge of one pixel as read, e-; the clamp subtracts its mean, its noise stays.
+    read_noise_e
+        Standard deviation of reading, e-.
+    prnu
+        Relative standard deviation of the pixels' response, dimensionless.
+    smear_fraction
+        Charge that a spot one tenth of the picture high adds to its whole column, as a share of the spot's.
+    interlaced
+        Whether odd and even rows are separate fields, which overflow each on their own.
+    specimen
+        Seed of the pixels' responses.
+    """
+
+    quantum_efficiency: float
+    full_well_e: float
+    antibloom_ratio: float = 1.0
+    dark_e: float = 0.0
+    read_noise_e: float = 0.0
+    prnu: float = 0.0
+    smear_fraction: float = 0.0
+    interlaced: bool = False
+    specimen: int = 0
+    name: str = "ccd"
+    takes: str = "screen photons as read"
+    emits: str = "charge"
+
+    def __post_init__(self) -> None:
+        if not self.full_well_e > 0.0:
+            raise BadInput(f"full_well_e must be positive, got {self.full_well_e:g}")
+
+    def mean(self, light: Light) -> Light:
+        """Return the charge without noise, e-; wells clip the mean, not the average of clipped draws."""
+        return light.with_values(self._held(self._generated(light.values)))
+
+    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+        """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read noise."""
+        from simulate.iiccd import draws
+
+        expected = self._generated(light.values)
+        expected += np.float32(self.dark_e)
+        charge = np.empty_like(expected)
+        draws.poisson_charge(draws.state_from(rng), expected.ravel(), charge.reshape(-1))
+        held = self._held(charge)
+        if self.read_noise_e > 0.0:
+            held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
+        return light.with_values(held - np.float32(self.dark_e))
+
+    def _generated(self, photons: NDArray) -> NDArray[np.float32]:
+        """Mean charge of the light, e-, with smear; an image that ripples below zero holds no charge there."""
+        charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
+        if self.prnu > 0.0:
+            charge *= pattern.pixel_response(charge.shape[-2:], self.prnu, self.specimen)
+        if self.smear_fraction > 0.0:
+            tenth = charge.shape[-2] / 10.0
+            charge += np.float32(self.smear_fraction / tenth) * charge.sum(axis=-2, keepdims=True)
+        return charge
+
+    def _held(self, charge: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Charge that the wells hold, each field on its own."""
+        if not (charge > self.full_well_e).any():
+            return charge
+        held = np.array(charge, np.float32)
+        step = 2 if self.interlaced else 1
+        for image in held.reshape(-1, *held.shape[-2:]):
+            for parity in range(step):
+                image[parity::step] = overflowed(image[parity::step], self.full_well_e, self.antibloom_ratio)[0]
+        return held

@@ -1,0 +1,98 @@
+"""Stages that fit each other, in order: a chain refuses a misfit and gives every stage its own random numbers."""
+
+import zlib
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from labdata.errors import BadInput
+from simulate.iiccd.light import Light
+
+
+@runtime_checkable
+class Stage(Protocol):
+    """One physical stage of the camera."""
+
+    @property
+    def name(self) -> str:
+        """The stage's name; its random numbers follow from it."""
+        ...
+
+    @property
+    def takes(self) -> str:
+        """The quantity it takes."""
+        ...
+
+    @property
+    def emits(self) -> str:
+        """The quantity it emits."""
+        ...
+
+    def mean(self, light: Light) -> Light:
+        """What comes out on average."""
+        ...
+
+    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+        """What comes out this time."""
+        ...
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Stages in the order of the light.
+
+    Parameters
+    ----------
+    stages
+        Each takes what the one before it emits; names are unique.
+
+    Raises
+    ------
+    BadInput
+        If two neighbours do not fit or two stages share a name.
+    """
+
+    stages: tuple[Stage, ...]
+
+    def __post_init__(self) -> None:
+        if not self.stages:
+            raise BadInput("a chain must have at least one stage, got none")
+        for before, after in zip(self.stages, self.stages[1:], strict=False):
+            if before.emits != after.takes:
+                raise BadInput(
+                    f"a stage must take what the one before it emits: {after.name} takes {after.takes}, "
+                    f"but {before.name} emits {before.emits}"
+                )
+        names = [stage.name for stage in self.stages]
+        if repeated := {name for name in names if names.count(name) > 1}:
+            raise BadInput(f"the stages of a chain must have names of their own, got {sorted(repeated)} twice")
+
+    def part(self, first: str, last: str) -> "Chain":
+        """Return the chain from one named stage to another, both included."""
+        names = [stage.name for stage in self.stages]
+        if first not in names or last not in names:
+            raise BadInput(f"a stage must be one of {names}, got {first!r} and {last!r}")
+        return Chain(self.stages[names.index(first) : names.index(last) + 1])
+
+    def without(self, name: str) -> "Chain":
+        """Return the chain with one stage left out; refused where its neighbours then do not fit."""
+        return Chain(tuple(stage for stage in self.stages if stage.name != name))
+
+    def mean(self, light: Light) -> Light:
+        """Return what comes out without any noise."""
+        for stage in self.stages:
+            light = stage.mean(light)
+        return light
+
+    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+        """Return what comes out this time.
+
+        Every stage draws from a generator that follows from `rng` and its own name: to change, add or remove one
+        stage leaves the random numbers of all others as they were.
+        """
+        entropy = int(rng.integers(2**63))
+        for stage in self.stages:
+            child = np.random.SeedSequence(entropy, spawn_key=(zlib.crc32(stage.name.encode()),))
+            light = stage.draw(light, np.random.Generator(np.random.PCG64(child)))
+        return light

@@ -1,0 +1,104 @@
+"""Images between stages, with the linear blur they still owe: blurs that follow each other are paid in one transform."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.iiccd.grid import Grid
+from simulate.iiccd.transfer import Blur
+
+Quantity = Literal["photons", "photoelectrons", "electrons", "photoelectrons at the plate", "screen photons", "DN"]
+Image = NDArray[np.float32]
+
+# Up to this frequency, in cycles per pixel, resampling is exact; beyond it fades to nothing at one cycle per pixel, so
+# that a point does not ring across the picture.
+EXACT_CY_PER_PX = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light:
+    """An image on its way through the camera.
+
+    Parameters
+    ----------
+    values
+        Amount per cell or per pixel, shape (..., row, col).
+    grid
+        The lattice of cells; None once the image stands on the picture's own pixels.
+    owed
+        Blurs that have happened to the light and not yet been computed.
+    """
+
+    values: NDArray
+    grid: Grid | None = None
+    owed: tuple[Blur, ...] = ()
+
+    def with_values(self, values: NDArray) -> "Light":
+        """Return the same light with other values."""
+        return replace(self, values=values)
+
+    def blurred(self, *blurs: Blur) -> "Light":
+        """Return the light owing more blurs."""
+        return replace(self, owed=(*self.owed, *blurs))
+
+    def paid(self) -> "Light":
+        """Return the light with its blurs computed, on the same cells."""
+        if not self.owed or self.grid is None:
+            return self
+        from scipy.fft import irfft2, rfft2
+
+        spectrum = rfft2(self.values) * _transfer(self.owed, self.grid)
+        return replace(self, values=irfft2(spectrum, s=self.grid.shape).astype(self.values.dtype), owed=())
+
+    def resampled(self, grid: Grid) -> "Light":
+        """Return box-integrated cells as point samples on half as many cells per pixel, blurs computed.
+
+        The average over a cell, which the finer cells hold, is undone up to `EXACT_CY_PER_PX`; amounts stay per cell.
+        """
+        from scipy.fft import irfft2, rfft2
+
+        fine = self.grid
+        if fine is None or fine.per_pixel != 2 * grid.per_pixel:
+            raise ValueError("light is resampled to half as many cells per pixel")
+        rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
+        spectrum = rfft2(self.values)
+        half = rows // 2
+        kept = np.concatenate([spectrum[..., :half, :], spectrum[..., -half:, :]], axis=-2)[..., : columns // 2 + 1]
+        # Four cells become one, and the inverse transform divides by a quarter of the number: the two cancel.
+        values = irfft2(kept * _resampling(self.owed, fine, grid.per_pixel), s=(rows, columns))
+        row, col = grid.window_of(fine)
+        return Light(values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid)
+
+
+@lru_cache(maxsize=16)
+def _transfer(owed: tuple[Blur, ...], grid: Grid) -> NDArray[np.float32]:
+    fx, fy = grid.frequencies()
+    return _product(owed, *np.broadcast_arrays(fx, fy)).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def _resampling(owed: tuple[Blur, ...], fine: Grid, per_pixel: int) -> NDArray[np.complex64]:
+    """Transfer of the owed blurs, of the undone cell and of the shift by half a fine cell, at the coarse frequencies."""
+    rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
+    fx = np.fft.rfftfreq(columns, fine.pitch_x_mm / per_pixel)[None, :]
+    fy = np.fft.fftfreq(rows, fine.pitch_y_mm / per_pixel)[:, None]
+    x, y = fx * fine.pitch_x_mm, fy * fine.pitch_y_mm
+    whole = _product(owed, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
+    cell = np.sinc(x / fine.per_pixel) * np.sinc(y / fine.per_pixel)
+    shift = np.exp(2j * np.pi * 0.5 * (x + y) / fine.per_pixel)
+    return (whole / cell * shift).astype(np.complex64)
+
+
+def _product(owed: tuple[Blur, ...], fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float64]:
+    product = np.ones(fx.shape)
+    for blur in owed:
+        product = product * blur.transfer(fx, fy)
+    return product
+
+
+def _fade(frequency_cy_per_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    beyond = (np.abs(frequency_cy_per_px) - EXACT_CY_PER_PX) / (1.0 - EXACT_CY_PER_PX)
+    return np.cos(np.pi / 2.0 * np.clip(beyond, 0.0, 1.0)) ** 2

@@ -1,0 +1,38 @@
+"""The lens: it blurs the image on the photocathode and veils it with glare."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from simulate.iiccd.light import Light
+from simulate.iiccd.transfer import Blur
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """Lens between the scene and the photocathode.
+
+    Parameters
+    ----------
+    blur
+        Its blur.
+    veiling_glare_fraction
+        Share of the light that is spread evenly over the picture, dimensionless.
+    """
+
+    blur: Blur
+    veiling_glare_fraction: float
+    name: str = "optics"
+    takes: str = "photons"
+    emits: str = "photons"
+
+    def mean(self, light: Light) -> Light:
+        """Return (1 - v) E + v mean(E), owing the blur; the light per cell keeps its sum."""
+        glare = self.veiling_glare_fraction
+        level = light.values.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
+        veiled = (1.0 - glare) * light.values + np.asarray(glare * level, light.values.dtype)
+        return light.with_values(veiled).blurred(self.blur)
+
+    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+        """Return the mean: light has no noise of its own before it is detected."""
+        return self.mean(light)

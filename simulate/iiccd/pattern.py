@@ -1,0 +1,60 @@
+"""Fixed patterns of a specimen: the screen's mottle, the fibres' honeycomb, the pixels' unequal response."""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.frames import read_only
+from simulate.iiccd.grid import Grid
+
+MOTTLE_MM = 0.06
+
+
+@lru_cache(maxsize=4)
+def mottle(grid: Grid, relative_sd: float, specimen: int) -> NDArray[np.float32]:
+    """Return the screen's gain on cells, mean 1, Gaussian with a correlation length of `MOTTLE_MM` at the cathode."""
+    from scipy.fft import irfft2, rfft2
+
+    if relative_sd == 0.0:
+        return read_only(np.ones(grid.shape, np.float32))
+    rng = np.random.default_rng([specimen, 1])
+    fx, fy = grid.frequencies()
+    grain = np.exp(-2.0 * (np.pi * MOTTLE_MM * np.hypot(fx, fy)) ** 2)
+    grain[0, 0] = 0.0
+    smooth = irfft2(rfft2(rng.standard_normal(grid.shape)) * grain, s=grid.shape)
+    return read_only((1.0 + relative_sd * smooth / smooth.std()).astype(np.float32))
+
+
+@lru_cache(maxsize=4)
+def honeycomb(
+    grid: Grid, contrast: float, pitch_mm: float, line_mm: float, demagnification: float
+) -> NDArray[np.float32]:
+    """Return the transmission of the borders between multi-fibres, 1 inside them and 1 - contrast on the lines.
+
+    Hexagons of a pitch and a line width at the small end, laid out on cells at the photocathode.
+    """
+    rows, columns = (np.arange(n, dtype=np.float64) for n in grid.shape)
+    y = rows[:, None] * (grid.pitch_y_mm / grid.per_pixel / demagnification / pitch_mm)
+    x = columns[None, :] * (grid.pitch_x_mm / grid.per_pixel / demagnification / pitch_mm)
+    border = _border_distance(x, y) * pitch_mm
+    return read_only((1.0 - contrast * np.exp(-0.5 * (border / (line_mm / 2.0)) ** 2)).astype(np.float32))
+
+
+def _border_distance(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance to the nearest border of hexagons whose centres are one unit apart."""
+    height = np.sqrt(3.0)
+    nearest = []
+    for shift in (0.0, 0.5):
+        dx = x - shift - np.round(x - shift)
+        dy = y - shift * height - height * np.round((y - shift * height) / height)
+        across = np.maximum(np.abs(dx), 0.5 * np.abs(dx) + 0.5 * height * np.abs(dy))
+        nearest.append(0.5 - across)
+    return np.maximum(nearest[0], nearest[1])
+
+
+@lru_cache(maxsize=4)
+def pixel_response(shape: tuple[int, int], relative_sd: float, specimen: int) -> NDArray[np.float32]:
+    """Return each pixel's response, mean 1, independent from pixel to pixel."""
+    rng = np.random.default_rng([specimen, 2])
+    return read_only((1.0 + relative_sd * rng.standard_normal(shape)).astype(np.float32))

@@ -1,0 +1,146 @@
+"""Transfer functions of the stages: each blur is a small value that knows its own Fourier transform."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Blur(Protocol):
+    """A linear, shift-invariant blur. Values are hashable, so that products of transfers can be kept."""
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer at frequencies along rows and along columns, cycles/mm at the photocathode; 1 at zero."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lens:
+    """Aberration-limited lens.
+
+    Notes
+    -----
+    exp(-2 (pi f s)^2) times the diffraction transfer (2/pi)(acos x - x sqrt(1 - x^2)), x = f lambda N (Goodman,
+    Introduction to Fourier Optics, 6.4).
+    """
+
+    aberration_blur_um: float
+    f_number: float
+    wavelength_um: float = 0.7
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer of the lens, dimensionless."""
+        frequency = np.hypot(fx_per_mm, fy_per_mm)
+        x = np.minimum(frequency * self.wavelength_um * 1e-3 * self.f_number, 1.0)
+        diffraction = (np.arccos(x) - x * np.sqrt(1.0 - x * x)) * 2.0 / np.pi
+        return diffraction * np.exp(-2.0 * (np.pi * frequency * self.aberration_blur_um * 1e-3) ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TubeShare:
+    """The share of a tube's blur that acts on one side of the gain: exp(-share (f/fc)^n) (Johnson's form)."""
+
+    share: float
+    frequency_lp_per_mm: float
+    exponent: float
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer of this share, dimensionless."""
+        frequency = np.hypot(fx_per_mm, fy_per_mm)
+        return np.exp(-self.share * (frequency / self.frequency_lp_per_mm) ** self.exponent)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Halo:
+    """Photoelectrons that bounce off the plate and land again, up to twice the gap away.
+
+    Notes
+    -----
+    An electron that leaves the plate at angle t with the share e of the gap's energy lands at r = 2 e d sin(2t). For
+    cosine emission r/(2 e d) = x has the density x/sqrt(1 - x^2), whose plane transform is sin(a)/a, a = 4 pi e d f.
+    Elastic electrons have e = 1; energies uniform in 0..1 give Si(a)/a at e = 1.
+    """
+
+    fraction: float
+    gap_mm: float
+    elastic_share: float
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer of all photoelectrons, the straight ones included, dimensionless."""
+        from scipy.special import sici
+
+        argument = 4.0 * np.pi * self.gap_mm * np.hypot(fx_per_mm, fy_per_mm)
+        rim = np.sinc(argument / np.pi)
+        peaked = np.divide(sici(argument)[0], argument, out=np.ones_like(argument), where=argument > 0)
+        disc = self.elastic_share * rim + (1.0 - self.elastic_share) * peaked
+        return 1.0 - self.fraction + self.fraction * disc
+
+
+@dataclass(frozen=True, kw_only=True)
+class FibreTaper:
+    """Fibres and the faces between them: |2 J1(u)/u| exp(-(f/f0)^2), u = pi p f, both f at the detector."""
+
+    fibre_pitch_um: float
+    interface_lp_per_mm: float
+    demagnification: float
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer of the taper, dimensionless."""
+        from scipy.special import j1
+
+        at_detector = np.hypot(fx_per_mm, fy_per_mm) * self.demagnification
+        argument = np.pi * self.fibre_pitch_um * 1e-3 * at_detector
+        fibre = np.divide(2.0 * j1(argument), argument, out=np.ones_like(argument), where=argument > 0)
+        return np.abs(fibre) * np.exp(-((at_detector / self.interface_lp_per_mm) ** 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelAperture:
+    """Rectangle over which a pixel collects: sinc(w f) along rows and columns; sizes at the photocathode."""
+
+    width_mm: float
+    height_mm: float
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer of the aperture, dimensionless, negative beyond its first zero."""
+        return np.sinc(fx_per_mm * self.width_mm) * np.sinc(fy_per_mm * self.height_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoFilter:
+    """Butterworth low pass on the staircase of the pixel clock, sampled once a clock: a causal digital filter.
+
+    Notes
+    -----
+    A pixel's value is held for one clock period T; the digitiser samples at the period's end. With the step response
+    s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T) - s(n T).
+    """
+
+    bandwidth_mhz: float
+    pixel_clock_mhz: float
+    order: int
+
+    def step_response(self, time_clocks: Array) -> Array:
+        """Step response at times in clock periods, dimensionless; 0 before the step, 1 long after it."""
+        rate = 2.0 * np.pi * self.bandwidth_mhz / self.pixel_clock_mhz
+        index = np.arange(self.order)
+        poles = rate * np.exp(1j * np.pi * (2 * index + self.order + 1) / (2 * self.order))
+        differences = poles[:, None] - poles[None, :] + np.eye(self.order)
+        residues = rate**self.order / np.prod(differences, axis=1) / poles
+        time = np.maximum(np.asarray(time_clocks, float), 0.0)
+        response = 1.0 + np.real(np.sum(residues * np.exp(poles * time[..., None]), axis=-1))
+        return np.where(np.asarray(time_clocks) > 0, response, 0.0)
+
+    def impulse_response(self, length: int = 32) -> Array:
+        """Sampled impulse response h, shape (length,), summing to 1."""
+        response = np.diff(self.step_response(np.arange(length + 1.0)))
+        return response / response.sum()
+
+    def transfer(self, frequency_cy_per_px: Array) -> NDArray[np.complex128]:
+        """Complex transfer along a line at frequencies in cycles per pixel, 1 at zero."""
+        impulse = self.impulse_response()
+        phase = np.multiply.outer(np.asarray(frequency_cy_per_px, float), np.arange(len(impulse)))
+        return np.exp(-2j * np.pi * phase) @ impulse

@@ -1,0 +1,178 @@
+"""The lab bench: a target before the intensified camera, frames of it, and what they would be without noise."""
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.sensor import Sensor
+from labdata.session import Kind
+from labdata.target import Target
+from simulate.iiccd import photons
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Chain
+from simulate.iiccd.light import Light
+from simulate.radiance.scene import LabScene, load_scene
+
+WAVELENGTH_NM = np.arange(450.0, 951.0, 50.0)
+TILE_ROWS = 128
+PICTURES_KEPT = 12
+
+
+class LabBench:
+    """A camera on an optical bench.
+
+    The picture of each target is rendered and blurred once and kept; light level, gate and gain then cost nothing.
+
+    Parameters
+    ----------
+    sensor
+        Description of the camera, whose values are taken as the truth.
+    scene
+        The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
+    """
+
+    def __init__(self, sensor: Sensor, scene: LabScene | str | Path | None = None) -> None:
+        self.camera = IntensifiedCamera(sensor)
+        self.scene = scene if isinstance(scene, LabScene) else load_scene(scene or "bench")
+        self._pictures: OrderedDict[tuple[Kind, Target], NDArray[np.float32]] = OrderedDict()
+
+    def expose(
+        self,
+        kind: Kind,
+        target: Target,
+        conditions: Conditions,
+        *,
+        frames: int,
+        seed: int,
+        first_frame: int = 0,
+    ) -> FrameStack:
+        """Take frames.
+
+        Parameters
+        ----------
+        kind
+            "dark", "flat", "edge", "bars" or "point".
+        target
+            The target; what it leaves open is the bench's default.
+        conditions
+            Illuminance at the photocathode, gate, voltage and temperature in force.
+        frames
+            Number of frames.
+        seed
+            Seed: a frame follows from it and from its own number.
+        first_frame
+            Number of the first frame.
+
+        Returns
+        -------
+        FrameStack
+            Frames (frame, row, col) in whole DN.
+
+        Raises
+        ------
+        BadInput
+            If a condition is missing or out of bounds, or the target lacks what its kind needs.
+        """
+        if frames < 1:
+            raise BadInput(f"a stack must have at least one frame, got {frames}")
+        stream = self.stream(kind, target, conditions, seed=seed, first_frame=first_frame)
+        numbers = np.arange(first_frame, first_frame + frames)
+        return FrameStack(
+            data=np.stack(list(islice(stream, frames))),
+            time_s=numbers * self.camera.frame_s,
+            frame_number=numbers,
+            full_scale_dn=float(2**self.camera.sensor.video.bit_depth - 1),
+        )
+
+    def stream(
+        self, kind: Kind, target: Target, conditions: Conditions, *, seed: int, first_frame: int = 0
+    ) -> Iterator[NDArray[np.unsignedinteger]]:
+        """Return the frames one by one, without end; arguments as for `expose`."""
+        at_plate = self.photoelectrons(kind, target, conditions)
+        return self.camera.frames(at_plate, conditions, seed=seed, first_frame=first_frame)
+
+    def mean(self, kind: Kind, target: Target, conditions: Conditions) -> NDArray[np.float32]:
+        """Return the frame without noise, rounding or clipping by the digitiser, shape (row, col), DN."""
+        return self.camera.mean_frame(self.photoelectrons(kind, target, conditions), conditions)
+
+    def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> Light:
+        """Return the expected photoelectrons at the plate, per cell and exposure, dark ones included."""
+        camera = self.camera
+        cathode = camera.photocathode(conditions)
+        dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.gate_s
+        if kind == "dark":
+            return Light(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
+        if conditions.illuminance_lux is None:
+            raise BadInput(f"illuminance_lux must be given for a stack of kind {kind!r}, got none")
+        lit = self._picture(kind, target) * np.float32(conditions.illuminance_lux * cathode.gate_s)
+        return Light(values=lit + np.float32(dark), grid=camera.cells)
+
+    def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:
+        """Photoelectrons at the plate per s and cell at 1 lux, shape of the camera's cells."""
+        key = (kind, target)
+        if key not in self._pictures:
+            scene_light = Light(values=self._photons(kind, target), grid=self.camera.scene_cells)
+            one_second = replace(self.camera.photocathode(Conditions()), gate_s=1.0, ebi_per_s_cm2=0.0)
+            front = self.camera.chain(Conditions()).part("optics", "gap").stages
+            self._pictures[key] = Chain((front[0], one_second, front[2])).mean(scene_light).values
+        self._pictures.move_to_end(key)
+        while len(self._pictures) > PICTURES_KEPT:
+            self._pictures.popitem(last=False)
+        return self._pictures[key]
+
+    def _photons(self, kind: Kind, target: Target) -> NDArray[np.float32]:
+        """Photons per s and cell at 1 lux, referred to the wavelength of peak quantum efficiency, before any blur."""
+        from simulate.radiance.render import render, set_up
+        from simulate.radiance.target_mesh import target_mesh
+
+        view, scene = self._view(target), self._scene_of(target)
+        mesh = target_mesh(kind, target, scene.holder, 1.0 / view.metre_per_px)
+        bench = set_up(scene, mesh, view.metre_per_px)
+        cells = self.camera.scene_cells
+        weight = photons.photon_weights(self.camera.sensor, WAVELENGTH_NM, scene) * cells.cell_area_cm2
+        image = np.empty(view.shape, np.float32)
+        for place, tile in view.tiles(TILE_ROWS):
+            image[place] = render(bench, tile, WAVELENGTH_NM).weighted(weight)
+        return image
+
+    def _scene_of(self, target: Target) -> LabScene:
+        """The bench with a plate of the target's contrast; without one the plate is as opaque as the scene says."""
+        if target.contrast is None:
+            return self.scene
+        clear = self.scene.open
+        dark = (1.0 - target.contrast) / (1.0 + target.contrast)
+        mask = replace(
+            clear,
+            transmittance=tuple(dark * share for share in clear.transmittance),
+            reflectance=tuple(0.0 for _ in clear.reflectance),
+        )
+        return replace(self.scene, mask=mask)
+
+    def _view(self, target: Target):
+        """The scene's cells on the target's plane, in column pitches about the target's centre."""
+        from simulate.radiance.view import View
+
+        camera, cells = self.camera, self.camera.scene_cells
+        ratio = cells.pitch_y_mm / cells.pitch_x_mm
+        rows, columns = camera.shape
+        row, col, height, width = target.region or (0, 0, rows, columns)
+        # Frame rows that sum two rows of the chip are centred half a row further down.
+        centre_row = row + height / 2.0 + (0.5 if camera.interlaced else 0.0)
+        centre_col = col + width / 2.0
+        lens_mm = float(camera.sensor.optics.focal_length_mm)
+        return View(
+            shape=cells.shape,
+            cell_px=(1.0 / cells.per_pixel, ratio / cells.per_pixel),
+            corner_px=(-cells.margin_columns - centre_col, (-cells.margin_rows - centre_row) * ratio),
+            metre_per_px=cells.pitch_x_mm * self.scene.distance_m / lens_mm,
+            distance_m=self.scene.distance_m,
+            eye_px=(columns / 2.0 - centre_col, (cells.rows / 2.0 - centre_row) * ratio),
+        )

@@ -1,0 +1,1 @@
+"""Spectral radiance of a described scene, by casting rays at its surfaces."""
