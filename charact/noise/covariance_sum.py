@@ -17,7 +17,7 @@ from charact.noise.quantities import correlated, dark_quantities, pattern_quanti
 from charact.noise.series import Series, read_levels, series_of
 from charact.noise.summary import Summary, summarise
 from charact.noise.verdict import lit, problem, timed, without_flats
-from labdata.measurement import Measurement, Result, from_draws, refused
+from labdata.measurement import Measurement, Posterior, Result, from_draws, refused
 from labdata.session import Session
 
 METHOD = "covariance-sum"
@@ -64,6 +64,9 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
     summary = summarise(series)
     fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=_exponent(context))
     levels, spread = level_gains(series, summary, fit)
+    white = not correlated(lit(series))
+    if not white:
+        fit = replace(fit, posterior=_at_low_signal(fit.posterior, series, levels, spread, context))
     findings = series_findings(series, context=context) + _model_findings(summary, fit, levels, spread, context)
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
@@ -72,7 +75,7 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
         from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
     common = flags_of(series_findings(series, context=context))
-    gain = None if correlated(lit(series)) else standard.gain_line(series, context=context)
+    gain = standard.gain_line(series, context=context) if white else None
     out += _gain_quantities(series, gain, fit, context, common, fields)
     out.append(saturation(series, flags=common, **fields))
     out += dark_quantities(series.all_darks, flags=common, **fields) if series.all_darks else []
@@ -91,6 +94,29 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
         "autocorrelation": correlation_evidence(series, summary),
     }
     return Result(measurements=timed(out, began), evidence=evidence)
+
+
+def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context: Context) -> Posterior:
+    """Return the posterior with the covariance gain carried to small signals.
+
+    A microchannel plate tires as its current rises and takes gain and covariance gain along; both are stated for
+    small signals. The share lost per DN of signal is the slope of the levels' covariance over signal.
+    """
+    chosen = series.fitted
+    if chosen.sum() < 3:
+        return posterior
+    signal, weight = series.signal_dn[chosen], 1.0 / spread[chosen] ** 2
+    design = np.stack([np.ones_like(signal), signal / signal.max()])
+    covariance = np.linalg.inv(design * weight @ design.T)
+    first, slope = covariance @ (design * weight @ levels[chosen])
+    excess = float(weight @ (levels[chosen] - first - slope * design[1]) ** 2) / max(1, chosen.sum() - 2)
+    pooled = float(weight @ levels[chosen] / weight.sum())
+    rest_sd = np.sqrt(max(1.0, excess) * max(covariance[0, 0] - 1.0 / weight.sum(), 0.0)) / pooled
+    rng = np.random.default_rng([context.seed, 4])
+    factor = first / pooled + rest_sd * rng.standard_normal(len(posterior.draws))
+    draws = posterior.draws.copy()
+    draws[:, posterior.names.index("covariance_gain")] *= factor
+    return replace(posterior, draws=draws)
 
 
 def _exponent(context: Context) -> tuple[float, float]:

@@ -31,9 +31,9 @@ BOUNDS = np.array([[0.0, np.inf], [-1.0, 6.0], [-1.0, 6.0], [-1.5, 6.0], [0.7, 2
 # to the widths that falls and strength leave. Mean and standard deviation.
 EXPONENT = (1.3, 0.2)
 # The spectrum is fitted up to one of these radii, the widest that the model describes.
-REACHES_CY_PER_PX = (0.25, 0.2, 0.16, 0.13, 0.1)
+REACHES_CY_PER_PX = (0.18, 0.15, 0.12, 0.1)
 # Least probability of the residuals by chance for the model to pass.
-LEAST_CHANCE = 0.01
+LEAST_CHANCE = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)

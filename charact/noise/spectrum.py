@@ -32,6 +32,8 @@ class Bins:
         Index of the bin of each mode of the half plane, -1 for none.
     efficiency
         Independent modes per mode: what fading out the sides leaves.
+    row_pitch
+        Distance of the rows of one exposure, column pitches.
     """
 
     column_cy_per_px: Array
@@ -40,6 +42,7 @@ class Bins:
     select: NDArray[np.int64]
     window: NDArray[np.float32]
     efficiency: float
+    row_pitch: float
 
 
 def bins_of(rows: int, cols: int, row_pitch: float) -> Bins:
@@ -64,7 +67,7 @@ def bins_of(rows: int, cols: int, row_pitch: float) -> Bins:
     window = np.outer(_fade(rows), _fade(cols)).astype(np.float32)
     efficiency = float((window.astype(float) ** 2).sum() ** 2 / (window.astype(float) ** 4).sum() / window.size)
     return Bins(column_cy_per_px=mean[0][full], row_cy_per_px=mean[1][full], modes=modes[full].astype(float),
-                select=renumber[position], window=window, efficiency=efficiency)  # fmt: skip
+                select=renumber[position], window=window, efficiency=efficiency, row_pitch=row_pitch)  # fmt: skip
 
 
 def _fade(length: int) -> Array:

@@ -12,8 +12,9 @@ from charact.noise.temporal import independent
 
 Array = NDArray[np.float64]
 
-# Exposures of opposite rows are compared below this frequency only: beyond it the rows of one field alias.
-ODD_LAG_CY_PER_PX = 0.07
+# Exposures of opposite rows are compared below this frequency only, cycles per row of the exposure: beyond it the
+# rows alias, and the aliases of odd and even rows have opposite signs.
+ODD_LAG_CY_PER_ROW = 0.08
 SEEN = 4.0
 
 
@@ -149,7 +150,7 @@ def _lag(power: Array, lags: NDArray[np.int64], bins: Bins) -> Lag:
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     smooth = smoothed(power[:, 0], radius, bins.modes)
     ratio = power[:, 1:] / smooth[:, None]
-    low = radius < ODD_LAG_CY_PER_PX
+    low = bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW
     pooled = [_pooled(ratio[:, i], bins.modes * (low if lag % 2 else 1.0)) for i, lag in enumerate(lags[1:])]
     value, sd = np.array(pooled).T
     seen = bool((value[:3] > SEEN * sd[:3]).any())
