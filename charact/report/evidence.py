@@ -16,6 +16,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "point-profile": ("bloom", blooms.point_profile),
     "bloom-series": ("bloom", blooms.bloom_series),
     "photon-transfer": ("noise", noise.photon_transfer),
+    "noise-spectrum": ("noise", noise.noise_spectrum),
     "autocorrelation": ("noise", noise.autocorrelation),
 }
 

@@ -1,42 +1,93 @@
-"""Figures behind gain and noise: variance and covariance sum against the mean, and how far noise is shared."""
+"""Figures behind gain and noise: variance and covariance against the signal, and how far noise is shared."""
 
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from charact.report.generic import array, dots, has, line
-from charact.report.style import COLOURS, INK, panels
+from charact.report.style import DATA, INK, MODEL, THIRD, panels
 
 Data = Mapping[str, Any]
-TRANSFERS = (("variance_dn2", "variance"), ("covariance_sum_dn2", "covariance sum"))
 
 
 def photon_transfer(data: Data) -> Any:
-    """Temporal variance and covariance sum against the mean signal, with their fits."""
+    """Temporal variance and covariance sum above the dark's, against the signal above the dark's."""
     figure, grid = panels(size=(5.6, 3.8))
     axes = grid[0, 0]
-    mean = array(data, "mean_dn", "signal_dn")
-    for colour, (key, label) in zip(COLOURS, TRANSFERS, strict=False):
-        if has(data, key):
-            sd = array(data, f"{key}_sd") if has(data, f"{key}_sd") else None
-            dots(axes, mean, array(data, key), sd, color=colour, label=label, markersize=4)
-        if has(data, f"{key}_model"):
-            line(axes, mean, array(data, f"{key}_model"), color=colour)
-    axes.set(xlabel="mean (DN)", ylabel="temporal variance (DN²)")
+    signal, dark = array(data, "signal_dn"), np.zeros(len(array(data, "signal_dn")))
+    if has(data, "dark_variance_dn2") and len(data["dark_variance_dn2"]) == len(signal):
+        dark = array(data, "dark_variance_dn2")
+    fitted = array(data, "fitted").astype(bool) if has(data, "fitted") else np.ones(len(signal), bool)
+    _series(axes, signal, array(data, "variance_dn2") - dark, data.get("variance_sd_dn2"), fitted, DATA, "variance")
+    if has(data, "covariance_dn2"):
+        covariance = array(data, "covariance_dn2")
+        _series(axes, signal, covariance, data.get("covariance_sd_dn2"), fitted, MODEL, "covariance sum")
+    _slopes(axes, data, signal)
+    axes.set(xlabel="signal above the dark (DN)", ylabel="variance above the dark (DN²)")
+    axes.legend()
+    return figure
+
+
+def _series(axes: Any, x: Any, y: Any, sd: Any, fitted: Any, colour: str, label: str) -> None:
+    """Points of one kind: full where fitted, hollow where left out of the fit."""
+    sd = np.zeros(len(x)) if sd is None else np.asarray(sd, float)
+    dots(axes, x[fitted], y[fitted], sd[fitted], color=colour, label=f"{label}, ± 1 sd", markersize=4.5)
+    if not fitted.all():
+        out = ~fitted
+        dots(axes, x[out], y[out], sd[out], color=colour, mfc="none", label=f"{label}, not fitted", markersize=4.5)
+
+
+def _slopes(axes: Any, data: Data, signal: Any) -> None:
+    """Straight lines of the gains found."""
+    reach = np.array([0.0, float(np.max(signal))])
+    covariance, blur = data.get("covariance_gain_dn"), data.get("blur_factor")
+    if covariance is not None:
+        line(axes, reach, covariance * reach, color=MODEL, label=f"covariance gain {covariance:.4g} DN")
+        if blur is not None:
+            label = f"× blur factor {blur:.3g}"
+            line(axes, reach, covariance * blur * reach, color=DATA, linestyle="--", label=label)
+    gain = data.get("system_gain_dn_per_e")
+    if gain is not None:
+        line(axes, reach, gain * reach, color=THIRD, label=f"system gain {gain:.4g} DN/e-")
+
+
+def noise_spectrum(data: Data) -> Any:
+    """Noise power over signal against frequency: it meets frequency 0 at the covariance gain."""
+    figure, grid = panels(size=(5.6, 3.8))
+    axes = grid[0, 0]
+    radius, angle = array(data, "radius_cy_per_px"), np.abs(array(data, "angle_deg"))
+    power, sd, model = array(data, "power_dn"), array(data, "power_sd_dn"), array(data, "model_dn")
+    used = array(data, "used").astype(bool)
+    for colour, own, label in (
+        (DATA, used & (angle < 30), "near horizontal frequency"),
+        (THIRD, used & (angle > 60), "near vertical frequency"),
+    ):
+        if own.any():
+            dots(axes, radius[own], power[own], sd[own], color=colour, alpha=0.6, label=f"{label}, ± 1 sd")
+            order = np.argsort(radius[own])
+            line(axes, radius[own][order], model[own][order], color=colour)
+    if not used.all():
+        dots(axes, radius[~used], power[~used], color=INK, alpha=0.25, markersize=1.8, label="not fitted")
+    axes.axhline(float(data["variance_over_signal_dn"]), color=MODEL, linestyle="--", label="variance over signal")
+    axes.set(
+        xlabel="spatial frequency (cycles per column pitch)", ylabel="noise power over signal (DN)", ylim=(0, None)
+    )
     axes.legend()
     return figure
 
 
 def autocorrelation(data: Data) -> Any:
-    """Correlation of the noise of two pixels against their distance, along rows and columns."""
-    figure, grid = panels(size=(5.6, 3.4))
-    axes = grid[0, 0]
-    lag = array(data, "lag_px")
-    for colour, (key, label) in zip(
-        COLOURS, (("horizontal", "along rows"), ("vertical", "along columns")), strict=False
-    ):
-        if has(data, key):
-            axes.plot(lag, array(data, key), "o-", markersize=3.5, color=colour, label=label)
-    axes.axhline(0, color=INK, linewidth=0.8)
-    axes.set(xlabel="distance (px)", ylabel="correlation of the noise (1)")
-    axes.legend()
+    """Correlation of neighbouring pixels at each level, and of exposures one after the other."""
+    figure, grid = panels(1, 2, size=(5.8, 3.2))
+    pixels, exposures = grid[0]
+    neighbour = array(data, "neighbour_correlation")
+    dots(pixels, np.arange(1, len(neighbour) + 1), neighbour, array(data, "neighbour_sd"), color=DATA, markersize=4)
+    pixels.set(xlabel="flat stack, in order (1)", ylabel="correlation of neighbours in a row (1)")
+    lag, value = array(data, "lag_exposures"), array(data, "lag_correlation")
+    if len(lag):
+        dots(exposures, lag, value, array(data, "lag_correlation_sd"), color=THIRD, markersize=4)
+    exposures.set(xlabel="exposures apart (1)", ylabel="correlation in time (1)")
+    for axes in (pixels, exposures):
+        axes.axhline(0, color=INK, linewidth=0.8)
     return figure

@@ -86,7 +86,7 @@ def as_svg(figure: Any, description: str) -> str:
 
 
 def _lean(svg: str) -> str:
-    """Strip what an HTML page does not need: prologue, metadata, name spaces, names of groups, idle digits and space."""
+    """Strip what an HTML page does not need: prologue, metadata, name spaces, group names, idle digits and space."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
     svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href")

@@ -1,5 +1,6 @@
 """Flat series of exactly known covariance gain: counted pulses through an exact cascade, from no simulator."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -32,7 +33,8 @@ class FlatScene:
     photoelectron_gain_dn
         k, DN per photoelectron.
     excess_noise_factor
-        F^2 = 1 + relative variance of the pulse heights; every photoelectron is detected. 1: equal pulses.
+        F^2 = 1 + relative variance of the pulse heights; every photoelectron is detected. 1: equal pulses. 0: a camera
+        without an intensifier, whose light comes without pulses.
     electron_gain_dn
         K, DN per CCD electron.
     blur_px
@@ -49,6 +51,8 @@ class FlatScene:
         Relative standard deviation of the light from frame to frame.
     agc
         Whether an automatic gain holds the mean of every level at that of the brightest.
+    resampling_px
+        Standard deviation of a Gaussian that smooths the frames as recorded, px: noise of the camera shared afterwards.
     """
 
     photoelectron_gain_dn: float = 20.0
@@ -56,8 +60,8 @@ class FlatScene:
     electron_gain_dn: float = 0.05
     blur_px: float = 0.6
     photoelectrons: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
-    rows: int = 96
-    cols: int = 128
+    rows: int = 192
+    cols: int = 256
     frames: int = 24
     read_noise_dn: float = 1.5
     black_dn: float = 60.0
@@ -65,6 +69,7 @@ class FlatScene:
     lag: float = 0.0
     flicker: float = 0.0
     agc: bool = False
+    resampling_px: float = 0.0
 
     @property
     def truth_covariance_gain(self) -> float:
@@ -83,6 +88,10 @@ class FlatScene:
         if self.agc and number:
             light = light * max(self.photoelectrons) / level
         noisy = self.black_dn + light + self.read_noise_dn * rng.standard_normal(light.shape)
+        if self.resampling_px > 0:
+            from scipy.ndimage import gaussian_filter
+
+            noisy = gaussian_filter(noisy, (0, self.resampling_px, self.resampling_px), mode="wrap")
         codes = np.clip(np.rint(noisy), 0, self.full_scale_dn).astype(np.uint16)
         stack = FrameStack(
             data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn, black_level_dn=None
@@ -99,15 +108,16 @@ class FlatScene:
 
         shape = (self.frames + 1, self.rows, self.cols)
         strength = 1 + self.flicker * rng.standard_normal((self.frames + 1, 1, 1))
-        counts = rng.poisson(np.broadcast_to(np.maximum(level * strength, 0), shape))
-        pulses = _pulse_heights(counts, self.excess_noise_factor, rng) * self.photoelectron_gain_dn
+        light = np.broadcast_to(np.maximum(level * strength, 0), shape)
+        counted = light if self.excess_noise_factor == 0 else rng.poisson(light)
+        pulses = _pulse_heights(counted, self.excess_noise_factor, rng) * self.photoelectron_gain_dn
         if self.blur_px > 0:
             pulses = gaussian_filter(pulses, (0, self.blur_px, self.blur_px), mode="wrap", truncate=6)
         lagged = (1 - self.lag) * pulses[1:] + self.lag * pulses[:-1]
         return self.electron_gain_dn * rng.poisson(np.maximum(lagged, 0) / self.electron_gain_dn)
 
 
-def _pulse_heights(counts: NDArray[np.int64], factor: float, rng: np.random.Generator) -> NDArray[np.floating]:
+def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> NDArray[np.floating]:
     """Summed heights of pulses of mean 1: a sum of n gamma heights of shape m is gamma of shape n m."""
     if factor <= 1:
         return counts.astype(float)
@@ -151,14 +161,18 @@ def _scene(axis: str, position: float, base: FlatScene) -> FlatScene:
     return replace(base, **knob)
 
 
-def _case(axis: str, position: float, unit: str, scene: FlatScene, in_scope: bool, seed: int) -> Case:
+def flat_case(
+    quantity: str, axis: str, position: float, unit: str, scene: FlatScene, in_scope: bool, seed: int
+) -> Case:
+    """Return a case of a flat series whose covariance gain or, without an intensifier, system gain is known."""
+    truth = scene.truth_covariance_gain if quantity == "covariance_gain" else scene.electron_gain_dn
     return Case(
         name=f"{axis} {position:g} {unit}".strip(),
         axis=axis,
         position=float(position),
         unit=unit,
-        quantity="covariance_gain",
-        truth=scene.truth_covariance_gain,
+        quantity=quantity,
+        truth=truth,
         in_scope=in_scope,
         seed=seed,
         draw=scene.session_drawn,
@@ -174,17 +188,29 @@ def _base(rng: np.random.Generator) -> FlatScene:
     )
 
 
+def swept(
+    quantity: str,
+    axes: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]],
+    chosen: tuple[str, ...],
+    scene_at: Callable[[str, float, np.random.Generator], FlatScene],
+    rng: np.random.Generator,
+    repeats: int,
+) -> tuple[Case, ...]:
+    """Every chosen axis at every position, drawn several times."""
+    cases = []
+    for axis in chosen:
+        unit, positions, (low, high) = axes[axis]
+        for position in positions:
+            for _ in range(repeats):
+                scene, inside = scene_at(axis, position, rng), low <= position <= high
+                cases.append(flat_case(quantity, axis, position, unit, scene, inside, int(rng.integers(1 << 31))))
+    return tuple(cases)
+
+
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another gain, pulse height and blur."""
     rng = np.random.default_rng([seed, 3])
-    cases = []
-    for axis in axes:
-        unit, positions, (low, high) = AXES[axis]
-        for position in positions:
-            for _ in range(repeats):
-                scene = _scene(axis, position, _base(rng))
-                cases.append(_case(axis, position, unit, scene, low <= position <= high, int(rng.integers(1 << 31))))
-    return tuple(cases)
+    return swept("covariance_gain", AXES, axes, lambda axis, at, rng: _scene(axis, at, _base(rng)), rng, repeats)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
@@ -192,5 +218,6 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     rng = np.random.default_rng([seed, 4])
     scenes = [replace(_base(rng), frames=int(rng.integers(24, 49))) for _ in range(count)]
     return tuple(
-        _case("in scope", number, "", scene, True, int(rng.integers(1 << 31))) for number, scene in enumerate(scenes)
+        flat_case("covariance_gain", "in scope", number, "", scene, True, int(rng.integers(1 << 31)))
+        for number, scene in enumerate(scenes)
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from charact.method import Method
 from charact.method.registry import of_kind
-from charact.study import edge_cases, flats
+from charact.study import edge_cases, flats, white_flats
 from charact.study.harness import Case
 from labdata.errors import BadInput
 
@@ -54,6 +54,16 @@ STUDIES = {
         axes=tuple(flats.AXES),
         chart_cases=flats.chart_cases,
         stability_cases=flats.stability_cases,
+        chart_count=20,
+        quick_count=2,
+        repeats=2,
+    ),
+    "system_gain": Study(
+        kind="flats",
+        package="charact.noise",
+        axes=tuple(white_flats.AXES),
+        chart_cases=white_flats.chart_cases,
+        stability_cases=white_flats.stability_cases,
         chart_count=20,
         quick_count=2,
         repeats=2,

@@ -184,5 +184,5 @@ def test_cases_are_the_same_for_the_same_seed_and_others_for_another(quantity):
 
 
 def test_a_quantity_without_a_study_is_refused_with_those_that_have_one():
-    with pytest.raises(BadInput, match=r"must be of one of mtf50, covariance_gain, got 'prnu'"):
+    with pytest.raises(BadInput, match=r"must be of one of mtf50, covariance_gain, system_gain, got 'prnu'"):
         chart("prnu")
