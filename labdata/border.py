@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import json
+import math
 import tomllib
 from collections.abc import Mapping
 from functools import cache
@@ -142,7 +143,15 @@ def _plain(value: Any) -> Any:
         return [_plain(item) for item in value]
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items() if item is not None}
-    return value
+    return _plain_number(value)
+
+
+def _plain_number(value: Any) -> Any:
+    """Return a number of NumPy as one of Python; one that is not finite could not be read back and is refused."""
+    number = value.item() if hasattr(value, "item") else value
+    if isinstance(number, float) and not math.isfinite(number):
+        raise BadInput(f"a file holds finite numbers only, got {number}")
+    return number
 
 
 def _plain_fields(value: Any) -> dict[str, Any]:

@@ -32,6 +32,7 @@ class Photocathode:
     diameter_mm: Parameter
     gap_mm: Parameter
     gap_v: Parameter
+    bright_source_v: Parameter  # across the gap once the supply protects the cathode from a bright source
     lateral_energy_ev: Parameter  # mean energy of emission across the axis
     gap_resolution_lp_per_mm: Parameter  # where the gap's own contrast is 3 %
     ebi_doubling_k: Parameter  # warming that doubles the EBI

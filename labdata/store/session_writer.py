@@ -199,7 +199,7 @@ class SessionWriter:
             label=label,
             kind=kind,
             frames=f"{FRAMES}/{path.name}",
-            asked=asked,
+            asked=None if asked == Conditions() else asked,
             target=target or Target(),
             finished=False,
         )

@@ -3,14 +3,18 @@
 import tomllib
 from dataclasses import fields
 
+import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, Target
 from labdata.border import file_schema, from_mapping, from_toml, to_toml
 from labdata.form import SessionForm, stack_form
 from labdata.plan import Limits, Plan, Step, Wires
+
+# The machine may be busy: how long an example takes is no law of the border.
+unhurried = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 
 numbers = st.floats(min_value=0, max_value=1e12, allow_nan=False)
 signed = st.floats(min_value=-1e6, max_value=1e6)
@@ -66,14 +70,30 @@ plans = st.builds(
 )
 
 
+@unhurried
 @given(sessions)
 def test_a_session_file_written_and_read_is_the_same(form):
     assert from_mapping(tomllib.loads(to_toml(form)), SessionForm) == form
 
 
+@unhurried
 @given(plans)
 def test_a_plan_file_written_and_read_is_the_same(plan):
     assert from_mapping(tomllib.loads(to_toml(plan)), Plan) == plan
+
+
+def test_numbers_of_numpy_are_written_as_numbers():
+    form = stack_form(
+        Conditions(mcp_v=np.float64(0.1)), label="a", kind="dark", frames="a.tif", lost_frames=np.int64(3)
+    )
+    written = to_toml(SessionForm(name="s", bit_depth=np.int32(8), stack=(form,)))
+    assert tomllib.loads(written)["stack"][0]["mcp_v"] == 0.1
+    assert tomllib.loads(written)["bit_depth"] == 8
+
+
+def test_a_number_that_could_not_be_read_back_is_not_written():
+    with pytest.raises(BadInput, match="finite numbers only, got nan"):
+        to_toml(Target(angle_deg=float("nan")))
 
 
 def session_with(**stack) -> dict:
@@ -195,12 +215,14 @@ def keeps(value, schema: dict, definitions: dict) -> bool:
     return True
 
 
+@unhurried
 @given(sessions)
 def test_the_schema_of_a_session_holds_for_every_session_file(form):
     schema = file_schema("session")
     assert keeps(tomllib.loads(to_toml(form)), schema, schema["$defs"])
 
 
+@unhurried
 @given(plans)
 def test_the_schema_of_a_plan_holds_for_every_plan_file(plan):
     schema = file_schema("plan")

@@ -236,6 +236,14 @@ def test_resuming_goes_on_behind_the_last_frame_and_keeps_what_is_finished(tmp_p
     assert session.stack("flat").read().data[:, 0, 0].tolist() == [2, 3]
 
 
+def test_a_stack_that_asked_for_nothing_goes_on_too(tmp_path):
+    for frames in (1, 2):
+        writer = SessionWriter.resume(tmp_path / "s") if frames > 1 else writer_of(tmp_path / "s")
+        with writer, begun(writer, conditions=Conditions(), asked=Conditions()) as stack:
+            stack.append(frame(frames), 0, 0)
+            assert len(stack) == frames
+
+
 def test_a_stack_goes_on_only_as_it_was_begun(tmp_path):
     with writer_of(tmp_path / "s") as writer, begun(writer, asked=Conditions(mcp_v=700.0)) as stack:
         stack.append(frame(2), 0, 0)
