@@ -43,7 +43,7 @@ class FrameStack:
     Raises
     ------
     BadInput
-        If data is not three-dimensional, is empty or holds a value that is not finite.
+        If data is not three-dimensional, is empty or holds a value that is not finite, or the stamps do not fit it.
     """
 
     data: NDArray
@@ -68,6 +68,11 @@ class FrameStack:
         if data.dtype.kind not in "uif":
             raise BadInput(f"pixels must be whole or real numbers, got the type {data.dtype}")
         object.__setattr__(self, "data", read_only(data))
+        for name in ("time_s", "frame_number"):
+            stamps = np.asarray(getattr(self, name))
+            if stamps.shape not in ((0,), (len(data),)):
+                raise BadInput(f"{name} must be empty or one for each of {len(data)} frames, got shape {stamps.shape}")
+            object.__setattr__(self, name, read_only(stamps))
 
     def __len__(self) -> int:
         return self.data.shape[0]
