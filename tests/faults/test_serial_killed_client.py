@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from simulate.rig.faults import Faults, provoke
 from simulate.rig.outputs import read_outputs
 from simulate.rig.process import VirtualInstruments
 
@@ -45,20 +46,31 @@ def log(tmp_path):
     return tmp_path / "safety.jsonl"
 
 
-def started(virtual, log: Path, *, ramp_v_per_s: float = 8000.0, until: str = "set") -> subprocess.Popen:
-    arguments = [virtual.gate_port, virtual.supply_port, str(log), str(ramp_v_per_s)]
-    client = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    assert client.stdout is not None
-    for line in client.stdout:
-        if line.strip() == until:
-            return client
-    raise AssertionError(client.communicate()[1])
+@pytest.fixture
+def started(virtual, log):
+    """Start a client, up to the word that it says; none is left behind."""
+    clients = []
+
+    def start(*, ramp_v_per_s: float = 8000.0, until: str = "set") -> subprocess.Popen:
+        arguments = [virtual.gate_port, virtual.supply_port, str(log), str(ramp_v_per_s)]
+        client = subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        clients.append(client)
+        assert client.stdout is not None
+        for line in client.stdout:
+            if line.strip() == until:
+                return client
+        raise AssertionError(client.communicate()[1])
+
+    yield start
+    for client in clients:
+        client.kill()
+        client.communicate()
 
 
 def ended(client: subprocess.Popen) -> str:
@@ -105,8 +117,8 @@ def assert_followed_down(virtual, log: Path) -> None:
         time.sleep(0.02)
 
 
-def test_a_killed_client_leaves_gate_shut_and_voltage_falling_within_a_second(virtual, log):
-    client = started(virtual, log)
+def test_a_killed_client_leaves_gate_shut_and_voltage_falling_within_a_second(virtual, log, started):
+    client = started()
     assert read_outputs(virtual.folder).gate_open
     killed_s = time.monotonic()
     client.kill()
@@ -115,34 +127,31 @@ def test_a_killed_client_leaves_gate_shut_and_voltage_falling_within_a_second(vi
     assert max(ordered) - killed_s < WITHIN_S
     assert awaited(log, "making safe")["reason"] == "the client is gone"
     assert_followed_down(virtual, log)
-    ended(client)
 
 
-def test_a_client_killed_while_the_voltage_rises_is_seen_to_as_well(virtual, log):
-    client = started(virtual, log, ramp_v_per_s=400, until="open")
+def test_a_client_killed_while_the_voltage_rises_is_seen_to_as_well(virtual, log, started):
+    client = started(ramp_v_per_s=400, until="open")
     while read_outputs(virtual.folder).mcp_v < 200:
         time.sleep(0.01)
     killed_s = time.monotonic()
     client.kill()
     assert seconds_until_safe(virtual, killed_s) < WITHIN_S
     assert_followed_down(virtual, log)
-    ended(client)
 
 
-def test_a_client_that_hangs_shows_no_sign_of_life_and_is_not_waited_for(virtual, log):
-    client = started(virtual, log)
+def test_a_client_that_hangs_shows_no_sign_of_life_and_is_not_waited_for(virtual, log, started):
+    client = started()
     stopped_s = time.monotonic()
     client.send_signal(signal.SIGSTOP)
     assert seconds_until_safe(virtual, stopped_s) < WITHIN_S
     assert awaited(log, "making safe")["reason"].startswith("the client was silent for 0.")
     client.kill()
     assert_followed_down(virtual, log)
-    ended(client)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_unwinds_the_client_and_leaves_the_bench_safe(virtual, log, number):
-    client = started(virtual, log)
+def test_a_signal_unwinds_the_client_and_leaves_the_bench_safe(virtual, log, started, number):
+    client = started()
     sent_s = time.monotonic()
     client.send_signal(number)
     assert seconds_until_safe(virtual, sent_s) < WITHIN_S
@@ -152,8 +161,8 @@ def test_a_signal_unwinds_the_client_and_leaves_the_bench_safe(virtual, log, num
     assert_followed_down(virtual, log)
 
 
-def test_the_watchdog_told_to_stop_makes_safe_first(virtual, log):
-    client = started(virtual, log)
+def test_the_watchdog_told_to_stop_makes_safe_first(virtual, log, started):
+    client = started()
     told_s = time.monotonic()
     os.kill(awaited(log, "start")["pid"], signal.SIGTERM)
     assert seconds_until_safe(virtual, told_s) < WITHIN_S
@@ -161,11 +170,23 @@ def test_the_watchdog_told_to_stop_makes_safe_first(virtual, log):
     assert_followed_down(virtual, log)
 
 
-def test_a_client_whose_watchdog_was_killed_takes_the_ports_and_makes_safe_itself(virtual, log):
-    client = started(virtual, log)
+def test_a_client_whose_watchdog_was_killed_takes_the_ports_and_makes_safe_itself(virtual, log, started):
+    client = started()
     killed_s = time.monotonic()
     os.kill(awaited(log, "start")["pid"], signal.SIGKILL)
     assert seconds_until_safe(virtual, killed_s) < WITHIN_S
     assert "WatchdogLost" in ended(client)
     assert awaited(log, "the watchdog is gone; its client makes the bench safe")
     assert read_outputs(virtual.folder).mcp_v < 11
+
+
+def test_a_silent_supply_does_not_hold_up_the_gate_when_the_client_is_killed(virtual, log, started):
+    client = started()
+    provoke(virtual.folder, "high_voltage", Faults(silent=True))
+    killed_s = time.monotonic()
+    client.kill()
+    while read_outputs(virtual.folder).gate_open:
+        time.sleep(0.005)
+    assert time.monotonic() - killed_s < WITHIN_S
+    provoke(virtual.folder, "high_voltage", Faults())
+    assert awaited(log, "made safe")["whole"]  # the order is repeated until the supply hears it again

@@ -12,6 +12,7 @@ import serial
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.outputs import read_outputs
 from simulate.rig.process import VirtualInstruments
+from simulate.rig.pseudo_terminal import PseudoTerminal
 
 pytestmark = pytest.mark.wires
 
@@ -30,6 +31,14 @@ def asked(bench, question: bytes, *, baud: int = 9600, timeout_s: float = 0.5) -
 
 def test_the_line_does_not_echo(bench):
     assert asked(bench, b"TSRC?\n") == b"5\r\n"
+
+
+def test_what_the_instrument_says_to_nobody_does_not_come_back_to_it(tmp_path):
+    terminal = PseudoTerminal(tmp_path / "line", baud=None)
+    terminal.write(b"5\r\n")
+    assert terminal.read(0.1) == b""
+    terminal.close()
+    assert not (tmp_path / "line").is_symlink()
 
 
 def test_an_instrument_outlives_its_clients(bench):
@@ -88,6 +97,7 @@ def test_instruments_outlive_a_killed_bench_only_until_their_lines_are_quiet(tmp
         import os, signal, sys
         sys.path.insert(0, {os.getcwd()!r})
         from simulate.rig.process import VirtualInstruments
+from simulate.rig.pseudo_terminal import PseudoTerminal
         virtual = VirtualInstruments({str(tmp_path / "bench")!r})
         virtual.__enter__()
         os.kill(os.getpid(), signal.SIGKILL)
