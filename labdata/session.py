@@ -82,14 +82,20 @@ class StackEntry:
             If a file is missing or damaged, or the frames break a rule; one sentence.
         """
         from labdata.importers import read_frames
+        from labdata.importers.full_scale import FOUND
 
         stack = _joined([read_frames(path, plane) for path in self.paths], self.label)
+        stated = self.bit_depth is not None
         broken_off = () if self.finished else (f"the stack was broken off after {len(stack)} frames",)
         return replace(
             stack,
             lost_frames=stack.lost_frames + self.lost_frames,
             full_scale_dn=self._full_scale_dn(stack),
-            notes=(*stack.notes, *self.notes, *broken_off),
+            notes=(
+                *(note for note in stack.notes if not (stated and note.startswith(FOUND))),
+                *self.notes,
+                *broken_off,
+            ),
         )
 
     def _full_scale_dn(self, stack: FrameStack) -> float | None:

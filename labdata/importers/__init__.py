@@ -7,6 +7,7 @@ from pathlib import Path
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers.emva1288 import import_emva1288
+from labdata.importers.full_scale import with_full_scale
 from labdata.importers.loose import import_frames
 
 __all__ = ["KINDS", "import_emva1288", "import_frames", "known_kinds", "read_frames"]
@@ -63,7 +64,7 @@ def read_frames(path: str | Path, plane: str | None = None) -> FrameStack:
     if not path.exists():
         raise BadInput(f"a file of frames must exist to be read, got {path}")
     try:
-        return reader_of(path)(path, plane)
+        return with_full_scale(reader_of(path)(path, plane))
     except BadInput as error:
         if path.name in str(error):
             raise

@@ -15,20 +15,16 @@ def mono(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return frames that have no colour, shape (frame, row, col); asking a colour plane of them is a BadInput."""
     if plane not in (None, "mono"):
         raise BadInput(f"a plane can only be taken of a colour picture, got plane {plane!r} of {name}")
-    return FrameStack(data=data, full_scale_dn=full_scale_of(data.dtype))
+    return FrameStack(data=data)
 
 
 def chosen(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
-    full_scale_dn = full_scale_of(data.dtype)
     if plane is None:
         luminance = data[..., :3].astype(np.float64) @ np.asarray(LUMINANCE)
+        # A mean of 8-bit planes ends where they do; of wider ones nobody knows how many bits are used.
+        full_scale_dn = 255.0 if data.dtype == np.uint8 else None
         return FrameStack(data=luminance, full_scale_dn=full_scale_dn, notes=(LUMINANCE_NOTE,))
     if plane not in ("r", "g", "b"):
         raise BadInput(f"the plane of an RGB picture must be r, g or b, got {plane!r} for {name}")
-    return FrameStack(data=data[..., "rgb".index(plane)], full_scale_dn=full_scale_dn, plane=plane)
-
-
-def full_scale_of(dtype: np.dtype) -> float | None:
-    """Return the highest code of a type; None for all but 8 bits: wider types often hold fewer than they can."""
-    return 255.0 if dtype == np.uint8 else None
+    return FrameStack(data=data[..., "rgb".index(plane)], plane=plane)

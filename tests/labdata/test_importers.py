@@ -283,3 +283,32 @@ def test_the_real_edge_and_its_rotation_hold_the_same_pixels(shared_data):
     assert horizontal.shape == (125, 300)
     assert vertical.shape == (300, 125)
     assert any(np.array_equal(np.rot90(horizontal, turns), vertical) for turns in (1, 3))
+
+
+@pytest.mark.parametrize(("bits", "kind"), [(10, "u2"), (12, "u2"), (14, "i4"), (16, "u2")])
+def test_the_full_scale_shows_where_pixels_pile_up(tmp_path, bits, kind):
+    top = 2**bits - 1
+    data = pixels(kind, (3, 20, 20))
+    data[0, 0, :5] = top
+    np.save(tmp_path / "a.npy", data)
+    stack = read_frames(tmp_path / "a.npy")
+    assert stack.full_scale_dn == top
+    assert stack.notes == (
+        f"full scale found from the data: 5 pixels hold the highest code, {top} DN, which is that of {bits} bits",
+    )
+
+
+@pytest.mark.parametrize("top", [4094, 3000])
+def test_a_full_scale_that_does_not_show_is_unknown(tmp_path, top):
+    data = pixels("u2", (3, 20, 20))
+    data[0, 0, :5] = top
+    np.save(tmp_path / "a.npy", data)
+    np.save(tmp_path / "b.npy", np.where(np.arange(9).reshape(1, 3, 3) == 4, 4095, 7).astype("u2"))
+    np.save(tmp_path / "c.npy", pixels("f4"))
+    for name in ("a.npy", "b.npy", "c.npy"):
+        assert read_frames(tmp_path / name).full_scale_dn is None
+
+
+def test_whole_numbers_of_8_bits_end_at_255(tmp_path):
+    np.save(tmp_path / "a.npy", pixels("u1"))
+    assert read_frames(tmp_path / "a.npy").full_scale_dn == 255

@@ -135,6 +135,15 @@ def test_what_is_no_session_is_refused(tmp_path):
             open_session(path)
 
 
+def test_a_stated_bit_depth_outweighs_what_the_data_show(tmp_path):
+    data = np.full((1, 3, 3), 1023, np.uint16)
+    for stated, full_scale in (("", 1023), ("bit_depth = 12\n", 4095)):
+        folder = session_of(tmp_path / str(full_scale), 'name = "s"\n' + stated + FLAT, a=data)
+        read = open_session(folder).stack("flat-03").read()
+        assert read.full_scale_dn == full_scale
+        assert any("found from the data" in note for note in read.notes) == (not stated)
+
+
 def test_an_unknown_stack_is_answered_with_the_known_ones(tmp_path):
     session = open_session(session_of(tmp_path, 'name = "s"\n' + FLAT, a=np.zeros((1, 2, 2))))
     with pytest.raises(BadInput, match=r"a stack must be one of \['flat-03'\], got 'flat-3'"):

@@ -196,6 +196,16 @@ def test_a_full_disk_is_a_sentence_and_the_frames_so_far_are_kept(tmp_path, monk
     assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [1, 3]
 
 
+def test_an_array_can_be_taken_up_without_being_read(tmp_path):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    for n in range(3):
+        array.append(frame(n), n, n)
+    array.close()
+    unread, frames = store.lazy(tmp_path / "a.zarr")
+    assert frames == 3
+    assert unread[1][0, 0] == 1
+
+
 def test_a_frame_that_changed_on_the_disk_is_refused(tmp_path):
     array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     for n in range(3):
