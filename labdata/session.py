@@ -125,6 +125,8 @@ def _joined(parts: list[FrameStack], label: str) -> FrameStack:
         time_s=_all_or_none([part.time_s for part in parts], parts),
         frame_number=_all_or_none([part.frame_number for part in parts], parts),
         lost_frames=sum(part.lost_frames for part in parts),
+        full_scale_dn=max((known for part in parts if (known := part.full_scale_dn) is not None), default=None),
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
 
 

@@ -75,6 +75,14 @@ def test_files_of_one_stack_follow_one_another(tmp_path):
         session.stack("flat-03").read()
 
 
+def test_what_one_file_of_a_stack_shows_holds_for_all_of_them(tmp_path):
+    dim, bright = np.full((1, 3, 4), 9, np.uint16), np.full((1, 3, 4), 4095, np.uint16)
+    manifest = 'name = "s"\n' + FLAT.replace('"a.npy"', '["a.npy", "b.npy"]')
+    read = open_session(session_of(tmp_path, manifest, a=dim, b=bright)).stack("flat-03").read()
+    assert read.full_scale_dn == 4095
+    assert len(read.notes) == 1
+
+
 def test_a_sensor_beside_the_session_is_found(tmp_path):
     from dataclasses import replace
 
