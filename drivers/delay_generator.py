@@ -1,5 +1,6 @@
 """The gate: a Stanford DG645 delay generator whose AB output opens the gate unit for a set time at each trigger."""
 
+import math
 import re
 import time
 
@@ -176,12 +177,15 @@ class DelayGenerator:
 
     def _parsed(self, answer: str, question: str) -> float:
         try:
-            return float(answer)
+            value = float(answer)
         except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
             raise InstrumentConfused(
                 f"the {self._line.name} must answer {question} with a number, got {answer!r}",
                 instrument=self._line.name,
-            ) from None
+            )
+        return value
 
 
 def check_width(width_ns: float, *, rate_hz: float, delay_ns: float = 0.0) -> None:

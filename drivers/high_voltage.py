@@ -1,5 +1,6 @@
 """The gain: a Stanford PS350 high-voltage supply across the microchannel plate, raised slowly and verified."""
 
+import math
 import re
 import time
 from collections.abc import Callable
@@ -176,12 +177,15 @@ class HighVoltage:
     def _volts(self, question: str) -> float:
         answer = self._line.ask(question)
         try:
-            return float(answer)
+            value = float(answer)
         except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
             raise InstrumentConfused(
                 f"the {self._line.name} must answer {question} with a number, got {answer!r}",
                 instrument=self._line.name,
-            ) from None
+            )
+        return value
 
     def _refused(self, rule: str, code: int | None = None) -> InstrumentRefused:
         return InstrumentRefused(f"the {self._line.name} {rule}", instrument=self._line.name, code=code)

@@ -186,6 +186,7 @@ class Bench:
 
     def _started_guard(self) -> Guard:
         assert self._wires.gate_port is not None and self._wires.supply_port is not None
+        _check_writable(self._log)
         return Guard(
             gate_port=self._wires.gate_port,
             supply_port=self._wires.supply_port,
@@ -253,6 +254,15 @@ class Bench:
 def _end(number: int, _frame: FrameType | None) -> None:
     """Let a signal unwind the stack like Ctrl-C, so that every `with` is left properly."""
     raise SystemExit(128 + number)
+
+
+def _check_writable(log: Path) -> None:
+    """A watchdog that cannot log would end at once, out of sight."""
+    try:
+        with log.open("a"):
+            pass
+    except OSError as error:
+        raise BadInput(f"the log of the safety steps must be a file that can be written, got: {error}") from None
 
 
 def _opened(opener: Callable[[], Line]) -> Line | None:

@@ -94,7 +94,7 @@ class SerialPort:
             )
         except (*_PORT_ERRORS, ValueError) as error:
             raise InstrumentLost(
-                f"the port {port} of the {name} must be free to open, got: {error}", instrument=name
+                f"the port {port} of the {name} must be free to open, got: {_why_not_open(error)}", instrument=name
             ) from None
 
     def send(self, data: bytes) -> None:
@@ -137,6 +137,14 @@ class KnownAnswer:
 
 IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
 ADAPTER_ANSWER = KnownAnswer(question="++ver", form=r"(?i).*ver.*")
+
+
+def _why_not_open(error: BaseException) -> str:
+    if "exclusively lock" in str(error):
+        return (
+            "another program holds it (the watchdog of a run that just ended follows the voltage down for some seconds)"
+        )
+    return str(error)
 
 
 class FramedLine:

@@ -77,7 +77,8 @@ class LineWorker:
             if self.failure is not None:
                 raise self.failure
             answer["reply"] = self._do(request)
-        except BenchError as error:
+        except Exception as caught:
+            error = caught if isinstance(caught, BenchError) else BenchError(f"the {self.line.name} failed: {caught!r}")
             answer["error"] = described(error)
             if not self.line.hurry.is_set():
                 self.failure = self.failure or error

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.delay_generator import SHUT_COMMANDS, DelayGenerator
-from drivers.errors import BenchError, InstrumentLost
+from drivers.errors import InstrumentLost
 from drivers.high_voltage import DISCHARGED_V, FALL_S, OFF_COMMAND, HighVoltage
 from drivers.line import Line
 
@@ -106,7 +106,7 @@ class _Task:
     def attempt(self, step: str, action: Callable[[], object]) -> tuple[bool, object]:
         try:
             result = action()
-        except BenchError as error:
+        except Exception as error:  # the next step must be tried whatever this one did
             self._record(step, ok=False, error=str(error))
             self.failures.append(str(error))
             return False, error

@@ -56,6 +56,7 @@ class Client:
         self._connection, self._kept = connection, b""
         self._sending = threading.Lock()
         self.heard_s = time.monotonic()
+        self.longest_silence_s = 0.0
         self.gone = False
 
     def messages(self, timeout_s: float) -> list[dict]:
@@ -67,7 +68,9 @@ class Client:
         except ConnectionError:
             data = b""
         self.gone = self.gone or not data
-        self.heard_s = time.monotonic() if data else self.heard_s
+        if data:
+            self.longest_silence_s = max(self.longest_silence_s, time.monotonic() - self.heard_s)
+            self.heard_s = time.monotonic()
         *lines, self._kept = (self._kept + data).split(b"\n")
         return [json.loads(line) for line in lines]
 
@@ -105,13 +108,13 @@ class Watchdog:
         self._log("start", pid=os.getpid())
         self._open(openers)
         self._client.send({"ready": self._fault is None, "error": described(self._fault)})
-        reason, leaving = self._converse() if self._fault is None else (str(self._fault), None)
+        reason, leaving = self._guarded() if self._fault is None else (str(self._fault), None)
         if self._safety is None or self._fault is None:
             self._make_safe(reason)
         self._answer_safety(leaving)
         for worker in self._workers.values():
             worker.close()
-        self._log("end", reason=reason)
+        self._log("end", reason=reason, longest_silence_s=round(self._client.longest_silence_s, 3))
 
     def _open(self, openers: dict[str, Callable[[], OwnedLine]]) -> None:
         for name, opener in openers.items():
@@ -121,6 +124,12 @@ class Watchdog:
             except BenchError as error:
                 self._log("port not opened", line=name, error=str(error))
                 self._fault = self._fault or error
+
+    def _guarded(self) -> tuple[str, int | None]:
+        try:
+            return self._converse()
+        except Exception as error:  # whatever it is, the bench is made safe next
+            return f"the watchdog itself failed: {error!r}", None
 
     def _converse(self) -> tuple[str, int | None]:
         """Serve; return why it ended, and the number of the request that ended it, if one did."""
@@ -143,7 +152,8 @@ class Watchdog:
 
     def _obey(self, message: dict) -> None:
         if message.get("do") == "safe":
-            self._make_safe("the client asks for it")
+            if self._safety is None or self._fault is None:
+                self._make_safe("the client asks for it")
             self._answer_safety(message["id"])
             self._client.heard_s = time.monotonic()
         elif "line" in message:
@@ -199,9 +209,6 @@ def main() -> None:
                 SUPPLY: lambda: open_supply_line(asked.supply_port, address=asked.address),
             }
         )
-    except Exception as error:
-        log("the watchdog itself failed", error=repr(error))
-        raise
     finally:
         log.close()
 

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from drivers import safe
+from drivers import high_voltage, safe
 from drivers.errors import BenchError, InstrumentSilent, InstrumentTripped
 from drivers.interlock import FIELD_RATE_HZ, Bench
 from drivers.lines import gate_line, supply_line
@@ -39,6 +39,13 @@ class Witness:
 
         line.write = watched
         return line
+
+
+@pytest.fixture(autouse=True)
+def short_waits(monkeypatch):
+    """The virtual output moves much faster than life; so may the waits for it."""
+    monkeypatch.setattr(safe, "FOLLOW_S", 0.03)
+    monkeypatch.setattr(high_voltage, "SETTLE_S", 0.03)
 
 
 @pytest.fixture

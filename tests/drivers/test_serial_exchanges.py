@@ -212,3 +212,8 @@ def test_an_adapter_that_keeps_another_address_is_confusion():
         line.hurry = None
         with pytest.raises(InstrumentConfused, match="must keep the address 14, got '9'"):
             PrologixLine(line, address=14)
+
+
+def test_a_voltage_that_is_not_finite_is_confusion():
+    with Exchanges(("VOUT?", "nan")) as line, pytest.raises(InstrumentConfused):
+        HighVoltage(line).measured_v()

@@ -5,9 +5,10 @@ import time
 
 import pytest
 
-from drivers.errors import BenchError, InstrumentLost, InstrumentSilent, InstrumentTripped
+from drivers.errors import BenchError, InstrumentLost, InstrumentSilent, InstrumentTripped, WatchdogLost
 from drivers.interlock import Bench
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
 from labdata.plan import Limits, Wires
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.outputs import read_outputs
@@ -146,3 +147,21 @@ def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log)
     with pytest.raises(BenchError), bench:
         pass
     assert read_outputs(virtual.folder).mcp_v == 0
+
+
+def test_a_client_that_talks_nonsense_to_its_watchdog_is_made_safe_from(bench, virtual, log):
+    with pytest.raises(WatchdogLost), bench:
+        bench.set_conditions(Conditions(mcp_v=300.0, gate_ns=1e6))
+        bench._guard._connection.sendall(b"nonsense\n")
+        while True:
+            time.sleep(0.02)
+            bench.check()
+    assert "the watchdog itself failed" in log.read_text()
+    assert not read_outputs(virtual.folder).gate_open
+    assert read_outputs(virtual.folder).mcp_v < 11
+
+
+def test_a_log_that_cannot_be_written_is_told_before_anything_is_opened(virtual, tmp_path):
+    wires = Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port)
+    with pytest.raises(BadInput, match="must be a file that can be written"), Bench(wires, LIMITS, log=tmp_path):
+        pass
