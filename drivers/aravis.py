@@ -16,6 +16,7 @@ from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
+UNANSWERED = 5  # questions on the control port, 0.1 s each, before a camera is taken for dead
 HEARTBEAT_S = 3.0  # a camera stays locked this long after its client died
 
 
@@ -75,6 +76,7 @@ class AravisCamera:
         self._camera: int | None = None
         self._address: str | None = None
         self._dead = False
+        self._unanswered = 0
 
     @property
     def is_dead(self) -> bool:
@@ -98,6 +100,8 @@ class AravisCamera:
         if self._library.plain("arv_camera_is_gv_device", camera):
             self._address = self._library.address(self._library.plain("arv_camera_get_device", camera))
             self._library.plain("arv_camera_gv_set_stream_options", camera, PACKET_SOCKET_DISABLED)
+        # A client that was killed left its camera sending, to an address that nobody hears any more.
+        self._library.call("arv_camera_stop_acquisition", camera)
         return self
 
     def __exit__(
@@ -145,11 +149,19 @@ class AravisCamera:
         )
 
     def require_alive(self) -> None:
-        """Raise at once a `CameraError` if the camera's control port is closed."""
+        """Raise a `CameraError` if the camera's control port is closed, or has not answered several times in a row."""
         if self._camera is None:
             raise CameraError(f"camera {self.identifier} must be opened with a with block before it is used")
-        if self._dead or (self._address and gige.ask(self._address) == "refused"):
+        if self._dead:
+            raise self.died("has gone")
+        if self._address is None:
+            return
+        answer = gige.ask(self._address)
+        if answer == "refused":
             raise self.died("has gone: nothing listens on its control port")
+        self._unanswered = self._unanswered + 1 if answer == "silent" else 0
+        if self._unanswered >= UNANSWERED:
+            raise self.died(f"no longer answers: it left {self._unanswered} questions in a row without reply")
 
     def died(self, how: str) -> CameraError:
         """Mark the camera as dead, so that nothing waits for it any more, and return the error to raise."""

@@ -2,8 +2,10 @@
 
 import ctypes
 import ctypes.util
+import re
 from collections.abc import Callable
-from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_uint32, c_void_p
+from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_size_t, c_uint32, c_void_p
+from pathlib import Path
 from typing import Any
 
 from labdata.errors import BadInput
@@ -12,9 +14,11 @@ _NAMES = ("libaravis-0.8.so.0", "libaravis-0.8.dylib", "libaravis-0.8-0.dll")
 # buffer, our data, exposure in us, gain, pixel format
 _FILL = CFUNCTYPE(None, c_void_p, c_void_p, c_uint32, c_uint32, c_uint32)
 _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
-    "arv_gv_fake_camera_new": (c_void_p, (c_char_p, c_char_p)),
+    "arv_gv_fake_camera_new_full": (c_void_p, (c_char_p, c_char_p, c_char_p)),
     "arv_gv_fake_camera_is_running": (c_bool, (c_void_p,)),
     "arv_gv_fake_camera_get_fake_camera": (c_void_p, (c_void_p,)),
+    "arv_fake_camera_new": (c_void_p, (c_char_p,)),
+    "arv_fake_camera_get_genicam_xml": (c_void_p, (c_void_p, POINTER(c_size_t))),
     "arv_fake_camera_set_fill_pattern": (None, (c_void_p, _FILL, c_void_p)),
     "arv_fake_camera_read_register": (c_bool, (c_void_p, c_uint32, POINTER(c_uint32))),
     "arv_fake_camera_write_register": (c_bool, (c_void_p, c_uint32, c_uint32)),
@@ -42,15 +46,20 @@ class FakeCamera:
     serial
         Serial number, at most 15 characters; the identifier is "Aravis-MODEL-SERIAL", with "Fake" as the first model.
 
+    description
+        File with its GenICam description, see `described`.
+
     Raises
     ------
     BadInput
         If the library is absent, or the interface or its GigE Vision port cannot be had.
     """
 
-    def __init__(self, address: str, serial: str) -> None:
+    def __init__(self, address: str, serial: str, description: Path) -> None:
         self._library = load()
-        self._camera = self._call("arv_gv_fake_camera_new", address.encode(), serial.encode())
+        self._camera = self._call(
+            "arv_gv_fake_camera_new_full", address.encode(), serial.encode(), str(description).encode()
+        )
         if not self._camera or not self._call("arv_gv_fake_camera_is_running", self._camera):
             raise BadInput(
                 f"a virtual camera needs the GigE Vision port of a local interface, got no port on {address}"
@@ -72,6 +81,12 @@ class FakeCamera:
         """Give the camera a model name."""
         text = name.encode()[: MODEL_NAME_BYTES - 1].ljust(MODEL_NAME_BYTES, b"\0")
         self._call("arv_fake_camera_write_memory", self._registers, MODEL_NAME, len(text), text)
+
+    def lose_packets(self, share: float) -> None:
+        """Lose a share of the packets of each frame on the wire."""
+        gobject = ctypes.CDLL("libgobject-2.0.so.0")
+        gobject.g_object_set.argtypes = (c_void_p, c_char_p, c_double, c_void_p)
+        gobject.g_object_set(self._camera, b"gvsp-lost-ratio", share, None)
 
     def send_when_triggered(self, frame_rate_hz: float, ready: Callable[[], bytes]) -> None:
         """Send a frame for each `trigger`, at most so many a second, with the pixels that `ready` hands over."""
@@ -97,6 +112,24 @@ class FakeCamera:
 
     def _call(self, name: str, *arguments: Any) -> Any:
         return getattr(self._library, name)(*arguments)
+
+
+def described(longest_exposure_us: float) -> str:
+    """Return the fake camera's GenICam description for a video camera.
+
+    Parameters
+    ----------
+    longest_exposure_us
+        Longest exposure that it allows, us: one field.
+    """
+    library, size = load(), c_size_t()
+    text = library.arv_fake_camera_get_genicam_xml(library.arv_fake_camera_new(b"description"), byref(size))
+    own = ctypes.string_at(text, size.value).decode()
+    longest = own.replace("<Max>10000000.0</Max>", f"<Max>{longest_exposure_us:.1f}</Max>")
+    grey = re.sub(r'\s*<EnumEntry Name="(?:Bayer|RGB)\w+".*?</EnumEntry>', "", longest, flags=re.DOTALL)
+    if longest == own or grey == longest:
+        raise BadInput("the fake camera's description must be that of Aravis 0.8, got one of another form")
+    return grey
 
 
 def load() -> ctypes.CDLL:

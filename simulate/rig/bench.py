@@ -1,12 +1,5 @@
 """The virtual bench as a whole: a specimen nobody has measured, its instruments and its camera, each on a real wire."""
 
-import hashlib
-import json
-import os
-import select
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,7 +10,7 @@ from labdata.errors import BadInput
 from labdata.plan import Wires
 from labdata.sensor import Sensor
 from simulate.rig import aravis_library
-from simulate.rig.camera import LOCK_WAIT_S
+from simulate.rig.camera_process import CameraProcess
 from simulate.rig.in_process import InProcessInstruments
 from simulate.rig.in_process_camera import InProcessCamera
 from simulate.rig.operator import VirtualOperator
@@ -25,7 +18,6 @@ from simulate.rig.outputs import Outputs, read_outputs
 from simulate.rig.process import VirtualInstruments
 from simulate.rig.truth_folder import TRUTH, Truth, make_truth, read_truth
 
-READY_S = 60.0
 SILENCE_S = 15.0  # drawing one frame may take long on a busy machine; a dead camera's port is noticed at once
 
 
@@ -79,8 +71,7 @@ class VirtualBench:
         self.left_out: tuple[str, ...] = ()
         self.inside: InProcessInstruments | None = None
         self._instruments: VirtualInstruments | None = None
-        self._camera: str | None = None
-        self._process: subprocess.Popen[str] | None = None
+        self.camera: CameraProcess | None = None
 
     def __enter__(self) -> Self:
         self._wires_folder.mkdir(parents=True, exist_ok=True)
@@ -91,8 +82,7 @@ class VirtualBench:
                 VirtualInstruments(self._wires_folder, time_scale=self._time_scale)
             )
             if self._camera_has_a_wire():
-                running.callback(self._stop_camera)
-                self._start_camera()
+                self.camera = running.enter_context(CameraProcess(self.folder, self._wires_folder, say=self._say))
             self._running = running.pop_all()
         return self
 
@@ -108,18 +98,13 @@ class VirtualBench:
             bench=self._kind,
             gate_port=self._instruments.gate_port if self._instruments else None,
             supply_port=self._instruments.supply_port if self._instruments else None,
-            camera=self._camera,
+            camera=self.camera.identifier if self.camera else None,
         )
 
     @property
     def wires_folder(self) -> Path:
         """Folder where the instruments publish what they put out."""
         return self._wires_folder
-
-    @property
-    def camera_pid(self) -> int | None:
-        """Process of the camera; None where it has none."""
-        return self._process.pid if self._process else None
 
     def in_process_camera(self) -> InProcessCamera:
         """Return the camera without its wire."""
@@ -155,55 +140,8 @@ class VirtualBench:
             self._say(sentence)
         return not self.left_out
 
-    def _start_camera(self) -> None:
-        serial = "VB" + hashlib.sha256(str(self.folder).encode()).hexdigest()[:10]
-        command = [sys.executable, "-m", "simulate.rig.camera", str(self.folder), str(self._wires_folder), serial]
-        with (self._wires_folder / "camera.log").open("ab") as log:
-            self._process = subprocess.Popen(
-                [*command, "--parent", str(os.getpid())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=log,
-                text=True,
-                start_new_session=True,
-            )
-        self._camera = self._await_camera(self._process)
-
-    def _await_camera(self, process: subprocess.Popen[str]) -> str:
-        until_s = time.monotonic() + READY_S
-        while message := _message(process, until_s):
-            if "camera" in message:
-                return message["camera"]
-            if "error" in message:
-                raise BadInput(message["error"])
-            self._say(f"The virtual camera waits: {message['waiting']}.")
-            until_s = time.monotonic() + LOCK_WAIT_S + READY_S
-        raise BadInput(f"the virtual camera must come up within {READY_S:g} s, see {self._wires_folder / 'camera.log'}")
-
-    def _stop_camera(self) -> None:
-        process, self._process = self._process, None
-        if process is None:
-            return
-        process.terminate()
-        try:
-            process.wait(timeout=3.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if process.stdout:
-            process.stdout.close()
-
 
 def _unused(folder: Path) -> Path:
     """Return a folder for the wires of this run: instruments of a killed one may still be at their own."""
     runs = (int(path.suffix[1:]) for path in folder.glob("wires.*") if path.suffix[1:].isdigit())
     return folder / f"wires.{max(runs, default=0) + 1}"
-
-
-def _message(process: subprocess.Popen[str], until_s: float) -> dict[str, str] | None:
-    """Return the next message of the camera, or None if it ended or said nothing in time."""
-    if process.stdout is None:
-        return None
-    ready, _, _ = select.select([process.stdout], [], [], max(0.0, until_s - time.monotonic()))
-    line = process.stdout.readline() if ready else ""
-    return json.loads(line) if line else None

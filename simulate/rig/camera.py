@@ -37,11 +37,17 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("wires", type=Path, help="folder of the wires of the instruments that now run")
     parser.add_argument("serial")
     parser.add_argument("--parent", type=int, required=True, help="process whose end is ours")
+    parser.add_argument("--lost-packet-share", type=float, default=0.0, help="share of packets lost on the wire")
     options = parser.parse_args(arguments)
     try:
         lock = hold_loopback(options.parent)
         tube = VirtualTube(options.folder, partial(read_outputs, options.wires))
-        camera = VirtualCamera(tube, options.serial)
+        camera = VirtualCamera(
+            tube,
+            options.serial,
+            description=options.wires / "camera.genicam.xml",
+            lost_packet_share=options.lost_packet_share,
+        )
     except BadInput as refusal:
         tell({"error": str(refusal)})
         return 1
@@ -65,12 +71,19 @@ class VirtualCamera:
         What it sees.
     serial
         Its serial number.
+    description
+        File to which its GenICam description is written.
+    lost_packet_share
+        Share of the packets that get lost on the wire, dimensionless.
     """
 
-    def __init__(self, tube: VirtualTube, serial: str) -> None:
+    def __init__(self, tube: VirtualTube, serial: str, *, description: Path, lost_packet_share: float = 0.0) -> None:
         self._tube = tube
-        self._wire = aravis.FakeCamera(LOOPBACK, serial)
-        self._slot: queue.Queue[bytes] = queue.Queue(maxsize=1)
+        field_us = round(1e6 / float(tube.sensor.video.field_rate_hz))
+        description.write_text(aravis.described(field_us))
+        self._wire = aravis.FakeCamera(LOOPBACK, serial, description)
+        self._wire.lose_packets(lost_packet_share)
+        self._slot: queue.Queue[tuple[Scene, bytes]] = queue.Queue(maxsize=1)
         self._prepared: Placement | None = None
         self._wire.name_model(MODEL)
         video, ccd = tube.sensor.video, tube.sensor.ccd
@@ -81,7 +94,7 @@ class VirtualCamera:
             aravis.WIDTH: ccd.columns,
             aravis.HEIGHT: ccd.rows,
             aravis.PIXEL_FORMAT: aravis.MONO_8 if video.bit_depth <= 8 else aravis.MONO_16,
-            aravis.EXPOSURE_US: round(1e6 / field_rate_hz),
+            aravis.EXPOSURE_US: field_us,
             aravis.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
         }.items():
             self._wire.write(register, value)
@@ -99,7 +112,7 @@ class VirtualCamera:
             frame = self._tube.expose(scene)
             # A frame whose scene changed while it was drawn is of no time at all.
             if self._scene() == scene:
-                self._slot.put(self._as_sent(frame))
+                self._slot.put((scene, self._as_sent(frame)))
                 self._wire.trigger()
         else:
             time.sleep(IDLE_S)
@@ -119,9 +132,12 @@ class VirtualCamera:
             self._slot.get_nowait()
 
     def _handed_over(self) -> bytes:
-        """Give the wire the frame in the slot; called by the wire's thread."""
+        """Give the wire a frame of what stands before the camera now; called by the wire's thread."""
         try:
-            return self._slot.get(timeout=STUCK_S)
+            while True:
+                scene, pixels = self._slot.get(timeout=STUCK_S)
+                if scene == self._scene():
+                    return pixels
         except BaseException:
             # Nothing can leave through C; a camera without a frame falls dead rather than send something else.
             traceback.print_exc()
