@@ -5,6 +5,21 @@ from collections import deque
 from pathlib import Path
 
 from simulate.rig.commands import Command, commands_of
+from simulate.rig.dg645_refusals import (
+    ILLEGAL_COMMAND,
+    ILLEGAL_DELAY,
+    ILLEGAL_LINK,
+    ILLEGAL_MODE,
+    ILLEGAL_QUERY,
+    ILLEGAL_SET,
+    ILLEGAL_VALUE,
+    OVERRUN,
+    RECALL_FAILED,
+    TOO_MANY_ERRORS,
+    UNDEFINED_COMMAND,
+    RefusedCommand,
+    numbers,
+)
 from simulate.rig.dg645_settings import EDGES, SETTINGS, Memory, Setting
 from simulate.rig.faults import Faults
 from simulate.rig.outputs import GateOutput, publish_gate
@@ -20,21 +35,8 @@ BUFFER_LENGTH = 256
 SELF_TEST_S = 2.0
 COMMAND_S = 2e-3
 
-ILLEGAL_VALUE, ILLEGAL_MODE, ILLEGAL_DELAY, ILLEGAL_LINK, RECALL_FAILED = 10, 11, 12, 13, 14
-ILLEGAL_COMMAND, UNDEFINED_COMMAND, ILLEGAL_QUERY, ILLEGAL_SET, NULL_PARAMETER = 110, 111, 112, 113, 114
-EXTRA_PARAMETERS, MISSING_PARAMETERS, BAD_FLOAT, BAD_INTEGER = 115, 116, 118, 120
-OVERRUN, TOO_MANY_ERRORS = 171, 254
-
 OPC, QYE, DDE, EXE, CME, PON = 1, 4, 8, 16, 32, 128  # event status register
 TRIG, RATE, END_OF_DELAY = 1, 2, 4  # instrument status register
-
-
-class RefusedCommand(Exception):
-    """The instrument does not do this; `code` goes to its error queue."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
 
 
 class DelayGenerator:
@@ -84,7 +86,7 @@ class DelayGenerator:
         if command.mnemonic not in mine:
             raise RefusedCommand(wrong if command.mnemonic in other else UNDEFINED_COMMAND)
         kinds, method = mine[command.mnemonic]
-        return method(self, *_numbers(command.arguments, kinds))
+        return method(self, *numbers(command.arguments, kinds))
 
     def _complain(self, code: int) -> None:
         self._event_status |= CME if 110 <= code < 130 else DDE if code >= 30 else EXE
@@ -98,9 +100,9 @@ class DelayGenerator:
     def _setting(self, command: Command, setting: Setting) -> str | None:
         indices = (int,) if setting.count else ()
         if command.query:
-            (index,) = _numbers(command.arguments, indices) or (0,)
+            (index,) = numbers(command.arguments, indices) or (0,)
             return setting.form.format(setting.kind(self._memory.values[command.mnemonic, _within(index, setting)]))
-        *index, value = _numbers(command.arguments, (*indices, setting.kind))
+        *index, value = numbers(command.arguments, (*indices, setting.kind))
         place = _within(index[0], setting) if index else 0
         if not setting.low <= value <= setting.high:
             raise RefusedCommand(ILLEGAL_DELAY if setting.form == "{:+.12f}" else ILLEGAL_VALUE)
@@ -262,24 +264,6 @@ def _within(index: int, setting: Setting) -> int:
     if not 0 <= index < max(1, setting.count):
         raise RefusedCommand(ILLEGAL_VALUE)
     return index
-
-
-def _numbers(arguments: tuple[str, ...], kinds: tuple[type, ...]) -> list:
-    if len(arguments) != len(kinds):
-        raise RefusedCommand(MISSING_PARAMETERS if len(arguments) < len(kinds) else EXTRA_PARAMETERS)
-    return [_number(text, kind) for text, kind in zip(arguments, kinds, strict=True)]
-
-
-def _number(text: str, kind: type) -> float:
-    if not text:
-        raise RefusedCommand(NULL_PARAMETER)
-    try:
-        value = kind(text)
-    except ValueError:
-        raise RefusedCommand(BAD_FLOAT if kind is float else BAD_INTEGER) from None
-    if not math.isfinite(value):
-        raise RefusedCommand(BAD_FLOAT)
-    return value
 
 
 _QUERIES = {
