@@ -52,7 +52,11 @@ def _on_virtual_bench(
     wires = plan.wires.bench
     with VirtualBench(bench_folder(session), load_sensor(plan.sensor), plan.seed, wires=wires, say=tell) as virtual:
         session.parent.mkdir(parents=True, exist_ok=True)
-        camera = virtual.in_process_camera() if virtual.left_out else AravisCamera(virtual.wires.camera)
+        camera = (
+            virtual.in_process_camera()
+            if virtual.left_out
+            else AravisCamera(virtual.wires.camera, silence_s=virtual.silence_s, say=tell)
+        )
         log = bench_folder(session) / WATCHDOG_LOG
         return acquire(
             plan,

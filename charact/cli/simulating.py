@@ -20,7 +20,7 @@ def simulated(
     frames: int,
     seed: int,
 ) -> None:
-    """Render a scene, expose frames of it through a sensor and keep them as a session, one frame in memory at a time."""
+    """Render a scene, expose frames of it through a sensor and keep them as a session, frame by frame."""
     from labdata.sensors import load_sensor, save_sensor
     from labdata.store import SessionWriter
     from simulate.lab import LabBench
