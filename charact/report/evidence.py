@@ -74,9 +74,20 @@ def titled(name: str, kind: str) -> str:
     return f"{text}, {label}" if label else text
 
 
+UNITS = {
+    "_cy_per_px": "cy/px", "_dn_per_e": "DN/e-", "_dn2": "DN²", "_dn": "DN", "_px": "px", "_deg": "°", "_s": "s", "_lux": "lux",
+}  # fmt: skip
+
+
 def scalars(data: Data) -> tuple[tuple[str, str], ...]:
-    """The single numbers and words among the evidence."""
-    found = {
-        key: value for key, value in data.items() if key != "figure" and isinstance(value, (int, float, str, bool))
-    }
-    return tuple((key.replace("_", " "), plain(value)) for key, value in found.items())
+    """The single numbers and words among the evidence, each with the unit that its name ends in."""
+    single = (int, float, str, bool)
+    found = {key: value for key, value in data.items() if key != "figure" and isinstance(value, single)}
+    return tuple(_with_unit(key, value) for key, value in found.items())
+
+
+def _with_unit(key: str, value: Any) -> tuple[str, str]:
+    for suffix, unit in UNITS.items():
+        if key.endswith(suffix):
+            return key.removesuffix(suffix).replace("_", " "), f"{plain(value)} {unit}"
+    return key.replace("_", " "), plain(value)

@@ -45,8 +45,9 @@ def _slopes(axes: Any, data: Data, signal: Any) -> None:
     if covariance is not None:
         line(axes, reach, covariance * reach, color=MODEL, label=f"covariance gain {covariance:.4g} DN")
         if blur is not None:
-            label = f"× blur factor {blur:.3g}"
-            line(axes, reach, covariance * blur * reach, color=DATA, linestyle="--", label=label)
+            lag = data.get("lag_factor") or 1.0
+            label = f"× blur factor {blur:.3g}" + (f" / lag factor {lag:.3g}" if lag > 1.001 else "")
+            line(axes, reach, covariance * blur / lag * reach, color=DATA, linestyle="--", label=label)
     gain = data.get("system_gain_dn_per_e")
     if gain is not None:
         line(axes, reach, gain * reach, color=THIRD, label=f"system gain {gain:.4g} DN/e-")

@@ -21,8 +21,8 @@ class Stability:
 
     Parameters
     ----------
-    quantity, seed, quick
-        What was measured, the seed of the cases, and whether the methods ran without Markov chains.
+    quantity, seed, chains
+        What was measured, the seed of the cases, and whether the methods ran their Markov chains.
     rows
         Every method on every case.
     files
@@ -31,7 +31,7 @@ class Stability:
 
     quantity: str
     seed: int
-    quick: bool
+    chains: bool
     rows: tuple[Row, ...]
     files: tuple[Path, ...] = ()
 
@@ -87,9 +87,9 @@ def _sentence(row: Row) -> str:
     )
 
 
-def _attempt_all(case: Case, methods: tuple[Method, ...], quick: bool) -> list[Row]:
+def _attempt_all(case: Case, methods: tuple[Method, ...], chains: bool) -> list[Row]:
     """One case through every method, in a process of its own."""
-    return [attempt(method, case, Context(quick=quick)) for method in methods]
+    return [attempt(method, case, Context(quick=not chains)) for method in methods]
 
 
 def stability(
@@ -99,6 +99,7 @@ def stability(
     out: str | Path | None = None,
     progress: Progress = lambda sentence, share: None,
     quick: bool = False,
+    chains: bool = False,
     repeats: int | None = None,
     axes: tuple[str, ...] | None = None,
     methods: tuple[Method, ...] | None = None,
@@ -117,7 +118,9 @@ def stability(
     progress
         Called with a sentence and the share done.
     quick
-        A first look: one draw a position and no Markov chains.
+        A first look: one draw at both ends of every axis.
+    chains
+        Intervals by Markov chains: what a user gets without --quick, and several times slower.
     repeats
         Draws at each position; None: as the study says.
     axes
@@ -132,25 +135,34 @@ def stability(
     BadInput
         If no study of the quantity exists.
     """
-    workers = workers or (2 if methods is None and not quick else 1)
+    workers = workers or (2 if methods is None else 1)
     methods = methods_of(quantity) if methods is None else methods
     study = STUDIES[quantity]
     cases = study.stability_cases(seed, repeats or (1 if quick else study.repeats), axes or study.axes)
+    cases = ends(cases) if quick else cases
     rows: list[Row] = []
-    for number, found in enumerate(_mapped(cases, methods, quick, workers)):
+    for number, found in enumerate(_mapped(cases, methods, chains, workers)):
         progress(cases[number].name, (number + 1) / len(cases))
         rows += found
-    result = Stability(quantity=quantity, seed=seed, quick=quick, rows=tuple(rows))
+    result = Stability(quantity=quantity, seed=seed, chains=chains, rows=tuple(rows))
     return result if out is None else replace(result, files=_written(result, Path(out)))
 
 
-def _mapped(cases: Sequence[Case], methods: tuple[Method, ...], quick: bool, workers: int):
+def ends(cases: Sequence[Case]) -> tuple[Case, ...]:
+    """The cases at the first and the last position of every axis."""
+    of_axis: dict[str, list[Case]] = {}
+    for case in cases:
+        of_axis.setdefault(case.axis, []).append(case)
+    return tuple(c for own in of_axis.values() for c in own if c.position in (own[0].position, own[-1].position))
+
+
+def _mapped(cases: Sequence[Case], methods: tuple[Method, ...], chains: bool, workers: int):
     """Rows of each case in order, drawn in this process or shared out."""
     if workers == 1:
-        yield from map(_attempt_all, cases, repeat(methods), repeat(quick))
+        yield from map(_attempt_all, cases, repeat(methods), repeat(chains))
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_attempt_all, cases, repeat(methods), repeat(quick), chunksize=4)
+        yield from pool.map(_attempt_all, cases, repeat(methods), repeat(chains), chunksize=4)
 
 
 def _written(result: Stability, out: Path) -> tuple[Path, ...]:
@@ -164,7 +176,7 @@ def _written(result: Stability, out: Path) -> tuple[Path, ...]:
             method: Counter(f for r in result.rows if r.method == method for f in r.flags) for method in result.methods
         },
         "rows": [row.as_json() for row in result.rows],
-        "provenance": {"charact": charact.__version__, "seed": result.seed, "quick": result.quick},
+        "provenance": {"charact": charact.__version__, "seed": result.seed, "chains": result.chains},
     }
     written = write_json(out / f"stability-{result.quantity}.json", data)
     return written, draw_stability(result, out / f"stability-{result.quantity}.svg")

@@ -44,9 +44,9 @@ STUDIES = {
         axes=tuple(edge_cases.AXES),
         chart_cases=edge_cases.chart_cases,
         stability_cases=edge_cases.stability_cases,
-        chart_count=48,
+        chart_count=40,
         quick_count=6,
-        repeats=3,
+        repeats=2,
     ),
     "covariance_gain": Study(
         kind="flats",
@@ -54,9 +54,9 @@ STUDIES = {
         axes=tuple(flats.AXES),
         chart_cases=flats.chart_cases,
         stability_cases=flats.stability_cases,
-        chart_count=20,
+        chart_count=8,
         quick_count=2,
-        repeats=2,
+        repeats=1,
     ),
     "system_gain": Study(
         kind="flats",
@@ -64,9 +64,9 @@ STUDIES = {
         axes=tuple(white_flats.AXES),
         chart_cases=white_flats.chart_cases,
         stability_cases=white_flats.stability_cases,
-        chart_count=20,
+        chart_count=8,
         quick_count=2,
-        repeats=2,
+        repeats=1,
     ),
 }
 

@@ -83,7 +83,7 @@ def test_labels_from_outside_are_escaped(made):
 def test_evidence_of_an_unknown_or_broken_kind_is_told_and_not_drawn(html):
     text = " ".join(_text(html).split())
     assert "Not drawn: no figure of the kind 'of-tomorrow'" in text
-    assert "strength dn 4.5" in text
+    assert "strength 4.5 DN" in text
     assert "Not drawn: its data cannot be drawn" in text
 
 
