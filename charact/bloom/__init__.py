@@ -1,0 +1,34 @@
+"""Halo and blooming around a point source that is far too bright."""
+
+from charact.bloom import halo_profile, threshold
+from charact.method import Context, choose
+from labdata.errors import BadInput
+from labdata.measurement import Result
+from labdata.session import Session
+
+__all__ = ["halo_profile", "measure", "threshold"]
+
+
+def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+    """Measure halo diameter, bloom diameter and streak length from the point sources of a session.
+
+    Parameters
+    ----------
+    session
+        Session with at least one stack of kind "point".
+    method
+        "auto" or the name of a registered method of kind "bloom".
+    within_percent
+        Tolerance that the automatic choice must meet, percent.
+    context
+        What the method is told besides.
+
+    Raises
+    ------
+    BadInput
+        If the session has no point source, or the method is unknown.
+    """
+    chosen = choose("bloom", method, within_percent=within_percent)
+    if not session.of_kind("point"):
+        raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")
+    return chosen.function(session, context=context)

@@ -1,0 +1,123 @@
+"""Brightness around the source against radius, with the covariance that correlated noise gives neighbouring rings."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.spot import LINEAR_SHARE, Spot
+from charact.method import Context
+
+Array = NDArray[np.float64]
+
+SECTORS = 16
+# Columns on either side of the source that smear and overflow fill, px; beyond this radius they are left out.
+STREAK_PX = 2.5
+STREAK_FROM_PX = 6.0
+# Rings inside which the source's own light spoils its neighbours, beyond the last saturated one.
+MARGIN_PX = 2
+RINGS_CORRELATED = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """Ring means of one stack.
+
+    Parameters
+    ----------
+    label
+        Its stack.
+    radius_px
+        Mean radius of each ring, column pitches, shape (ring,).
+    mean_dn
+        Ring means, shape (ring,), DN.
+    sd_dn
+        Their standard errors, shape (ring,), DN.
+    correlation
+        Correlation of rings 1, 2, ... apart, shape (lag,).
+    used
+        Rings that are neither saturated nor next to one that is, shape (ring,).
+    """
+
+    label: str
+    radius_px: Array
+    mean_dn: Array
+    sd_dn: Array
+    correlation: Array
+    used: NDArray[np.bool_]
+
+    def covariance(self) -> Array:
+        """Covariance of the used rings, shape (used, used), DN^2."""
+        count = int(self.used.sum())
+        apart = np.abs(np.subtract.outer(np.flatnonzero(self.used), np.flatnonzero(self.used)))
+        padded = np.concatenate([[1.0], self.correlation, np.zeros(max(1, len(self.used) - len(self.correlation)))])
+        correlation = padded[apart]
+        # Estimated correlations need not make a covariance: the smallest eigenvalues are lifted.
+        values, vectors = np.linalg.eigh(correlation)
+        lifted = (vectors * np.maximum(values, 0.05)) @ vectors.T
+        sd = self.sd_dn[self.used]
+        return lifted * np.outer(sd, sd) + 1e-9 * np.eye(count)
+
+
+def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
+    """Average a stack's mean frame over rings one column pitch wide.
+
+    Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
+    and by successive frames is in them, and are smoothed over rings.
+    """
+    rows, cols = np.indices(spot.image.shape)
+    dx = cols - spot.col
+    dy = (rows - spot.row) * context.pitch_ratio
+    radius = np.hypot(dx, dy)
+    inside = (radius < reach_px) & ((np.abs(dx) > STREAK_PX) | (radius < STREAK_FROM_PX))
+    ring = radius[inside].astype(int)
+    sector = ((np.arctan2(dy[inside], dx[inside]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    value = spot.image[inside]
+    count = np.bincount(ring, minlength=reach_px).astype(float)
+    mean = np.bincount(ring, value, minlength=reach_px) / np.maximum(count, 1)
+    centre = np.bincount(ring, radius[inside], minlength=reach_px) / np.maximum(count, 1)
+    cell = ring * SECTORS + sector
+    cells = np.bincount(cell, minlength=reach_px * SECTORS).reshape(reach_px, SECTORS).astype(float)
+    total = np.bincount(cell, value, minlength=reach_px * SECTORS).reshape(reach_px, SECTORS)
+    residual = np.where(cells > 0, total / np.maximum(cells, 1) - mean[:, None], 0.0)
+    share = cells / np.maximum(count[:, None], 1)
+    raw = (share**2 * residual**2).sum(axis=1) * SECTORS / (SECTORS - 1)
+    sd = np.sqrt(_smoothed(raw * np.maximum(count, 1)) / np.maximum(count, 1))
+    return Profile(
+        label=spot.label,
+        radius_px=centre,
+        mean_dn=mean,
+        sd_dn=np.maximum(sd, 1e-3),
+        correlation=_correlation(residual * np.sqrt(share)),
+        used=_used(mean, value, ring, spot, reach_px) & (count > 0),
+    )
+
+
+def _smoothed(values: Array) -> Array:
+    """Geometric mean over five rings."""
+    logs = np.log(np.maximum(values, 1e-9))
+    padded = np.pad(logs, 2, mode="edge")
+    return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + 0.06)
+
+
+def _correlation(residual: Array) -> Array:
+    """Correlation of the sectors' residuals between rings up to `RINGS_CORRELATED` apart, outside the core."""
+    outer = residual[8:] / np.maximum(np.sqrt((residual[8:] ** 2).mean(axis=1, keepdims=True)), 1e-12)
+    return np.array([float(np.clip((outer[lag:] * outer[:-lag]).mean(), 0.0, 0.95)) for lag in
+                     range(1, RINGS_CORRELATED + 1)])  # fmt: skip
+
+
+def _used(mean: Array, value: Array, ring: NDArray[np.int64], spot: Spot, reach_px: int) -> NDArray[np.bool_]:
+    """Rings beyond the last that is saturated, or so bright that its noise meets the highest code."""
+    top = spot.dark_dn + LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn)
+    brightest = np.zeros(reach_px)
+    np.maximum.at(brightest, ring, value)
+    over = np.flatnonzero((mean > top) | (brightest > 0.95 * spot.full_scale_dn))
+    inner = over[over < reach_px // 2]
+    used = np.ones(reach_px, bool)
+    if len(inner):
+        used[: int(inner[-1]) + 1 + MARGIN_PX] = False
+    outer = over[over >= reach_px // 2]
+    if len(outer):
+        used[int(outer[0]) :] = False
+    return used

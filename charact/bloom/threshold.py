@@ -1,0 +1,67 @@
+"""The plain way: the area above half of full scale, and the steepest step of the radial profile as the halo's edge."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
+from charact.bloom.edge import STEP_SEEN, edge_radius
+from charact.bloom.profile import profile_of
+from charact.bloom.spot import DETECTED, read_spots
+from charact.method import Context, register
+from labdata.measurement import Measurement, Result, from_sd, refused
+from labdata.session import Session
+
+METHOD = "threshold"
+REACH_PX = 60
+# The steepest step of a blurred rim lies within about half a pixel of its edge.
+RADIUS_SD_PX = 0.5
+
+
+@register(
+    "bloom",
+    METHOD,
+    quantities=("halo_diameter", "bloom_diameter", "streak_length"),
+    scope="Halos of 16 to 90 px with a sharp edge; blur moves the steepest step by a fraction of a pixel.",
+)
+def threshold(session: Session, *, context: Context) -> Result:
+    """Measure bloom from areas and the halo from the steepest step of each profile.
+
+    Parameters
+    ----------
+    session
+        Session with stacks of kind "point".
+    context
+        Seed and settings.
+    """
+    began = perf_counter()
+    spots = read_spots(session, context=context)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    profiles = [profile_of(s, reach_of(s), context=context) for s in spots if s.significance > DETECTED]
+    found = [edge_radius(profile) for profile in profiles]
+    seen = [(radius, score) for radius, score in found if score > STEP_SEEN]
+    halo = _halo(seen, no_darks=not all(spot.dark_known for spot in spots), **fields)
+    out = [halo, *bloom_measurements(spots, square=context.sensor is None, **fields)]
+    seconds = perf_counter() - began
+    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
+                  evidence={"bloom-series": series_evidence(spots)})  # fmt: skip
+
+
+def reach_of(spot, most_px: int = REACH_PX) -> int:
+    """Rings that fit into the frame around the source, at most `most_px`."""
+    rows, cols = spot.image.shape
+    return int(max(8, min(most_px, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
+
+
+def _halo(seen: list[tuple[float, float]], *, no_darks: bool, **fields: Any) -> Measurement:
+    """One diameter of all levels that show an edge, each weighted by how clearly."""
+    if not seen:
+        reason = "no profile has a step that stands out of its noise: no halo is visible"
+        return refused("halo_diameter", "px", reason, **fields)
+    radius, weight = np.array(seen).T
+    mean = float(np.average(radius, weights=weight**2))
+    scatter = float(np.sqrt(np.average((radius - mean) ** 2, weights=weight**2) / len(seen)))
+    apart = radius.max() - radius.min() > 6.0 * RADIUS_SD_PX
+    return from_sd("halo_diameter", "px", 2 * mean, 2 * float(np.hypot(scatter, RADIUS_SD_PX)),
+                   flags=("model-misfit",) if apart else (), **fields)  # fmt: skip
