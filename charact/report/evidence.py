@@ -75,7 +75,8 @@ def titled(name: str, kind: str) -> str:
 
 
 UNITS = {
-    "_cy_per_px": "cy/px", "_dn_per_e": "DN/e-", "_dn2": "DN²", "_dn": "DN", "_px": "px", "_deg": "°", "_s": "s", "_lux": "lux",
+    "_cy_per_px": "cy/px", "_dn_per_e": "DN/e-", "_dn2": "DN²", "_dn": "DN", "_px": "px", "_deg": "°", "_s": "s",
+    "_lux": "lux",
 }  # fmt: skip
 
 
