@@ -85,12 +85,8 @@ def photoelectron_gain(values: Values, mcp_v: float, reference_v: float) -> Arra
     S/e electrons; the taper passes T of the photons, the detector turns QE of them into electrons of K DN each. The
     gain follows the plate's voltage as (V/V0)^m.
     """
-    photon_j = values["phosphor.photon_energy_ev"] * ELEMENTARY_CHARGE_C
-    photons_per_lumen = values["tube.luminous_gain"] / (values["phosphor.luminous_efficacy_lm_per_w"] * photon_j)
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
-    voltage = (mcp_v / reference_v) ** values["microchannel_plate.gain_exponent"]
-    conversion = values["video.conversion_gain_dn_per_e"]
-    return photons_per_lumen / _electrons_per_lumen(values) * electrons * conversion * voltage
+    return _photons_per_pe(values, mcp_v, reference_v) * electrons * values["video.conversion_gain_dn_per_e"]
 
 
 def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
@@ -109,14 +105,72 @@ def background_rate(values: Values) -> Array:
     return values["photocathode.ebi_lm_per_cm2"] * 1e4 * _electrons_per_lumen(values) * _field_pixel_m2(values)
 
 
-def dark_dn(values: Values, exposure_s: float) -> Array:
-    """Return the signal of the detector's own dark current, two rows summed, shape (n,), DN."""
-    electrons = 2.0 * values["ccd.dark_current_e_per_s"] * exposure_s
-    return electrons * values["video.conversion_gain_dn_per_e"]
+def load(values: Values, illuminance_lux: ArrayLike, gate_s: float, mcp_v: float, reference_v: float) -> Array:
+    """Return the plate's mean output current over the one at which its gain has halved, shape (n,).
+
+    Notes
+    -----
+    G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field over the whole plate.
+    """
+    per_pe = _photons_per_pe(values, mcp_v, reference_v) / values["phosphor.photons_per_electron"]
+    cathode_a_per_cm2 = np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
+    limit = values["microchannel_plate.strip_current_ua_per_cm2"] * 1e-6
+    limit = limit * values["microchannel_plate.saturation_fraction"]
+    return cathode_a_per_cm2 * per_pe * gate_s * values["video.field_rate_hz"] / limit
+
+
+def dark_variance(values: Values, gain_dn_per_pe: Array, gate_s: float) -> Array:
+    """Return the temporal variance of a dark frame: reading, rounding and what scintillates, shape (n,), DN^2.
+
+    Notes
+    -----
+    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: reading noise r and dark charge d pass the video filter w; the n
+    photoelectrons of the EBI are blurred by B, and only the share sum l^2 of their noise is left where the screen
+    glows over several fields.
+    """
+    filtered = np.sum(_video_weights(values) ** 2, axis=1)
+    dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
+    reading = values["video.conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
+    events = background_rate(values) * gate_s
+    pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur_factor(values, gain_dn_per_pe)
+    return reading + pulses * kept_by_lag(values, gate_s) + 1.0 / 12.0
+
+
+def ion_variance(values: Values, gain_dn_per_pe: Array, gate_s: float) -> Array:
+    """Return the variance that ion pulses add to a dark frame, shape (n,), DN^2.
+
+    A pulse of a Poisson number of detected photoelectrons, mean m, has the mean square (k/p)^2 (m^2 + m + m/shape).
+    """
+    plate = "microchannel_plate."
+    rate = values[plate + "ion_event_rate_per_s_cm2"] * 1e4 * _field_pixel_m2(values) * gate_s
+    size, shape = values[plate + "ion_event_size_pe"], values[plate + "pulse_height_shape"]
+    square = (gain_dn_per_pe / values[plate + "detection_probability"]) ** 2 * (size**2 + size + size / shape)
+    return rate * square * blur_factor(values, gain_dn_per_pe) * kept_by_lag(values, gate_s)
+
+
+def kept_by_lag(values: Values, gate_s: float) -> Array:
+    """Return the share of a field's scintillation variance left by a screen that glows on, shape (n,).
+
+    Notes
+    -----
+    sum of l_j^2, l_j the share of a pulse's light that comes out in the j-th field after it, for two exponential
+    components excited evenly over the gate.
+    """
+    field_s = 1.0 / values["video.field_rate_hz"]
+    fast = values["phosphor.fast_fraction"]
+    shares = np.stack([fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]])
+    shares = shares / shares.sum(axis=0)
+    late = np.zeros((len(fast), 12))
+    for share, tau_ms in zip(shares, ("phosphor.fast_decay_ms", "phosphor.slow_decay_ms"), strict=True):
+        tau = values[tau_ms][:, None] * 1e-3
+        end = (np.arange(12) + 1.0) * field_s[:, None]
+        late = late + share[:, None] * tau / gate_s * (np.exp((gate_s - end) / tau) - np.exp(-end / tau))
+    weights = -np.diff(late, axis=1, prepend=1.0)
+    return np.sum(weights**2, axis=1)
 
 
 def halo_diameter_px(values: Values) -> Array:
-    """Return the halo's outer diameter before any blur, four gaps seen through the taper, shape (n,), column pitches."""
+    """Return the halo's diameter before any blur, four gaps seen through the taper, column pitches, shape (n,)."""
     pitch_mm = values["ccd.pitch_x_um"] * 1e-3 * values["taper.demagnification"]
     return 4.0 * values["photocathode.gap_mm"] / pitch_mm
 
@@ -151,6 +205,13 @@ def _readout(values: Values, fx: Array, fy: Array) -> Array:
 def _video_weights(values: Values) -> Array:
     clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
     return video.weights(values["video.bandwidth_mhz"], clock_mhz, order)
+
+
+def _photons_per_pe(values: Values, mcp_v: float, reference_v: float) -> Array:
+    photon_j = values["phosphor.photon_energy_ev"] * ELEMENTARY_CHARGE_C
+    photons_per_lumen = values["tube.luminous_gain"] / (values["phosphor.luminous_efficacy_lm_per_w"] * photon_j)
+    voltage = (mcp_v / reference_v) ** values["microchannel_plate.gain_exponent"]
+    return photons_per_lumen / _electrons_per_lumen(values) * voltage
 
 
 def _electrons_per_lumen(values: Values) -> Array:

@@ -7,7 +7,6 @@ from charact.fit import forward
 from charact.fit.forward import Values
 from charact.fit.levels import Level
 from charact.fit.observed import Observed, curve, one
-from charact.fit.prior import ILLUMINANCE_SCALE
 from labdata.measurement import Curve, Measurement, Result
 from labdata.session import Session
 
@@ -32,7 +31,13 @@ _GAIN = (
     "video.conversion_gain_dn_per_e",
 )
 _NOISE = (*_GAIN, "microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape")
-_LEVEL = (*_GAIN, "photocathode.ebi_lm_per_cm2", "video.black_level_dn", "taper.demagnification")
+_LEVEL = (
+    *_GAIN,
+    "photocathode.ebi_lm_per_cm2",
+    "microchannel_plate.strip_current_ua_per_cm2",
+    "video.black_level_dn",
+    "taper.demagnification",
+)
 
 # What the chain's formulas leave out of an MTF, and points nearer than the correlation length are hardly independent.
 MTF_MODEL_SD = 0.004
@@ -61,7 +66,7 @@ def observations(session: Session, result: Result, levels: tuple[Level, ...]) ->
         one("halo_diameter", m.value or 0.0, _sd(m), forward.halo_diameter_px, ("photocathode.gap_mm",))
         for m in _trusted(result, "halo_diameter")
     ]
-    found += [_background(m) for m in _trusted(result, "ebi", "pe/s/px")]
+    found += [_dark(m, session, levels, reference_v) for m in _trusted(result, "read_noise", "DN")]
     found += [_level(level, reference_v, len({one.mcp_v for one in levels}) > 1) for level in levels]
     return tuple(found)
 
@@ -123,9 +128,11 @@ def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> floa
 
 
 def _components(frequency: Array, angle_deg: float, session: Session) -> tuple[Array, Array]:
-    """Return frequencies along rows (cy per column pitch) and along columns (cy per row pitch)."""
+    """Return frequencies along rows (cy per column pitch) and columns (cy per row pitch) of one in cy per column pitch."""
+    assert session.sensor is not None
+    pitch_ratio = float(session.sensor.ccd.pitch_y_um) / float(session.sensor.ccd.pitch_x_um)
     angle = np.deg2rad(angle_deg)
-    return frequency * abs(np.cos(angle)), frequency * abs(np.sin(angle))
+    return frequency * abs(np.cos(angle)), frequency * abs(np.sin(angle)) * pitch_ratio
 
 
 def _bars(m: Measurement, session: Session) -> Observed:
@@ -157,25 +164,41 @@ def _blur(m: Measurement, session: Session, volts: float, reference_v: float) ->
     return one("blur_factor", value, float(np.hypot(_sd(m), NOISE_MODEL_SD * value)), predict, speaks_of)
 
 
-def _background(m: Measurement) -> Observed:
-    speaks_of = ("photocathode.ebi_lm_per_cm2", "photocathode.luminous_sensitivity_ua_per_lm", "taper.demagnification")
-    return one(
-        "ebi", m.value or 0.0, float(np.hypot(_sd(m), 0.02 * (m.value or 0.0))), forward.background_rate, speaks_of
+def _dark(m: Measurement, session: Session, levels: tuple[Level, ...], reference_v: float) -> Observed:
+    """Tie the temporal noise of the darks to reading noise and EBI; rare ion pulses are known by their range only."""
+    assert session.sensor is not None
+    dark = next(level for level in levels if level.illuminance_lux == 0.0)
+    ions = session.sensor.parameters()["microchannel_plate.ion_event_rate_per_s_cm2"]
+    sheet = {path: np.array([float(p)]) for path, p in session.sensor.parameters().items()}
+    sheet["video.filter_order"] = np.array([float(session.sensor.video.filter_order)])
+    usual = float(
+        forward.ion_variance(sheet, forward.photoelectron_gain(sheet, dark.mcp_v, reference_v), dark.gate_s)[0]
     )
+    spread = usual * ((ions.high or ions.value) - (ions.low or 0.0)) / (4.0 * ions.value) if ions.value else 0.0
+
+    def predict(values: Values) -> Array:
+        gain = forward.photoelectron_gain(values, dark.mcp_v, reference_v)
+        return forward.dark_variance(values, gain, dark.gate_s) + forward.ion_variance(values, gain, dark.gate_s)
+
+    value = m.value or 0.0
+    sd = float(np.hypot(np.hypot(2.0 * value * _sd(m), NOISE_MODEL_SD * value**2), spread))
+    speaks_of = ("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *_NOISE)
+    return one("variance of the darks", value**2, sd, predict, speaks_of)
 
 
 def _level(level: Level, reference_v: float, several_voltages: bool) -> Observed:
-    """Tie a mean level to black level, dark current and gain times photoelectrons."""
+    """Tie a mean level to black level and gain times photoelectrons; the clamp takes dark charge away."""
 
     def predict(values: Values) -> Array:
-        lux = level.illuminance_lux * values[ILLUMINANCE_SCALE]
+        lux = level.illuminance_lux
         events = forward.photoelectrons(values, lux, level.gate_s) + forward.background_rate(values) * level.gate_s
         gain = forward.photoelectron_gain(values, level.mcp_v, reference_v)
-        return values["video.black_level_dn"] + forward.dark_dn(values, level.exposure_s) + gain * events
+        load = forward.load(values, lux, level.gate_s, level.mcp_v, reference_v)
+        return values["video.black_level_dn"] + gain * events / (1.0 + load)
 
     model_sd = np.hypot(LEVEL_MODEL_SD_DN, LEVEL_MODEL_SD * level.mean_dn)
     extra = ("microchannel_plate.gain_exponent",) if several_voltages else ()
-    speaks_of = (*_LEVEL, "ccd.dark_current_e_per_s", *extra)
+    speaks_of = (*_LEVEL, *extra)
     return one(f"level of {level.label}", level.mean_dn, float(np.hypot(level.sd_dn, model_sd)), predict, speaks_of)
 
 

@@ -11,9 +11,6 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Nuisance of the bench, not of the sensor: the one factor by which the illuminance meter is wrong.
-ILLUMINANCE_SCALE = "bench.illuminance_scale"
-
 # Shares and probabilities end at 1.
 _AT_MOST_ONE = (
     "photocathode.halo_fraction",
@@ -30,11 +27,13 @@ _FACTORS = (
     "photocathode.ebi_lm_per_cm2",
     "microchannel_plate.detection_probability",
     "microchannel_plate.pulse_height_shape",
+    "microchannel_plate.strip_current_ua_per_cm2",
     "tube.luminous_gain",
     "taper.demagnification",
     "taper.transmission",
     "ccd.quantum_efficiency",
     "video.conversion_gain_dn_per_e",
+    "ccd.read_noise_e",
 )
 
 # Half of a Gaussian's 95 % interval in standard deviations.
@@ -82,12 +81,24 @@ class Prior:
         inside = np.all((coordinates >= self.bounds[:, 0]) & (coordinates <= self.bounds[:, 1]), axis=1)
         return np.where(inside, -0.5 * np.sum(z**2, axis=1), -np.inf)
 
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """Return coordinates drawn from the prior, shape (count, parameter)."""
+        shape = (count, len(self.names))
+        out = np.full(shape, np.nan)
+        while np.isnan(out).any():
+            above = rng.random(shape) < self.sd_above / (self.sd_below + self.sd_above)
+            away = np.abs(rng.standard_normal(shape)) * np.where(above, self.sd_above, -self.sd_below)
+            fresh = self.centre + away
+            inside = (fresh >= self.bounds[:, 0]) & (fresh <= self.bounds[:, 1])
+            out = np.where(np.isnan(out) & inside, fresh, out)
+        return out
+
     def parameters(self, coordinates: Array) -> Array:
         """Return the parameters at coordinates, shape (n, parameter)."""
         return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, coordinates, 0.0)), coordinates)
 
 
-def prior_of(sensor: Sensor, asked: tuple[str, ...], illuminance_relative_sd: float) -> Prior:
+def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
     """Return the prior of the asked parameters that a sensor's ranges state; an exact one is not asked.
 
     Parameters
@@ -96,13 +107,9 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...], illuminance_relative_sd: fl
         The description whose low..high hold each parameter with 95 % probability.
     asked
         Paths of the parameters that the session's data speak of.
-    illuminance_relative_sd
-        Relative standard uncertainty of the illuminance, common to the session; 0 leaves the nuisance out.
     """
     known = sensor.parameters()
     rows = [(path, *_row(path, known[path])) for path in asked if _has_range(known[path])]
-    if illuminance_relative_sd > 0:
-        rows.append((ILLUMINANCE_SCALE, True, 0.0, illuminance_relative_sd, illuminance_relative_sd, -np.inf, np.inf))
     numbers = np.array([row[1:] for row in rows], float)
     return Prior(
         names=tuple(row[0] for row in rows),
@@ -118,7 +125,6 @@ def values_of(sensor: Sensor, prior: Prior, coordinates: Array) -> Values:
     """Return every parameter's value, shape (n,) for those asked at coordinates (n, parameter), else (1,)."""
     values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
     values["video.filter_order"] = np.array([float(sensor.video.filter_order)])
-    values[ILLUMINANCE_SCALE] = np.ones(1)
     values.update(zip(prior.names, prior.parameters(coordinates).T, strict=True))
     return values
 

@@ -1,0 +1,124 @@
+"""Prior and likelihood of a sensor's parameters, their most probable point and their posterior draws."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.fit.observed import Observed
+from charact.fit.prior import Prior, prior_of, values_of
+from charact.fit.product import Product, products_of, widened
+from labdata.measurement import Posterior
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+KEPT_DRAWS = 400
+# The pilot that shapes the chain's proposal.
+PILOT_ROUNDS, PILOT_POINTS, PILOT_FREEDOM = 4, 6000, 8.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """Prior and likelihood of the parameters asked.
+
+    Parameters
+    ----------
+    sensor
+        The description that holds the parameters not asked, and the prior ranges.
+    products
+        Products drawn as one: their partners stand at their values.
+    prior
+        Of the parameters drawn; that of a product's carrier is the product's.
+    observed
+        What the session measured.
+    """
+
+    sensor: Sensor
+    products: tuple[Product, ...]
+    prior: Prior
+    observed: tuple[Observed, ...]
+
+    def misfit(self, coordinates: Array) -> Array:
+        """Return chi-squared of all observations for coordinates (n, parameter), shape (n,)."""
+        values = values_of(self.sensor, self.prior, coordinates)
+        return np.sum([observed.chi_squared(values) for observed in self.observed], axis=0)
+
+    def log_probability(self, coordinates: Array) -> Array:
+        """Return the logarithm of the posterior, not normalised, shape (n,); -inf outside the prior's bounds."""
+        density = self.prior.log_density(coordinates)
+        inside = np.isfinite(density)
+        out = np.full(len(coordinates), -np.inf)
+        if inside.any():
+            out[inside] = density[inside] - 0.5 * self.misfit(coordinates[inside])
+        return out
+
+
+def model_of(sensor: Sensor, observed: tuple[Observed, ...]) -> Model:
+    """Return the model that asks exactly the parameters that the observations speak of."""
+    asked = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
+    products = products_of(sensor, asked)
+    riding = {path for product in products for path in product.partners}
+    prior = prior_of(widened(sensor, products), tuple(path for path in asked if path not in riding))
+    return Model(sensor=sensor, products=products, prior=prior, observed=observed)
+
+
+def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
+    """Return the most probable point that differs from the start in the free coordinates only."""
+    from charact.posterior import maximum
+
+    if not free.any():
+        return start
+
+    def conditional(points: Array) -> Array:
+        whole = np.tile(start, (len(points), 1))
+        whole[:, free] = points
+        return model.log_probability(whole)
+
+    found = start.copy()
+    found[free], _ = maximum(conditional, start[free], model.prior.bounds[free])
+    return found
+
+
+def posterior_of(model: Model, *, seed: int) -> Posterior:
+    """Draw the joint posterior of all parameters drawn, in the prior's coordinates."""
+    from charact.posterior import maximum, sample
+
+    point, covariance = maximum(model.log_probability, model.prior.centre, model.prior.bounds)
+    mean, covariance = _moments(model.log_probability, point, covariance, np.random.default_rng(seed))
+    return sample(
+        model.log_probability,
+        names=model.prior.names,
+        units=("1",) * len(model.prior.names),
+        start=mean,
+        covariance=covariance,
+        seed=seed,
+        bounds=model.prior.bounds,
+        draws=KEPT_DRAWS,
+        walkers=2 * len(mean) + 8,
+    )
+
+
+def _moments(
+    log_probability: Callable[[Array], Array], point: Array, covariance: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return mean and covariance of a posterior whose peak stands at the kink of a lopsided prior.
+
+    Notes
+    -----
+    Importance sampling from a Student t of the present moments, repeated; weights are cut at the square root of
+    their number times their mean (Ionides 2008), which keeps one lucky point from being all.
+    """
+    for _ in range(PILOT_ROUNDS):
+        root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
+        normal = rng.standard_normal((PILOT_POINTS, point.size))
+        stretch = np.sqrt(PILOT_FREEDOM / rng.chisquare(PILOT_FREEDOM, PILOT_POINTS))
+        tail = -0.5 * (PILOT_FREEDOM + point.size) * np.log1p((normal**2).sum(1) * stretch**2 / PILOT_FREEDOM)
+        points = point + (normal * stretch[:, None]) @ root.T
+        weight = log_probability(points) - tail
+        weight = np.exp(weight - weight.max())
+        weight = np.minimum(weight, weight.mean() * np.sqrt(PILOT_POINTS))
+        point = np.average(points, axis=0, weights=weight)
+        covariance = np.cov(points.T, aweights=weight)
+    return point, covariance
