@@ -17,9 +17,7 @@ STEPS_PER_SAMPLING = 256
 HORIZONTAL_DEG, VERTICAL_DEG = 0.0, 90.0
 
 
-def mtf(
-    sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: float | str = HORIZONTAL_DEG
-) -> NDArray[np.float64]:
+def mtf(sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: float | str = HORIZONTAL_DEG) -> NDArray[np.float64]:
     """Return the MTF of the whole camera, normalised to the light that entered; uniform glare does not count.
 
     Parameters
