@@ -27,6 +27,7 @@ R_HAT = 1.01
 WALKER_R_HAT = 1.15
 STUDENT_T_FREEDOM = 5.0
 CLIMBS = 6
+LEARNING_STEPS = 120
 # A second peak is further than this from the first and not lower than this in log-probability.
 FAR_SD = 6.0
 LOWEST_PEAK = 8.0
@@ -90,6 +91,8 @@ def sample(
         _Runner.started(log_probability, places, spread, walls, count + count % 2, child)
         for child in np.random.SeedSequence(seed).spawn(max(2, ensembles))
     ]
+    if len(places) == 1:
+        _learn(runners, log_probability)
     chains, trust = _run(runners, max_steps)
     several = has_several_peaks(_thinned(chains, 4000))
     if not trust.converged:
@@ -112,6 +115,20 @@ def sample(
         seed=seed,
         flags=flags,
     )
+
+
+def _learn(runners: list["_Runner"], log_probability: Vectorised) -> None:
+    """Let the ensembles run for a while and shape the independence proposal after what they saw together.
+
+    What is learnt stays fixed from then on, and these steps are forgotten, so that the chains proper are Markov.
+    """
+    for runner in runners:
+        runner.advance(LEARNING_STEPS)
+    seen = np.concatenate([runner.chain()[LEARNING_STEPS // 2 :] for runner in runners], axis=1)
+    seen = seen.reshape(-1, seen.shape[-1])
+    covariance = np.atleast_2d(np.cov(seen.T)) + 1e-12 * np.diag(seen.var(axis=0))
+    for runner in runners:
+        runner.restarted(log_probability, _moves(seen.mean(axis=0)[None], covariance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,6 +198,12 @@ class _Runner:
         rng = np.random.default_rng(seed)
         first = _first(log_probability, places, covariance, walls, walkers, rng)
         return cls(log_probability, _moves(places, covariance), first, int(rng.integers(2**31)))
+
+    def restarted(self, log_probability: Vectorised, moves: list) -> None:
+        """Go on from here with other moves, forgetting the steps so far."""
+        import emcee
+
+        self._sampler = emcee.EnsembleSampler(*self._state.coords.shape, log_probability, moves=moves, vectorize=True)
 
     def advance(self, steps: int) -> None:
         """Take steps."""

@@ -1,0 +1,39 @@
+"""What the codes themselves give away: clipping at an end of the scale, and steps too coarse for the noise."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Share of the pixels at one extreme code that makes it a pile-up, and how much it must exceed the code beside it.
+PILE_UP_SHARE = 0.002
+PILE_UP_RATIO = 3.0
+
+
+def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
+    """Return `clipped` where pixels pile up at an end of the scale.
+
+    Parameters
+    ----------
+    data
+        Pixel values, any shape.
+    full_scale_dn
+        Highest code, None: unknown; any highest value is then suspected.
+
+    Notes
+    -----
+    Noise spreads over several codes with the outermost the rarest. A pile-up is an outermost value that many pixels
+    share and that is several times as frequent as the one beside it. Where the values are so still that the next
+    code hardly occurs on either end, nothing can be said but from a known full scale.
+    """
+    values, counts = np.unique(data, return_counts=True)
+    if values.size < 3:
+        return ("clipped",) if data.size > 64 else ()
+    share = counts / data.size
+    clipped = False
+    if full_scale_dn is not None and values[-1] >= full_scale_dn:
+        clipped |= bool(share[-1] > PILE_UP_SHARE)
+    top = share[-1] > 2 * PILE_UP_SHARE and counts[-1] > PILE_UP_RATIO * counts[-2]
+    bottom = share[0] > 2 * PILE_UP_SHARE and counts[0] > PILE_UP_RATIO * counts[1]
+    # Two plateaus of still codes pile up at both ends and mean nothing; noise at the other end makes it real.
+    lively = max(share[1], share[-2]) > 1e-4 and values.size > 12
+    clipped |= bool(top != bottom) and lively
+    return ("clipped",) if clipped else ()

@@ -1,0 +1,48 @@
+"""From draws of an MTF to what is reported: the curve with its intervals, and where it falls to a level."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.measurement import QUANTILES, Curve
+
+Array = NDArray[np.float64]
+
+# Frequencies of a reported curve, and the finer ones on which levels are looked for.
+REPORTED = np.linspace(0.0, 0.5, 101)
+FINE = np.concatenate([[1e-6], np.arange(0.001, 1.5, 0.001)])
+
+
+def curve_of(frequency: Array, draws: Array) -> Curve:
+    """Return median and pointwise intervals of drawn curves (draw, frequency)."""
+    low95, low68, middle, high68, high95 = np.quantile(draws, QUANTILES, axis=0)
+    return Curve(
+        frequency_cy_per_px=frequency,
+        value=middle,
+        interval68=np.stack([low68, high68]),
+        interval95=np.stack([low95, high95]),
+    )
+
+
+def falls_to(frequency: Array, curves: Array, level: float) -> Array:
+    """Return the lowest frequency at which each curve falls to a level, NaN where it never does.
+
+    Parameters
+    ----------
+    frequency
+        Shape (f,).
+    curves
+        Shape (n, f).
+    """
+    below = curves < level
+    first = np.argmax(below, axis=1)
+    found = below.any(axis=1) & (first > 0)
+    index = np.where(found, first, 1)
+    rows = np.arange(len(curves))
+    high, low = curves[rows, index - 1], curves[rows, index]
+    share = (high - level) / np.where(high > low, high - low, 1.0)
+    crossing = frequency[index - 1] + share * (frequency[index] - frequency[index - 1])
+    return np.where(found, crossing, np.nan)
+
+
+# Frequencies at which the MTF is also given as a measurement of its own.
+PINNED = (0.1, 0.2, 0.3)

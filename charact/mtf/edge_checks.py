@@ -1,0 +1,132 @@
+"""The ways in which an edge deceives, each looked for in the data: what is found becomes a flag."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.codes import code_flags
+from charact.mtf.edge_fit import EdgeFit
+from charact.mtf.edge_profile import Profile
+from charact.mtf.line import RowFit
+from charact.mtf.optics import Known
+from charact.mtf.picture import Picture
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Significance from which a departure counts, in standard errors, and the size from which it matters.
+SIGNIFICANT = 5.0
+FIELD_OFFSET_PX = 0.04
+SAGITTA_PX = 0.12
+LEAST_TRAVEL_PX = 1.0
+# Chi squared per bin beyond which the profile is not what the model says it is.
+MISFIT = 1.6
+# Illumination that changes by more than this share over the band is told, though the fit allows for it.
+GRADIENT = 0.2
+LEAST_STEP_SD = 0.8
+# Bend of the phase at the half frequency beyond which the modulus is in doubt by some percent.
+PHASE_MATTERS_RAD = 0.05
+
+
+def picture_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
+    """Return the flags that the codes of the region give."""
+    return code_flags(data, full_scale_dn)
+
+
+def line_flags(picture: Picture, rows: RowFit) -> tuple[str, ...]:
+    """Return the flags of the edge's course: its tilt, its bow, and whether the two fields agree."""
+    flags = []
+    if abs(rows.line.slope) * picture.value.shape[0] < LEAST_TRAVEL_PX:
+        flags.append("tilt-too-small")
+    if _bowed(rows.offset):
+        flags.append("curved-edge")
+    if _fields_disagree(picture, rows):
+        flags.append("interlace-motion")
+    return tuple(flags)
+
+
+def _fields_disagree(picture: Picture, rows: RowFit) -> bool:
+    """Tell whether the edge lies elsewhere in odd rows of the frame than in even ones."""
+    if picture.transposed:
+        return False
+    good = np.isfinite(rows.offset)
+    odd = (picture.row_index[:, 0] % 2).astype(bool)
+    if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < 6:
+        return False
+    one, other = rows.offset[good & odd], rows.offset[good & ~odd]
+    apart = np.median(one) - np.median(other)
+    error = 1.25 * np.hypot(_sd(one) / np.sqrt(one.size), _sd(other) / np.sqrt(other.size))
+    return bool(abs(apart) > max(SIGNIFICANT * error, FIELD_OFFSET_PX))
+
+
+def _bowed(offset: Array) -> bool:
+    """Tell whether the rows' displacements follow a bow or a wave rather than scatter.
+
+    Blocks of rows are compared with what their rows' scatter allows; neighbouring rows share noise, so the scatter
+    of blocks is taken from the differences of neighbouring blocks where that is larger.
+    """
+    good = np.isfinite(offset)
+    if np.count_nonzero(good) < 24:
+        return False
+    place = np.linspace(-1.0, 1.0, offset.size)[good]
+    value = offset[good]
+    design = np.polynomial.legendre.legvander(place, 3)
+    blocks = np.array_split(np.arange(value.size), 12)
+    means = np.array([np.mean(value[part]) for part in blocks])
+    within = np.mean([np.var(value[part], ddof=1) / len(part) for part in blocks])
+    differences = 0.5 * float(np.median(np.diff(means) ** 2)) / 0.455
+    error = np.sqrt(max(within, differences) * len(blocks))
+    shape = np.linalg.lstsq(design, value, rcond=None)[0][2:]
+    # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
+    significant = np.abs(shape) > SIGNIFICANT * error / np.sqrt(len(blocks) ** 2) * np.sqrt([5.0, 7.0])
+    return bool(np.any(significant & (np.abs(shape) > SAGITTA_PX / 1.5)))
+
+
+def _sd(values: Array) -> float:
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+def fit_flags(picture: Picture, profile: Profile, fit: EdgeFit, half_frequency: float) -> tuple[str, ...]:
+    """Return the flags of the fitted profile."""
+    flags = []
+    _, amplitude = fit.profile
+    step, slopes = abs(amplitude[0]), amplitude[2:]
+    noise = float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
+    if fit.chi2 / fit.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fit.free):
+        flags.append("model-misfit")
+    if profile.defects:
+        flags.append("defects")
+    if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > GRADIENT * step:
+        flags.append("gradient")
+    if step < LEAST_STEP_SD * noise:
+        flags.append("low-signal")
+    if picture.whole_codes and step < 12.0 and noise < 0.4:
+        flags.append("quantised")
+    if profile.gathered.half_width_px < 1.6 / half_frequency:
+        flags.append("window-too-small")
+    if _other_steps(profile, fit):
+        flags.append("several-targets")
+    return tuple(flags)
+
+
+def _other_steps(profile: Profile, fit: EdgeFit) -> bool:
+    """Tell whether the plateaus hold another step: a tenth of the edge's own over several pixels."""
+    model, amplitude = fit.profile
+    left = profile.value - model
+    weight = profile.count
+    cell = np.floor(profile.distance / 3.0).astype(int)
+    cell -= cell.min()
+    means = np.bincount(cell, weights=weight * left) / np.maximum(np.bincount(cell, weights=weight), 1e-9)
+    error = np.sqrt(profile.grain.covariance_over_variance * profile.grain.bright_variance)
+    error = error / np.sqrt(np.maximum(np.bincount(cell, weights=weight), 1.0))
+    return bool(np.any((np.abs(means) > 0.1 * abs(amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
+
+
+def response_flags(posterior: Posterior, known: Known) -> tuple[str, ...]:
+    """Return `gamma` where the profile is lopsided beyond what the camera's known filter makes it.
+
+    A curved response and a lopsided blur look alike on an edge; either way the modulus of the transform is not what
+    it would be for low contrast.
+    """
+    bend = posterior["phase_bend"]
+    size, error = abs(float(np.mean(bend))), float(np.std(bend))
+    return ("gamma",) if size > SIGNIFICANT * error and size > PHASE_MATTERS_RAD else ()

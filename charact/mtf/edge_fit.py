@@ -1,0 +1,151 @@
+"""Fitting an edge's profile: the size of the departure and the presence of a halo are chosen by evidence."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge_model import EdgeModel, Wide
+from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, Profile
+from charact.mtf.spread import nodes
+from charact.posterior import maximum
+
+Array = NDArray[np.float64]
+
+DEPARTURES = (0.01, 0.04, 0.15)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeFit:
+    """The most probable transfer of a profile.
+
+    Parameters
+    ----------
+    model
+        The model chosen.
+    point, covariance
+        Peak of its posterior and the inverse of the curvature there.
+    log_evidence
+        ln of the evidence by Laplace's approximation.
+    chi2, free
+        Chi squared at the peak, and the bins less the parameters that the data fix.
+    chi2_without
+        Chi squared without an edge.
+    slope_sd_per_px
+        Prior of the illumination's slopes, share of the step per px.
+    """
+
+    model: EdgeModel
+    point: Array
+    covariance: Array
+    log_evidence: float
+    chi2: float
+    free: int
+    chi2_without: float
+    slope_sd_per_px: float
+
+    @property
+    def profile(self) -> tuple[Array, Array]:
+        """The best profile at the bins, DN, and the amplitudes of step, level and slopes."""
+        return self.model.evidence.profile(self.model.transfer(self.point[None])[0])
+
+
+def fit(profile: Profile, fixed_at, *, halo: Wide | None, halo_certain: bool) -> EdgeFit:
+    """Fit a profile without and with a halo, under even and under uneven light, and return the most probable.
+
+    Parameters
+    ----------
+    fixed_at
+        Function from frequencies to the known complex part of the transfer.
+    halo
+        Prior of a halo; None: none can be told in this window.
+    halo_certain
+        Whether the camera is known to have one.
+    """
+    kinds: list[Wide | None] = [halo] if halo is not None and halo_certain else [None]
+    if halo is not None and not halo_certain:
+        kinds.append(halo)
+    found: list[EdgeFit] = []
+    for kind in kinds:
+        for slope in (EVEN_PER_PX, UNEVEN_PER_PX):
+            found.append(_fit(profile, fixed_at, kind, slope, found[0] if found else None))
+    return max(found, key=lambda one: one.log_evidence)
+
+
+def refit(profile: Profile, found: EdgeFit) -> EdgeFit:
+    """Fit the same kind of model again, from where it was, to a profile whose noise is known better."""
+    evidence = profile.evidence(found.model.grid, found.slope_sd_per_px)
+    model = replace(found.model, evidence=evidence)
+    return _weighed(model, *maximum(model.log_probability, found.point, model.bounds), found.slope_sd_per_px)
+
+
+def _fit(profile: Profile, fixed_at, halo: Wide | None, slope_sd_per_px: float, near: EdgeFit | None) -> EdgeFit:
+    """Fit one kind of model, at each size of departure unless another fit has chosen it, and return the best."""
+    grid = nodes(fine=halo is not None)
+    evidence = profile.evidence(grid, slope_sd_per_px)
+    fixed = fixed_at(grid)
+
+    def model(scale: float, departure: float) -> EdgeModel:
+        return EdgeModel(grid=grid, fixed=fixed, evidence=evidence, scale=scale, departure_sd=departure, halo=halo)
+
+    starts = _starts(model(0.2, DEPARTURES[0]), near)
+    scale = float(np.exp(starts[0][1]))
+    departures = DEPARTURES if near is None else (near.model.departure_sd,)
+    found = []
+    for departure in departures:
+        candidate = model(scale, departure)
+        peaks = [maximum(candidate.log_probability, start, candidate.bounds) for start in starts]
+        found += [_weighed(candidate, *peak, slope_sd_per_px) for peak in peaks]
+    return max(found, key=lambda one: one.log_evidence)
+
+
+def _starts(model: EdgeModel, near: EdgeFit | None) -> list[Array]:
+    """Return where to climb from: the most probable of a grid, for a halo one of small and one of large diameter."""
+    frequencies = np.exp(np.linspace(np.log(0.01), np.log(1.5), 40))
+    exponents: tuple[float, ...] = (1.2, 2.0)
+    if near is not None:
+        frequencies, exponents = np.exp(near.point[1]) * np.array([0.95, 1.05, 1.15]), (near.point[2], 2.0)
+    points = [model.start(float(f), float(n)) for f in frequencies for n in exponents]
+    if model.halo is None:
+        return [_best_of(model, np.array(points))]
+    count = len(model.halo.parameters)
+    low, high = np.array([bound for _, bound in model.halo.parameters.values()]).T
+    places = np.stack(np.meshgrid(*[np.linspace(0.1, 0.9, 4)] * count, indexing="ij"), axis=-1).reshape(-1, count)
+    starts = []
+    for part in (places[:, 1] < 0.5, places[:, 1] > 0.5):
+        tails = low + places[part] * (high - low) * np.array([0.6, *[1.0] * (count - 1)])
+        cores = np.array(points)[:, :-count]
+        both = [np.concatenate([core, tail]) for core in cores for tail in tails]
+        starts.append(_best_of(model, np.array(both)))
+    return starts
+
+
+def _best_of(model: EdgeModel, points: Array) -> Array:
+    """Return the most probable of some points."""
+    return points[int(np.argmax(model.log_probability(points)))]
+
+
+def _weighed(model: EdgeModel, point: Array, covariance: Array, slope_sd_per_px: float) -> EdgeFit:
+    """Return a fit with its evidence."""
+    height = float(model.log_probability(point[None])[0])
+    volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1]) + np.log(_inside(model, point, covariance))
+    _, chi2 = model.evidence.amplitude(model.transfer(point[None])[0])
+    return EdgeFit(
+        model=model,
+        point=point,
+        covariance=covariance,
+        log_evidence=height + volume + model.evidence.log_nuisance,
+        chi2=chi2,
+        free=max(model.evidence.free - 6, 1),
+        chi2_without=model.evidence.power,
+        slope_sd_per_px=slope_sd_per_px,
+    )
+
+
+def _inside(model: EdgeModel, point: Array, covariance: Array) -> float:
+    """Return the share of the Gaussian at the peak that lies inside the bounds: the rest is no evidence."""
+    values, vectors = np.linalg.eigh(covariance)
+    normal = np.random.default_rng(0).standard_normal((2000, point.size))
+    draws = point + (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    bounds = model.bounds
+    return max(float(np.mean(np.all((draws >= bounds[:, 0]) & (draws <= bounds[:, 1]), axis=1))), 1e-3)

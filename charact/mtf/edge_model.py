@@ -1,0 +1,175 @@
+"""The forward model of an edge's profile: what transfers are possible, and how probable each is.
+
+The transfer is the aperture (and a video filter, where the camera's description has one) times exp(-ln 2 (f/f2)^n),
+which holds Gaussian lenses (n = 2) and intensifier tubes (n about 1.1), times a smooth departure from that form whose
+size the data decide, times the halo. Its phase may bend: a causal filter or a curved response makes edges lopsided.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf import transfer as forms
+from charact.mtf.evidence import Evidence
+
+Array = NDArray[np.float64]
+
+# Where the departure bends, in units of the half frequency: from a third of it to where little contrast is left.
+KNOTS = np.array([0.35, 0.6, 0.9, 1.3, 1.8, 2.5])
+HALF_FREQUENCY = (0.008, 2.0)
+EXPONENT = (0.6, 4.0)
+EXPONENT_PRIOR = (1.6, 0.6)
+PHASE_SD = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class HaloPrior:
+    """An intensifier's halo before the data: bounds of its diameter, px, and of its share."""
+
+    diameter_px: tuple[float, float]
+    fraction: tuple[float, float] = (0.0, 0.4)
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return {
+            "halo_fraction": ("1", self.fraction),
+            "halo_diameter_px": ("px", self.diameter_px),
+            "halo_elastic_share": ("1", (0.0, 1.0)),
+        }
+
+    def transfer(self, frequency: Array, shape: Array) -> Array:
+        """Return the halo's own transfer for parameters after the share, shape (n, 2)."""
+        return forms.halo(frequency, shape[:, 0], shape[:, 1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlarePrior:
+    """Scattered light of a camera of which nothing is known: bounds of its reach, px, and of its share."""
+
+    length_px: tuple[float, float]
+    fraction: tuple[float, float] = (0.0, 0.4)
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return {"glare_fraction": ("1", self.fraction), "glare_length_px": ("px", self.length_px)}
+
+    def transfer(self, frequency: Array, shape: Array) -> Array:
+        """Return the scattered light's own transfer for parameters after the share, shape (n, 1)."""
+        return forms.glare(frequency, shape[:, 0])
+
+
+Wide = HaloPrior | GlarePrior
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeModel:
+    """Possible transfers of an edge and their probability.
+
+    Parameters
+    ----------
+    grid
+        Nodes, shape (node,), cycles per pixel.
+    fixed
+        Known part of the transfer at the nodes: aperture and video filter, complex, shape (node,).
+    evidence
+        The data.
+    scale
+        Half frequency about which the departure's knots lie, cycles per pixel.
+    departure_sd
+        Prior standard deviation of ln of the departure at each knot.
+    halo
+        None: no halo.
+    """
+
+    grid: Array
+    fixed: NDArray[np.complex128]
+    evidence: Evidence
+    scale: float
+    departure_sd: float
+    halo: Wide | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        core = ("edge_shift_px", "ln_half_frequency", "exponent", "phase_bend")
+        departures = tuple(f"departure_{index}" for index in range(KNOTS.size))
+        return (*core, *departures, *(self.halo.parameters if self.halo else ()))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        tail = [unit for unit, _ in self.halo.parameters.values()] if self.halo else []
+        return ("px", "ln(cy/px)", "1", "rad", *("1" for _ in KNOTS), *tail)
+
+    @property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        low, high = np.log(HALF_FREQUENCY)
+        core = [(-6.0, 6.0), (low, high), EXPONENT, (-3.0, 3.0), *[(-6.0, 6.0)] * KNOTS.size]
+        tail = [bound for _, bound in self.halo.parameters.values()] if self.halo else []
+        return np.array([*core, *tail])
+
+    def start(self, half_frequency: float, exponent: float) -> Array:
+        """Return a point from which to climb."""
+        tail = [0.6 * low + 0.4 * high for _, (low, high) in self.halo.parameters.values()] if self.halo else []
+        return np.array([0.0, np.log(half_frequency), exponent, 0.0, *np.zeros(KNOTS.size), *tail])
+
+    def modulus(self, theta: Array, grid: Array | None = None) -> Array:
+        """Return the transfer without phase and without the fixed part, shape (n, node)."""
+        f = self.grid if grid is None else grid
+        log_core = forms.exponential(f, np.exp(theta[:, 1]), theta[:, 2])
+        shapes = self._shapes if grid is None else self.departures(grid)
+        log_core = log_core + self.departure_sd * theta[:, 4 : 4 + KNOTS.size] @ shapes
+        core = np.exp(log_core)
+        if self.halo is None:
+            return core
+        tail = theta[:, 4 + KNOTS.size :]
+        return core * (1.0 - tail[:, :1] + tail[:, :1] * self.halo.transfer(f, tail[:, 1:]))
+
+    def departures(self, frequency: Array) -> Array:
+        """Return the shapes of the departure, shape (knot, frequency): cosine bumps in ln f, the last one held."""
+        place = np.interp(np.log(frequency / self.scale), np.log(KNOTS), np.arange(KNOTS.size), left=-1.0)
+        below = np.log(frequency / self.scale) < np.log(KNOTS[0])
+        entry = (np.log(frequency / self.scale) - np.log(KNOTS[0])) / np.log(KNOTS[1] / KNOTS[0])
+        place = np.where(below, np.maximum(entry, -1.0), place)
+        away = np.clip(np.abs(place - np.arange(KNOTS.size)[:, None]), 0.0, 1.0)
+        return 0.5 * (1.0 + np.cos(np.pi * away))
+
+    @cached_property
+    def _shapes(self) -> Array:
+        return self.departures(self.grid)
+
+    def transfer(self, theta: Array) -> NDArray[np.complex128]:
+        """Return the complex transfer at the nodes, shape (n, node)."""
+        ratio = self.grid / self.scale
+        bend = ratio**3 / (1.0 + (ratio / 2.0) ** 3)
+        phase = -2.0 * np.pi * theta[:, :1] * self.grid + theta[:, 3:4] * bend
+        return self.fixed * self.modulus(theta) * np.exp(1j * phase)
+
+    def mtf(self, theta: Array, grid: Array, fixed: Array) -> Array:
+        """Return the MTF at other frequencies, shape (n, frequency), given the modulus of the fixed part there."""
+        return np.abs(fixed) * self.modulus(theta, grid)
+
+    def log_prior(self, theta: Array) -> Array:
+        """Return ln of the prior density, -inf outside the bounds."""
+        bounds = self.bounds
+        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        mean, sd = EXPONENT_PRIOR
+        normal = -0.5 * ((theta[:, 2] - mean) / sd) ** 2 - 0.5 * (theta[:, 3] / PHASE_SD) ** 2
+        count = KNOTS.size
+        normal = normal - 0.5 * np.sum(theta[:, 4 : 4 + count] ** 2, axis=1) - 0.5 * count * np.log(2 * np.pi)
+        if self.halo:
+            normal = normal - np.log(np.prod([high - low for _, (low, high) in self.halo.parameters.values()]))
+        return np.where(inside, normal, -np.inf)
+
+    def log_probability(self, theta: Array) -> Array:
+        """Return ln of the posterior up to a constant, shape (n, parameter) -> (n,)."""
+        value = self.log_prior(theta)
+        inside = np.isfinite(value)
+        if inside.any():
+            value[inside] += self.evidence.log_likelihood(self.transfer(theta[inside]))
+        return value

@@ -1,0 +1,220 @@
+"""An edge's profile with the noise that is in it: bin means, their covariance, levels and shading."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.bins import Gathered, gather
+from charact.mtf.evidence import Evidence, evidence_of
+from charact.mtf.grain import Grain, bin_covariance, grain_of
+from charact.mtf.line import Line
+from charact.mtf.picture import Picture
+from charact.mtf.spread import edge_weights
+
+Array = NDArray[np.float64]
+
+# Illumination slopes on either side by about this share of the step in a pixel: in a good set-up, and in a poor one.
+EVEN_PER_PX, UNEVEN_PER_PX = 4e-5, 2e-3
+PLATEAU_FROM_PX = 10.0
+SHADING_LENGTH_PX = 10.0
+DEFECT_SD = 8.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """A measured edge profile.
+
+    Parameters
+    ----------
+    gathered
+        Pixels and bins.
+    distance, spread_px, value, count
+        Mean distance, its standard deviation, mean value and count of the pixels of each bin that holds any,
+        shape (bin,).
+    keep
+        Which bins of the band those are.
+    dark, bright
+        Levels of both sides at the edge, DN.
+    grain
+        Noise of the picture.
+    covariance
+        Of the bin means, shape (bin, bin), DN^2.
+    shading_sd
+        Standard deviation of slow undulations of the plateaus that the grain does not hold, DN.
+    defects
+        Pixels left out for values that the noise cannot explain.
+    angle_rad, slopes
+        Angle of the edge; change of distance with one column and one row, px.
+    variance_floor
+        Least variance of a pixel, DN^2: rounding to codes, and a ten-thousandth of the step.
+    """
+
+    gathered: Gathered
+    distance: Array
+    spread_px: Array
+    value: Array
+    count: Array
+    keep: NDArray[np.bool_]
+    dark: float
+    bright: float
+    grain: Grain
+    covariance: Array
+    shading_sd: float
+    defects: int
+    angle_rad: float
+    slopes: tuple[float, float]
+    variance_floor: float
+
+    @property
+    def step(self) -> float:
+        """Height of the edge, DN."""
+        return self.bright - self.dark
+
+    def evidence(self, grid: Array, slope_sd_per_px: float) -> Evidence:
+        """Return the evidence on nodes, both levels and an illumination slope on each side marginalised.
+
+        Parameters
+        ----------
+        slope_sd_per_px
+            Standard deviation of the slopes' prior, share of the step per px.
+        """
+        even, odd = edge_weights(grid, self.distance, self.spread_px)
+        nuisance = np.stack(
+            [np.ones_like(self.distance), np.maximum(self.distance, 0.0), np.minimum(self.distance, 0.0)], axis=1
+        )
+        scale = abs(self.step)
+        prior = np.array([np.inf, slope_sd_per_px * scale, slope_sd_per_px * scale])
+        return evidence_of(self.value, self.covariance, even, odd, nuisance, prior, scale)
+
+
+def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
+    """Gather the profile of an edge and estimate its noise from what the pixels leave over after it."""
+    masked = np.zeros(picture.value.shape, bool)
+    gathered = gather(picture, line, half_width_px, masked)
+    residual, level = _residual(picture, gathered)
+    masked = _defective(residual, gathered.used, 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0)
+    defects = int(masked.sum())
+    if defects:
+        gathered = gather(picture, line, half_width_px, masked)
+        residual, level = _residual(picture, gathered)
+    return _assembled(picture, line, gathered, residual, level, defects)
+
+
+def _residual(picture: Picture, gathered: Gathered) -> tuple[Array, Array]:
+    """Return the picture less its own bin means, and the profile from 0 to 1, at every pixel.
+
+    A bin's mean takes part of its pixels' noise with it; the residuals are enlarged for that.
+    """
+    mean, count = gathered.means(picture.value)
+    dark, bright = _levels(mean, count, gathered)
+    level = (mean - dark) / (bright - dark if bright != dark else 1.0)
+    lost = np.sqrt(count / np.maximum(count - 1.0, 0.5))
+    value = (picture.value - mean[gathered.bin_index]) * lost[gathered.bin_index]
+    value = np.where(gathered.used, value, 0.0)
+    return _without_slope(value, gathered, level[gathered.bin_index]), level[gathered.bin_index]
+
+
+def _without_slope(value: Array, gathered: Gathered, level: Array) -> Array:
+    """Return residuals less an illumination slope along the edge, on both sides of it."""
+    used = gathered.used
+    along = gathered.along[used] / max(float(np.abs(gathered.along[used]).max()), 1.0)
+    design = np.stack([along * level[used], along * (1.0 - level[used])], axis=1)
+    slope = np.linalg.lstsq(design.T @ design, design.T @ value[used], rcond=1e-9)[0]
+    out = value.copy()
+    out[used] -= design @ slope
+    return out
+
+
+def _levels(mean: Array, count: Array, gathered: Gathered) -> tuple[float, float]:
+    """Return dark and bright level: medians of the outer halves of both sides."""
+    middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
+    filled = count > 0
+    left, right = middle < 0.5 * gathered.borders[0], middle > 0.5 * gathered.borders[-1]
+    return float(np.median(mean[filled & left])), float(np.median(mean[filled & right]))
+
+
+def _defective(residual: Array, used: NDArray[np.bool_], rounding_sd: float) -> NDArray[np.bool_]:
+    """Tell which pixels the noise cannot explain; in heavy-tailed noise, where many are nearly as far, none."""
+    size = np.where(used, np.abs(residual), 0.0)
+    sd = max(1.4826 * float(np.median(size[used])), rounding_sd)
+    far, near = size > DEFECT_SD * sd, np.count_nonzero(size > 5.0 * sd)
+    return far if sd > 0 and np.count_nonzero(far) > 0.2 * near else np.zeros_like(used)
+
+
+def _assembled(
+    picture: Picture, line: Line, gathered: Gathered, residual: Array, level: Array, defects: int
+) -> Profile:
+    """Return the profile of gathered pixels with the covariance of its bins."""
+    mean, count = gathered.means(picture.value)
+    distance, _ = gathered.means(gathered.distance)
+    square, _ = gathered.means(gathered.distance**2)
+    keep = count >= 1
+    dark, bright = _levels(mean, count, gathered)
+    angle = line.angle_rad(picture.pitch_ratio)
+    slopes = (float(np.cos(angle)), float(-line.slope * np.cos(angle)))
+    rounding = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
+    floor = max(rounding, (3e-4 * (bright - dark)) ** 2, 1e-30)
+    grain = grain_of(residual, level, gathered, floor)
+    profile = Profile(
+        gathered=gathered,
+        distance=distance[keep],
+        spread_px=np.sqrt(np.maximum(square - distance**2, 0.0))[keep],
+        value=mean[keep],
+        count=count[keep],
+        keep=keep,
+        dark=dark,
+        bright=bright,
+        grain=grain,
+        covariance=np.eye(int(keep.sum())),
+        shading_sd=0.0,
+        defects=defects,
+        angle_rad=angle,
+        slopes=slopes,
+        variance_floor=floor,
+    )
+    return with_grain(profile, grain)
+
+
+def refined(profile: Profile, picture: Picture, model_value: Array) -> Profile:
+    """Return the profile with its noise estimated anew from what the pixels leave over after a model's bin values.
+
+    Parameters
+    ----------
+    model_value
+        The model at every kept bin, shape (bin,), DN.
+    """
+    at_pixel = np.interp(profile.gathered.distance, profile.distance, model_value)
+    level = (at_pixel - profile.dark) / profile.step
+    value = np.where(profile.gathered.used, picture.value - at_pixel, 0.0)
+    residual = _without_slope(value, profile.gathered, level)
+    return with_grain(profile, grain_of(residual, level, profile.gathered, profile.variance_floor))
+
+
+def with_grain(profile: Profile, grain: Grain) -> Profile:
+    """Return the profile with another noise: the covariance of its bins and what shading is left beside it."""
+    level = (profile.value - profile.dark) / (profile.step if profile.step != 0 else 1.0)
+    covariance = bin_covariance(grain, profile.gathered, level, profile.count, profile.keep, profile.slopes)
+    shading = _shading(profile, covariance)
+    apart = (profile.distance[:, None] - profile.distance[None, :]) / SHADING_LENGTH_PX
+    covariance = covariance + shading**2 * np.exp(-0.5 * apart**2)
+    return replace(profile, grain=grain, covariance=covariance, shading_sd=shading)
+
+
+def _shading(profile: Profile, covariance: Array) -> float:
+    """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins."""
+    excess, weight, scatter = 0.0, 0.0, 0.0
+    for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
+        if np.count_nonzero(side) < 12:
+            continue
+        place = profile.distance[side]
+        design = np.stack([np.ones_like(place), place, place**2], axis=1)
+        project = np.eye(place.size) - design @ np.linalg.pinv(design)
+        left = project @ profile.value[side]
+        noise = project @ covariance[np.ix_(side, side)] @ project
+        kernel = np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
+        excess += float(left @ left - np.trace(noise))
+        scatter += 2.0 * float(np.sum(noise**2))
+        weight += float(np.trace(project @ kernel @ project))
+    # The excess of plateaus without shading scatters by this much; only what stands out of it counts.
+    return float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0

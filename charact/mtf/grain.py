@@ -1,0 +1,170 @@
+"""The noise that is really in a picture: its variance on both sides of the edge and its correlation between pixels.
+
+It is taken from what the pixels leave over after the profile, so it holds all of it: photons, gain, read-out, the
+fixed pattern that frames share, and whatever blur ties neighbours together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.bins import Gathered
+
+Array = NDArray[np.float64]
+
+REACH = 14  # px; correlations beyond are taken as none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grain:
+    """Noise of a picture along an edge.
+
+    Parameters
+    ----------
+    dark_variance, bright_variance
+        Variance of a pixel on both plateaus, DN^2; in between it is linear in the profile.
+    correlation
+        Correlation at lags of rows and columns, shape (2 REACH + 1, 2 REACH + 1), 1 in the middle.
+    """
+
+    dark_variance: float
+    bright_variance: float
+    correlation: Array
+
+    @property
+    def covariance_over_variance(self) -> float:
+        """Sum of the correlation: by how much averages are noisier than those of independent pixels."""
+        return float(max(self.correlation.sum(), 0.05))
+
+    def variance(self, level: Array) -> Array:
+        """Return the variance where the profile stands at a level between 0 (dark) and 1 (bright)."""
+        share = np.clip(level, 0.0, 1.0)
+        return self.dark_variance + (self.bright_variance - self.dark_variance) * share
+
+
+def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) -> Grain:
+    """Estimate the noise from residuals.
+
+    Parameters
+    ----------
+    residual
+        Picture less its profile, shape (row, col), DN.
+    level
+        Profile from 0 to 1 at every pixel, shape (row, col).
+    gathered
+        The band along the edge.
+    floor
+        Least variance, DN^2.
+    """
+    used = gathered.used
+    dark, bright = _variances(residual[used], level[used], floor)
+    grain = Grain(dark_variance=dark, bright_variance=bright, correlation=np.ones((1, 1)))
+    standard = np.where(used, residual / np.sqrt(grain.variance(level)), 0.0)
+    return Grain(dark_variance=dark, bright_variance=bright, correlation=_correlation(standard, used))
+
+
+def _variances(residual: Array, level: Array, floor: float) -> tuple[float, float]:
+    """Return the variances at level 0 and 1 of a least-squares line through the squared residuals."""
+    design = np.stack([1.0 - level, level], axis=1)
+    square = np.minimum(residual**2, 50.0 * residual.var() + floor)
+    normal = design.T @ design
+    dark, bright = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), design.T @ square)
+    mean = max(float(square.mean()), floor)
+    return max(float(dark), 0.02 * mean, floor), max(float(bright), 0.02 * mean, floor)
+
+
+def _correlation(standard: Array, used: NDArray[np.bool_]) -> Array:
+    """Return the correlation of standardised residuals at lags up to REACH, insignificant far lags set to none."""
+    rows, cols = standard.shape
+    reach_row, reach_col = min(REACH, rows - 1), min(REACH, cols - 1)
+    shape = (rows + reach_row, cols + reach_col)
+    product = _autocorrelation(standard, shape)
+    pairs = _autocorrelation(used.astype(float), shape)
+    take_row, take_col = np.arange(-reach_row, reach_row + 1), np.arange(-reach_col, reach_col + 1)
+    product, pairs = (part[np.ix_(take_row, take_col)] for part in (product, pairs))
+    correlation = np.where(pairs > 50, product / np.maximum(pairs, 1), 0.0)
+    if not correlation[reach_row, reach_col] > 0:
+        return np.ones((1, 1))
+    correlation = correlation / correlation[reach_row, reach_col]
+    error = 1.0 / np.sqrt(np.maximum(pairs, 1))
+    # A lag counts where it or its surroundings stand out of the noise of the estimate.
+    around = _smoothed(correlation)
+    keep = np.abs(around) > 2.5 * error / 3.0
+    keep[reach_row, reach_col] = True
+    taper = np.outer(_taper(take_row, REACH), _taper(take_col, REACH))
+    return np.where(keep, correlation, 0.0) * taper
+
+
+def _autocorrelation(field: Array, shape: tuple[int, int]) -> Array:
+    spectrum = np.fft.rfft2(field, shape)
+    return np.fft.irfft2(np.abs(spectrum) ** 2, shape)
+
+
+def _smoothed(field: Array) -> Array:
+    """Return the 3 x 3 running mean."""
+    padded = np.pad(field, 1)
+    rows, cols = field.shape
+    return sum(padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)) / 9.0
+
+
+def _taper(lag: NDArray, reach: int) -> Array:
+    """Return 1 up to half the reach, then a cosine down to 0."""
+    share = np.clip((np.abs(lag) - reach / 2) / (reach / 2 + 1), 0.0, 1.0)
+    return 0.5 * (1.0 + np.cos(np.pi * share))
+
+
+def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array, keep: NDArray, slopes) -> Array:
+    """Return the covariance of the means of bins, shape (bin, bin).
+
+    Parameters
+    ----------
+    level
+        Profile at each kept bin, shape (bin,).
+    count
+        Pixels in each kept bin.
+    keep
+        Which bins of the band are meant.
+    slopes
+        Change of distance with one column and with one row, px.
+
+    Notes
+    -----
+    Pixels a lag apart are the same distance delta apart along the normal wherever they are, so
+    cov(b, b') = sqrt(v v') / (n n') sum over lags of rho times the pairs of b and b' shifted by delta: for an even
+    filling the overlap of two boxes, a second difference of the ramp sum_lag rho max(0, x - delta).
+    """
+    rows, cols = (np.arange(size) - size // 2 for size in grain.correlation.shape)
+    delta = np.add.outer(rows * slopes[1], cols * slopes[0]).ravel()
+    order = np.argsort(delta)
+    delta, mass = delta[order], grain.correlation.ravel()[order]
+    total, moment = np.concatenate([[0.0], np.cumsum(mass)]), np.concatenate([[0.0], np.cumsum(mass * delta)])
+
+    def ramp(x: Array) -> Array:
+        index = np.searchsorted(delta, x)
+        return total[index] * x - moment[index]
+
+    low, high = gathered.borders[:-1][keep], gathered.borders[1:][keep]
+    overlap = (
+        ramp(high[None, :] - low[:, None])
+        - ramp(high[None, :] - high[:, None])
+        - ramp(low[None, :] - low[:, None])
+        + ramp(low[None, :] - high[:, None])
+    )
+    overlap = 0.5 * (overlap + overlap.T)
+    density = np.sqrt(np.outer(count, count) / np.outer(high - low, high - low))
+    sd = np.sqrt(grain.variance(level))
+    covariance = overlap * density * np.outer(sd / count, sd / count)
+    return _positive(covariance)
+
+
+def _positive(covariance: Array) -> Array:
+    """Return the covariance, its eigenvalues raised to a small share of those of independent pixels where negative."""
+    scale = np.sqrt(np.diag(covariance).clip(1e-300))
+    correlation = covariance / np.outer(scale, scale)
+    try:
+        np.linalg.cholesky(correlation - 1e-3 * np.eye(len(scale)))
+        return covariance
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(correlation)
+        return (vectors * np.maximum(values, 0.02)) @ vectors.T * np.outer(scale, scale)

@@ -1,0 +1,63 @@
+"""The one door to the MTF methods: choose one, check what was asked, hand over."""
+
+from typing import Any
+
+import numpy as np
+
+from charact.method import Context, choose
+from charact.mtf.region import Region
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Result
+
+
+def measure(
+    kind: str,
+    stack: FrameStack,
+    *,
+    region: Region | None = None,
+    method: str = "auto",
+    within_percent: float = 2.0,
+    context: Context,
+    **target: Any,
+) -> Result:
+    """Measure the MTF of one target.
+
+    Parameters
+    ----------
+    kind
+        "edge", "bars" or "point".
+    stack
+        Frames of the target.
+    region
+        ROW, COL, HEIGHT, WIDTH in px; None: the target is looked for in the whole frame.
+    method
+        Name of a registered method, or "auto".
+    within_percent
+        Tolerance that "auto" must meet, percent.
+    context
+        Seed, speed and camera.
+    target
+        For bars: `bars`, their number, and `frequency_cy_per_px`.
+
+    Raises
+    ------
+    BadInput
+        If the kind or method is unknown, the region leaves the image, or the bars are not described.
+    """
+    if kind not in ("edge", "bars", "point"):
+        raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
+    if region is not None:
+        region = tuple(int(number) for number in region)  # type: ignore[assignment]
+        stack.region(*region)  # type: ignore[misc]
+    if kind == "bars":
+        _checked_bars(**target)
+    chosen = choose(kind, method, within_percent=within_percent)
+    return chosen.function(stack, region=region, context=context, **target)
+
+
+def _checked_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> None:
+    if bars is None or int(bars) < 2:
+        raise BadInput(f"a bar target must have at least 2 bars, got {bars}")
+    if frequency_cy_per_px is None or not 0 < float(frequency_cy_per_px) <= 1 or not np.isfinite(frequency_cy_per_px):
+        raise BadInput(f"the frequency of bars must lie in (0, 1] cycles per pixel, got {frequency_cy_per_px}")

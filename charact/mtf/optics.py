@@ -1,0 +1,83 @@
+"""What the camera's description says of a direction: its aperture, its video filter and the halo to expect."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf import transfer as forms
+from charact.mtf.edge_model import GlarePrior, HaloPrior, Wide
+from charact.mtf.picture import Picture
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """The known part of the transfer of one upright picture.
+
+    Parameters
+    ----------
+    angle_rad
+        Angle of the direction measured to the columns' direction of the picture.
+    along_px, across_px
+        Aperture along that grid axis and across it, in pitches of that axis.
+    video
+        (bandwidth MHz, pixel clock MHz, order) of the filter along the picture's columns' direction, or None.
+    mirrored
+        Whether the picture runs against the read-out.
+    """
+
+    angle_rad: float
+    along_px: float
+    across_px: float
+    video: tuple[float, float, int] | None
+    mirrored: bool
+
+    def __call__(self, frequency: Array) -> NDArray[np.complex128]:
+        """Return the known part at frequencies along the direction, complex."""
+        plain = forms.aperture(frequency, self.angle_rad, self.along_px, self.across_px).astype(complex)
+        if self.video is None:
+            return plain
+        response = forms.video(frequency * np.cos(self.angle_rad), *self.video)
+        return plain * (np.conj(response) if self.mirrored else response)
+
+
+def known_of(picture: Picture, angle_rad: float, context: Context) -> Known:
+    """Return what is known of the transfer across an edge in an upright picture."""
+    rows_summed = 2.0 if context.sensor is not None and context.interlaced else 1.0
+    along, across = (
+        (rows_summed, picture.pitch_ratio) if picture.transposed else (1.0, rows_summed * picture.pitch_ratio)
+    )
+    video = None
+    if context.sensor is not None and not picture.transposed:
+        chain = context.sensor.video
+        video = (float(chain.bandwidth_mhz), float(chain.pixel_clock_mhz), int(chain.filter_order))
+    return Known(angle_rad=angle_rad, along_px=along, across_px=across, video=video, mirrored=picture.mirrored)
+
+
+def halo_of(picture: Picture, half_width_px: float, context: Context) -> tuple[Wide | None, bool]:
+    """Return the prior of a halo that the window can show, and whether the camera is known to have one.
+
+    An intensifier's halo is four gaps wide. Of an unknown camera only glare that fades inside the window, with
+    plateau beyond it, can be told from a slope of the illumination.
+    """
+    if context.sensor is None:
+        longest = 0.18 * half_width_px
+        return (GlarePrior(length_px=(2.0, longest)), False) if longest > 4.0 else (None, False)
+    low, high = halo_diameters_px(context, transposed=picture.transposed)
+    if half_width_px < 0.6 * high:
+        return None, False
+    return HaloPrior(diameter_px=(low, high), fraction=(0.0, 0.4)), True
+
+
+def halo_diameters_px(context: Context, *, transposed: bool) -> tuple[float, float]:
+    """Return the range of the halo's diameter, four gaps, in pitches of the direction, px."""
+    sensor = context.sensor
+    assert sensor is not None
+    gap, pitch = sensor.photocathode.gap_mm, sensor.ccd.pitch_y_um if transposed else sensor.ccd.pitch_x_um
+    px_per_mm = 1e3 / (float(pitch) * float(sensor.taper.demagnification))
+    low = float(gap.low if gap.low is not None else 0.85 * gap.value)
+    high = float(gap.high if gap.high is not None else 1.15 * gap.value)
+    return 4.0 * low * px_per_mm * 0.9, 4.0 * high * px_per_mm * 1.1

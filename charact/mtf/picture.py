@@ -1,0 +1,71 @@
+"""One picture of a stack: its mean frame, turned so that an edge stands upright with its bright side to the right."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """Pixel values with the way they were turned.
+
+    Parameters
+    ----------
+    value
+        Mean frame, shape (row, col), DN, upright.
+    row_index
+        Row of the original frame of every pixel, shape (row, col); its parity is the field.
+    transposed, mirrored
+        Whether rows and columns were exchanged, and whether the columns then ran backwards.
+    frames
+        Frames averaged.
+    whole_codes
+        Whether the frames hold whole codes.
+    pitch_ratio
+        Pitch along the picture's rows' normal over the pitch along its columns' normal: row pitch over column pitch
+        of the upright picture.
+    """
+
+    value: Array
+    row_index: NDArray[np.int64]
+    transposed: bool
+    mirrored: bool
+    frames: int
+    whole_codes: bool
+    pitch_ratio: float
+
+    def turned(self, *, transpose: bool, mirror: bool) -> "Picture":
+        """Return the picture transposed and then mirrored."""
+        value, row_index = self.value, self.row_index
+        if transpose:
+            value, row_index = value.T, row_index.T
+        if mirror:
+            value, row_index = value[:, ::-1], row_index[:, ::-1]
+        return Picture(
+            value=np.ascontiguousarray(value),
+            row_index=np.ascontiguousarray(row_index),
+            transposed=self.transposed != transpose,
+            mirrored=self.mirrored != mirror,
+            frames=self.frames,
+            whole_codes=self.whole_codes,
+            pitch_ratio=1.0 / self.pitch_ratio if transpose else self.pitch_ratio,
+        )
+
+
+def mean_picture(data: NDArray, pitch_ratio: float) -> Picture:
+    """Average a stack (frame, row, col) into a picture."""
+    frames, rows, cols = data.shape
+    value = data[0].astype(float) if frames == 1 else data.mean(axis=0, dtype=np.float64)
+    whole = data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0])))
+    return Picture(
+        value=value,
+        row_index=np.broadcast_to(np.arange(rows)[:, None], (rows, cols)),
+        transposed=False,
+        mirrored=False,
+        frames=frames,
+        whole_codes=whole,
+        pitch_ratio=pitch_ratio,
+    )
