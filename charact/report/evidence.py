@@ -15,6 +15,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "bars": ("mtf", edges.bars),
     "point-profile": ("bloom", blooms.point_profile),
     "bloom-series": ("bloom", blooms.bloom_series),
+    "halo-constancy": ("bloom", blooms.halo_constancy),
     "photon-transfer": ("noise", noise.photon_transfer),
     "noise-spectrum": ("noise", noise.noise_spectrum),
     "autocorrelation": ("noise", noise.autocorrelation),
