@@ -12,6 +12,7 @@ from charact.mtf import edge_checks, line
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.edge_fit import EdgeFit, fit, refit
 from charact.mtf.edge_profile import Profile, profile_of, refined
+from charact.mtf.geometry import orientation_deg
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.picture import Picture, mean_picture
 from charact.mtf.region import Region
@@ -189,14 +190,6 @@ def _angle(found: Found, common: dict) -> Measurement:
     value = abs(float(np.rad2deg(found.profile.angle_rad)))
     halves = [(value - k * error, value + k * error) for k in (0.994458, 1.959964)]
     return measured("edge_angle", "deg", value, *halves, **{**common, "notes": ()})
-
-
-def orientation_deg(picture: Picture, angle_rad: float) -> float:
-    """Return the direction of the edge's normal from the row direction, degrees in [0, 180)."""
-    tilt = float(np.rad2deg(angle_rad))
-    # Upright, the normal stands at -tilt to the columns' direction; mirrored it is turned over, transposed exchanged.
-    tilt = tilt if picture.mirrored else -tilt
-    return (90.0 - tilt if picture.transposed else tilt) % 180.0
 
 
 def _notes(found: Found, used: FrameStack, context: Context) -> tuple[str, ...]:
