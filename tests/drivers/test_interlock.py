@@ -114,7 +114,6 @@ def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines
         (Conditions(mcp_v=901), "mcp_v must not exceed the limit 900, got 901"),
         (Conditions(mcp_v=30), "mcp_v must be 0 \\(off\\) or at least 50, got 30"),
         (Conditions(mcp_v=600, gate_ns=1.66e7), "gate_ns must not exceed the limit 1.65e\\+07, got 1.66e\\+07"),
-        (Conditions(mcp_v=600, illuminance_lux=1.0), "illuminance_lux must not exceed the limit 0.01, got 1"),
     ],
 )  # fmt: skip
 def test_nothing_beyond_a_limit_is_done_even_in_part(bench, virtual, conditions, rule):
