@@ -76,9 +76,12 @@ def _panel(
     top = max([0.5, *(float(curve.frequency_cy_per_px[-1]) for _, curve in curves)])
     for colour, (name, curve) in zip(COLOURS * 4, curves, strict=False):
         _draw(axes, curve, colour, name.partition(":")[2] or curve.stack or name)
-    for m in points:
+    drawn = {curve.stack or name.partition(":")[2] for name, curve in curves}
+    # A single frequency read off a curve that is here says nothing new; bars measured theirs.
+    own = [m for m in points if m.method.startswith("bars") or (m.stack or "") not in drawn]
+    for m in own:
         axes.errorbar(m.frequency_cy_per_px, m.value, yerr=_arms(m), fmt="s", markersize=4.5, color=INK, linewidth=1)
-    if points:
+    if own:
         axes.plot([], [], "s", color=INK, markersize=4.5, label="MTF at one frequency, 95 %")
     known = (truth or {}).get("mtf")
     if callable(known):

@@ -4,40 +4,70 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.report.generic import array, dots, has, line
 from charact.report.style import DATA, INK, MODEL, panels
 
 Data = Mapping[str, Any]
-
-
-def profile_with_residual(data: Data, x: Any, measured: Any, xlabel: str, ylabel: str) -> Any:
-    """Measured points and model above, their difference below, in the same unit."""
-    figure, grid = panels(2, 1, size=(5.6, 4.2), sharex=True, height_ratios=(3, 1.2))
-    upper, lower = grid[:, 0]
-    sd = array(data, "sd_dn", "sd") if has(data, "sd_dn") or has(data, "sd") else None
-    dots(upper, x, measured, sd, color=DATA, alpha=0.7, label="measured" if sd is None else "measured, ± 1 sd")
-    upper.set_ylabel(ylabel)
-    lower.set(xlabel=xlabel, ylabel="residual (DN)")
-    lower.axhline(0, color=INK, linewidth=0.8)
-    if has(data, "model_dn") or has(data, "model"):
-        model = array(data, "model_dn", "model")
-        line(upper, x, model, color=MODEL, label="model")
-        dots(lower, x, np.asarray(measured, float) - model, sd, color=DATA, alpha=0.7)
-    upper.legend()
-    return figure
+Array = NDArray[np.float64]
 
 
 def edge_spread(data: Data) -> Any:
-    """Edge spread against the distance from the edge."""
-    x = array(data, "distance_px", "position_px")
-    return profile_with_residual(data, x, array(data, "value_dn", "measured_dn", "edge_spread_dn"),
-                                 "distance from the edge (px)", "signal (DN)")  # fmt: skip
+    """Edge spread near the edge with its model, and the residual over the whole width that was fitted."""
+    x, measured = array(data, "distance_px"), array(data, "value_dn")
+    figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4))
+    near = np.abs(x - _middle(x, measured)) <= _reach(x, measured)
+    _profile(grid[0, 0], data, x, measured, near)
+    grid[0, 0].set(xlabel="distance from the edge, near it (px)", ylabel="signal (DN)")
+    _residual(grid[1, 0], data, x, measured, "distance from the edge, all that was fitted (px)")
+    return figure
 
 
 def bars(data: Data) -> Any:
-    """Profile across the bars."""
-    x = array(data, "distance_px", "position_px")
-    return profile_with_residual(
-        data, x, array(data, "value_dn", "measured_dn"), "distance across the bars (px)", "signal (DN)"
+    """Profile across the bars with its model, and the residual."""
+    x, measured = array(data, "distance_px"), array(data, "value_dn")
+    figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4), sharex=True)
+    _profile(grid[0, 0], data, x, measured, np.ones(len(x), bool))
+    grid[0, 0].set(ylabel="signal (DN)")
+    _residual(grid[1, 0], data, x, measured, "distance across the bars (px)")
+    return figure
+
+
+def _profile(axes: Any, data: Data, x: Array, measured: Array, shown: NDArray[np.bool_]) -> None:
+    """Measured points under their model."""
+    sd = array(data, "sd_dn")[shown] if has(data, "sd_dn") else None
+    dots(
+        axes,
+        x[shown],
+        measured[shown],
+        sd,
+        color=DATA,
+        alpha=0.7,
+        label="measured" if sd is None else "measured, ± 1 sd",
     )
+    if has(data, "model_dn"):
+        line(axes, x[shown], array(data, "model_dn")[shown], color=MODEL, label="model", zorder=3)
+    axes.legend()
+
+
+def _residual(axes: Any, data: Data, x: Array, measured: Array, xlabel: str) -> None:
+    """Measured less model, in the same unit."""
+    axes.set(xlabel=xlabel, ylabel="residual (DN)")
+    axes.axhline(0, color=INK, linewidth=0.8)
+    if has(data, "model_dn"):
+        sd = array(data, "sd_dn") if has(data, "sd_dn") else None
+        dots(axes, x, measured - array(data, "model_dn"), sd, color=DATA, alpha=0.7)
+
+
+def _middle(x: Array, measured: Array) -> float:
+    """Where the profile is half way up."""
+    half = (measured.min() + measured.max()) / 2
+    return float(x[np.argmin(np.abs(measured - half))])
+
+
+def _reach(x: Array, measured: Array) -> float:
+    """Four times the distance between a tenth and nine tenths of the step, at least 8 px."""
+    low, high = np.percentile(measured, [1, 99])
+    inside = x[(measured > low + 0.1 * (high - low)) & (measured < high - 0.1 * (high - low))]
+    return max(8.0, 4.0 * float(np.ptp(inside)) if len(inside) else 8.0)

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from charact.report.style import thinned
 
+MOST_DOTS = 160
+
 
 def array(data: Mapping[str, Any], *names: str) -> NDArray[np.float64]:
     """The first list that goes by one of the names; a KeyError names them where there is none."""
@@ -31,9 +33,9 @@ def dots(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = None, **o
     """Draw points with arms of one standard error."""
     options = {"markersize": 2.8, "linestyle": "", "marker": "o", **options}
     if sd is None:
-        axes.plot(*thinned(x, y), **options)
+        axes.plot(*thinned(x, y, most=MOST_DOTS), **options)
         return
-    horizontal, vertical, arm = thinned(x, y, sd)
+    horizontal, vertical, arm = thinned(x, y, sd, most=MOST_DOTS)
     axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)
 
 

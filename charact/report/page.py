@@ -71,7 +71,7 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         verdicts=tables.verdicts(result),
         headlines=tables.headlines(result),
-        quantities=tables.quantity_rows(result),
+        groups=tables.quantity_groups(result),
         beside=beside_truth(result, truth or {}),
         mtf_figure=overlay,
         mtf_class="wide" if overlay and overlay.count("frequency; bands") > 1 else "single",
@@ -91,7 +91,7 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
 def fragment(result: Result) -> str:
     """Return the table of quantities and the MTF figure as an HTML fragment, for a notebook."""
     return _template("fragment.html.j2").render(
-        quantities=tables.quantity_rows(result), verdicts=tables.verdicts(result), mtf_figure=mtf_svg(None, result)
+        groups=tables.quantity_groups(result), verdicts=tables.verdicts(result), mtf_figure=mtf_svg(None, result)
     )
 
 

@@ -4,7 +4,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -44,6 +44,27 @@ class QuantityRow:
     flags: tuple[tuple[str, str], ...]
     notes: tuple[str, ...]
     reason: str | None
+    stack: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuantityGroup:
+    """What one method found in one stack: rows, and what is to be said of all of them once.
+
+    Parameters
+    ----------
+    title
+        Stack, method and time.
+    rows
+        The measurements, each with what is to be said of it alone.
+    flags, notes
+        Flags with their sentences and notes that all rows with a number share.
+    """
+
+    title: str
+    rows: tuple[QuantityRow, ...]
+    flags: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
 
 
 def quantity_row(m: Measurement) -> QuantityRow:
@@ -63,12 +84,13 @@ def quantity_row(m: Measurement) -> QuantityRow:
         flags=tuple((flag, FLAGS[flag]) for flag in m.flags),
         notes=m.notes,
         reason=m.reason,
+        stack=m.stack or "",
     )
 
 
 def where(m: Measurement) -> str:
-    """Where a measurement applies: stack, frequency, direction, region."""
-    parts = [m.stack or ""]
+    """Where in its stack a measurement applies: frequency, direction, region."""
+    parts = []
     if m.frequency_cy_per_px is not None:
         parts.append(f"{m.frequency_cy_per_px:.4g} cy/px")
     if m.orientation_deg is not None:
@@ -76,13 +98,37 @@ def where(m: Measurement) -> str:
     if m.region is not None:
         row, col, height, width = m.region
         parts.append(f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}")
-    return "; ".join(part for part in parts if part)
+    return "; ".join(parts)
 
 
-def quantity_rows(result: Result) -> tuple[QuantityRow, ...]:
-    """Rows of all measurements in the order of the vocabulary of quantities."""
+def quantity_groups(result: Result) -> tuple[QuantityGroup, ...]:
+    """All measurements by stack and method, quantities in the order of the vocabulary."""
     order = list(QUANTITIES)
-    return tuple(quantity_row(m) for m in sorted(result.measurements, key=lambda m: order.index(m.quantity)))
+    groups: dict[tuple[str, str], list[QuantityRow]] = {}
+    for m in sorted(result.measurements, key=lambda m: order.index(m.quantity)):
+        groups.setdefault((m.stack or "", m.method), []).append(quantity_row(m))
+    return tuple(_group(stack, method, rows) for (stack, method), rows in groups.items())
+
+
+def _group(stack: str, method: str, rows: list[QuantityRow]) -> QuantityGroup:
+    """Lift what all rows with a number share out of them."""
+    numbers = [row for row in rows if row.reason is None]
+    share = len(numbers) > 1
+    flags = tuple(f for f in numbers[0].flags if all(f in row.flags for row in numbers)) if share else ()
+    notes = tuple(n for n in numbers[0].notes if all(n in row.notes for row in numbers)) if share else ()
+    seconds = sorted({row.seconds for row in rows if row.seconds})
+    time = f"{seconds[0]} s" if len(seconds) == 1 else ""
+    own = tuple(
+        replace(
+            row,
+            flags=tuple(f for f in row.flags if f not in flags),
+            notes=tuple(n for n in row.notes if n not in notes),
+            seconds="" if time else row.seconds,
+        )
+        for row in rows
+    )
+    title = " · ".join(part for part in (stack or "whole session", method, time) if part)
+    return QuantityGroup(title=title, rows=own, flags=flags, notes=notes)
 
 
 def headlines(result: Result) -> tuple[QuantityRow, ...]:
