@@ -60,15 +60,42 @@ def provenance(context, **settings: Any) -> Provenance:
     return Provenance(version=__version__, seed=context.seed, settings=known | settings)
 
 
-def series_evidence(spots: tuple[Spot, ...]) -> dict[str, Any]:
-    """Bloom diameter and streak against the light, for the report."""
+def overloads(spots: tuple[Spot, ...]) -> list[float | None]:
+    """How many times each source is brighter than one whose peak just meets full scale; None where light is unknown."""
+    light = [_light(spot) for spot in spots]
+    clear = [
+        (value, spot)
+        for value, spot in zip(light, spots, strict=True)
+        if value and spot.significance > DETECTED and spot.image.max() < 0.8 * spot.full_scale_dn
+    ]
+    if not clear:
+        return [None] * len(spots)
+    value, spot = max(clear, key=lambda one: one[0])
+    peak = float(spot.image[round(spot.row) - 3 : round(spot.row) + 4, round(spot.col) - 3 : round(spot.col) + 4].max())
+    share = (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn)
+    return [None if one is None else one / value * share for one in light]
+
+
+def _light(spot: Spot) -> float | None:
+    if spot.conditions.illuminance_lux is None:
+        return None
+    return spot.conditions.illuminance_lux * (spot.conditions.gate_ns or 1.0)
+
+
+def series_evidence(spots: tuple[Spot, ...], halos: dict[str, float] | None = None) -> dict[str, Any]:
+    """Bloom diameter, streak and each level's own halo against the light, for the report."""
+    overload = overloads(spots)
+    known = all(value is not None for value in overload)
     return {
         "figure": "bloom-series",
         "label": [spot.label for spot in spots],
+        "overload": overload if known else list(range(1, len(spots) + 1)),
+        "overload_known": known,
         "illuminance_lux": [spot.conditions.illuminance_lux for spot in spots],
         "gate_ns": [spot.conditions.gate_ns for spot in spots],
         "bloom_diameter_px": [spot.bloom_px for spot in spots],
         "streak_length_px": [spot.streak_px for spot in spots],
+        "halo_diameter_px": [(halos or {}).get(spot.label) for spot in spots],
         "significance": [spot.significance for spot in spots],
         "dark_dn": [spot.dark_dn for spot in spots],
         "full_scale_dn": [spot.full_scale_dn for spot in spots],

@@ -58,7 +58,7 @@ class Problem:
 
     def log_probability(self, points: Array) -> Array:
         """Log of the posterior with amplitudes and pedestals integrated out, shape (point,)."""
-        inside = ((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1])).all(axis=1)
+        inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, self.bounds.mean(axis=1))
         total = -0.5 * (((safe - self.centre) / self.spread) ** 2).sum(axis=1)
         drawn = [shapes(safe, optics) for optics in self.optics]
@@ -211,7 +211,7 @@ def _own_diameter(problem: Problem, one: int, point: Array) -> tuple[float, floa
     """Diameter and standard error that one level alone gives, its rim free, the core as all levels have it."""
 
     def log_probability(points: Array) -> Array:
-        inside = ((points >= problem.bounds[:2, 0]) & (points <= problem.bounds[:2, 1])).all(axis=1)
+        inside = np.all((points >= problem.bounds[:2, 0]) & (points <= problem.bounds[:2, 1]), axis=1)
         full = np.broadcast_to(point, (len(points), len(point))).copy()
         full[:, :2] = np.where(inside[:, None], points, point[:2])
         return np.where(inside, problem.level(one, full)[0], -np.inf)

@@ -21,6 +21,8 @@ METHOD = "halo-profile"
 OUTER = 1.6
 # A level serves where at least so many rings inside the halo are not saturated.
 RINGS_INSIDE = 4
+# Profiles kept for the report.
+SHOWN = 3
 
 
 @register(
@@ -50,8 +52,10 @@ def halo_profile(session: Session, *, context: Context) -> Result:
     halo, evidence = _halo(spots, context, fields)
     out = [halo, *bloom_measurements(spots, square=context.sensor is None, **fields)]
     seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
-                  evidence={"bloom-series": series_evidence(spots), **evidence})  # fmt: skip
+    own = evidence.get("halo-constancy")
+    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
+    series = {"bloom-series": series_evidence(spots, halos)}
+    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out), evidence=series | evidence)
 
 
 def _halo(spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]) -> tuple[Measurement, dict[str, Any]]:
@@ -63,7 +67,7 @@ def _halo(spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]) -> 
     radius, significance = first_radius(wide)
     if significance < STEP_SEEN:
         reason = "no profile has a step that stands out of its noise: no halo is visible"
-        return refused("halo_diameter", "px", reason, **fields), _profile_evidence(wide, None, None, context)
+        return refused("halo_diameter", "px", reason, **fields), _profile_evidence(wide, None, radius)
     reach = int(np.clip(OUTER * radius, 16, min(map(reach_of, clear))))
     profiles = [profile_of(spot, reach, context=context) for spot in clear]
     serving = [
@@ -76,11 +80,12 @@ def _halo(spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]) -> 
     found = fit(problem, seed=context.seed, quick=context.quick, first_diameter_px=2 * radius)
     if found is None:
         reason = "the profiles show no disc with an edge: no halo is visible"
-        return refused("halo_diameter", "px", reason, **fields), _profile_evidence(serving, None, None, context)
+        return refused("halo_diameter", "px", reason, **fields), _profile_evidence(serving, None, radius)
     flags = _flags(found, reach, all(spot.dark_known for spot in clear))
     halo = from_draws("halo_diameter", "px", found.posterior["halo_diameter"], posterior=found.posterior, flags=flags,
                       notes=_notes(context), **fields)  # fmt: skip
-    return halo, _profile_evidence(serving, found, problem.labels, context)
+    evidence = _profile_evidence(serving, found, radius) | {"halo-constancy": _constancy(found, problem.labels)}
+    return halo, evidence
 
 
 def _notes(context: Context) -> tuple[str, ...]:
@@ -104,36 +109,56 @@ def _flags(found: HaloFit, reach: int, darks: bool) -> tuple[str, ...]:
     return flags
 
 
-def _profile_evidence(profiles: list[Profile], found: HaloFit | None, labels, context: Context) -> dict[str, Any]:
-    """Radial profiles with their fits, and each level's own diameter."""
+def _profile_evidence(profiles: list[Profile], found: HaloFit | None, radius: float) -> dict[str, Any]:
+    """The profiles that show the halo best, with the fit where there is one."""
+    score = found.significance if found is not None else np.arange(len(profiles))
+    shown = sorted(np.argsort(score)[::-1][:SHOWN].tolist())
+    return {f"point-profile:{profiles[i].label}": _one_profile(profiles[i], found, i, radius) for i in shown}
+
+
+def _one_profile(profile: Profile, found: HaloFit | None, one: int, radius: float) -> dict[str, Any]:
+    """Rings that are not saturated, and what the fit makes of them."""
+    used = profile.used
     data: dict[str, Any] = {
         "figure": "point-profile",
-        "label": [p.label for p in profiles],
-        "radius_px": [p.radius_px.tolist() for p in profiles],
-        "mean_dn": [p.mean_dn.tolist() for p in profiles],
-        "sd_dn": [p.sd_dn.tolist() for p in profiles],
-        "used": [p.used.tolist() for p in profiles],
+        "label": profile.label,
+        "radius_px": profile.radius_px[used].tolist(),
+        "value_dn": profile.mean_dn[used].tolist(),
+        "sd_dn": profile.sd_dn[used].tolist(),
+        "saturated_rings": int(np.argmax(used)),
+        "steepest_radius_px": radius,
     }
     if found is None:
-        return {"point-profile": data}
-    data["halo_diameter_px"] = float(np.median(found.posterior["halo_diameter"]))
-    data["elastic_share"] = float(np.median(found.posterior["elastic_share"]))
-    data["model_dn"] = [_model(p, found, i).tolist() for i, p in enumerate(profiles)]
-    data["chi2"], data["freedom"] = found.chi2, found.freedom
-    data["halo_share"] = [
-        float(halo / (core + halo)) if core + halo > 0 else None for core, _, halo in found.amplitudes
-    ]
-    levels = {
-        "figure": "halo-constancy",
-        "label": list(labels),
-        "halo_diameter_px": [None if np.isnan(d) else float(d) for d in found.diameters],
-        "interval95_px": [
-            None if np.isnan(d) else [float(d - 1.96 * s), float(d + 1.96 * s)]
-            for d, s in zip(found.diameters, found.diameter_sd, strict=True)
-        ],
-        "significance": found.significance.tolist(),
+        return data
+    core, pedestal, halo = found.amplitudes[one].tolist()
+    return data | {
+        "model_dn": _model(profile, found, one)[used].tolist(),
+        "pedestal_dn": pedestal,
+        "halo_share": halo / (core + halo) if core + halo > 0 else None,
+        "halo_significance": float(found.significance[one]),
     }
-    return {"point-profile": data, "halo-constancy": levels}
+
+
+def _constancy(found: HaloFit, labels: tuple[str, ...]) -> dict[str, Any]:
+    """Each level's own diameter beside that of all: geometry fixes it whatever the light."""
+    seen = np.isfinite(found.diameters)
+    own, sd = found.diameters[seen], found.diameter_sd[seen]
+    weight = 1.0 / np.maximum(sd, 1e-6) ** 2
+    mean = float(weight @ own / weight.sum()) if len(own) else None
+    return {
+        "figure": "halo-constancy",
+        "label": [label for label, one in zip(labels, seen, strict=True) if one],
+        "halo_diameter_px": own.tolist(),
+        "interval95_low_px": (own - 1.96 * sd).tolist(),
+        "interval95_high_px": (own + 1.96 * sd).tolist(),
+        "significance": found.significance[seen].tolist(),
+        "joint_px": float(np.median(found.posterior["halo_diameter"])),
+        "joint_elastic_share": float(np.median(found.posterior["elastic_share"])),
+        "chi2_of_constancy": float(weight @ (own - mean) ** 2) if mean is not None else None,
+        "freedom": max(0, len(own) - 1),
+        "fit_chi2": found.chi2,
+        "fit_freedom": found.freedom,
+    }
 
 
 def _model(profile: Profile, found: HaloFit, one: int) -> np.ndarray:

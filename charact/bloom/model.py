@@ -33,7 +33,7 @@ def optics_of(radius_px: Array) -> Optics:
     from scipy.special import j0
 
     step = HIGHEST_CY_PER_PX / STEPS
-    frequency = (np.arange(STEPS) + 0.5) * step
+    frequency = np.asarray((np.arange(STEPS) + 0.5) * step, np.float64)
     kernel = np.zeros((STEPS, len(radius_px)))
     weight = np.zeros(len(radius_px))
     for offset in INSIDE:

@@ -65,9 +65,9 @@ def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
     Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
     and by successive frames is in them, and are smoothed over rings.
     """
-    rows, cols = np.indices(spot.image.shape)
-    dx = cols - spot.col
-    dy = (rows - spot.row) * context.pitch_ratio
+    rows = np.arange(spot.image.shape[0])[:, None]
+    cols = np.arange(spot.image.shape[1])[None, :]
+    dx, dy = np.broadcast_arrays(cols - spot.col, (rows - spot.row) * context.pitch_ratio)
     radius = np.hypot(dx, dy)
     inside = (radius < reach_px) & ((np.abs(dx) > STREAK_PX) | (radius < STREAK_FROM_PX))
     ring = radius[inside].astype(int)

@@ -175,7 +175,7 @@ def extent(image: NDArray, row: float, col: float, threshold: float, pitch_ratio
 
     above = np.asarray(image) >= threshold
     centre = round(row), round(col)
-    labels = ndimage.label(above)[0]
+    labels = ndimage.label(above)[0]  # pyright: ignore[reportIndexIssue]
     near = labels[max(0, centre[0] - 3) : centre[0] + 4, max(0, centre[1] - 3) : centre[1] + 4]
     if not near.any():
         return 0.0, 0.0, False

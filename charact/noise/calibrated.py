@@ -22,7 +22,8 @@ def calibrated_quantities(series: Series, posterior: Posterior, *, context: Cont
     names = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
     chosen = np.flatnonzero(series.fitted)
     known = [series.flats[i].conditions for i in chosen]
-    if context.sensor is None or any(c.illuminance_lux is None or c.gate_ns is None for c in known):
+    given = [(c.illuminance_lux or 0.0) * (c.gate_ns or 0.0) * 1e-9 for c in known]
+    if context.sensor is None or not all(given):
         reason = (
             "k and F2 cannot be told apart from flats: known illuminance, gate and sensor are needed; "
             "see covariance_gain"
@@ -30,7 +31,7 @@ def calibrated_quantities(series: Series, posterior: Posterior, *, context: Cont
         return [refused(name, unit, reason, **fields) for name, unit in names]
     rng = np.random.default_rng([context.seed, 3])
     count = len(posterior.draws)
-    exposure = np.array([c.illuminance_lux * c.gate_ns * 1e-9 for c in known])
+    exposure = np.array(given)
     slope = float(exposure @ series.signal_dn[chosen] / (exposure @ exposure))
     meter = 1.0 + (known[0].illuminance_relative_sd or 0.0) * rng.standard_normal(count)
     per_lux_s = photoelectrons_per_lux_s(context, rng, count)

@@ -7,23 +7,18 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.fields import Exposures, exposures, fluctuations, runs_of
-from charact.noise.spectrum import Bins, bins_of, cross_spectra
+from charact.noise.pixels import fixed_pattern, neighbours, products_of, variance_error
+from charact.noise.spectrum import NO_BINS, Bins, bins_of, cross_spectra
 from charact.noise.temporal import autocovariance, usable_lags
 from labdata.conditions import Conditions
+from labdata.frames import FrameStack
 from labdata.session import StackEntry
 
 Array = NDArray[np.float64]
 
-# Longest lag at which light of earlier exposures is looked for, exposures.
+# Longest lag at which light of earlier exposures is looked for, and lags allowed for where none is seen, exposures.
 MOST_LAGS = 12
-# Blocks of the image (rows, columns) whose scatter gives the uncertainty of its variance.
-BLOCKS = (6, 8)
-
-
-# Lags allowed for where none is seen, exposures.
 FEW_LAGS = 2
-
-
 # Exposures of an intensified camera this far apart no longer share the glow of the screen to speak of.
 GLOW_EXPOSURES = 8
 
@@ -35,7 +30,7 @@ class Spectrum:
     Parameters
     ----------
     lags
-        Lags, exposures, 0 first, shape (lag,).
+        Lags, exposures, 0 first, shape (lag,); none where no spectrum was asked for.
     power_dn2
         Autocovariance in time of the modes of each bin, shape (bin, lag), DN^2.
     variance_dn2
@@ -45,6 +40,9 @@ class Spectrum:
     lags: NDArray[np.int64]
     power_dn2: Array
     variance_dn2: float
+
+
+NO_SPECTRUM = Spectrum(lags=np.empty(0, np.int64), power_dn2=np.empty((0, 0)), variance_dn2=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,13 +66,13 @@ class Level:
     spatial_variance_dn2, spatial_sd_dn2
         Variance over the image of what does not change in time, and its standard error.
     low_share, high_share
-        Share of pixel values at the lowest and highest code.
+        Share of pixel values at code 0 and at the highest code.
     few, many
-        Spectra that allow for few and for many lags, or None.
+        Spectra that allow for few and for many lags.
     runs, time, parity
         Runs of frames the statistics come from, and the exposures of one of them.
     bins
-        Bins of the spectrum, or None.
+        Bins of the spectra.
     """
 
     label: str
@@ -92,12 +90,26 @@ class Level:
     spatial_sd_dn2: float
     low_share: float
     high_share: float
-    few: Spectrum | None
-    many: Spectrum | None
+    few: Spectrum
+    many: Spectrum
     runs: int
     time: NDArray[np.int64]
     parity: NDArray[np.int64]
-    bins: Bins | None
+    bins: Bins
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Statistics of a run of frames: values with their standard errors, and spectra. Names as in `Level`."""
+
+    time: NDArray[np.int64]
+    parity: NDArray[np.int64]
+    variance: tuple[float, float]
+    neighbour: tuple[float, float]
+    pattern: tuple[float, float]
+    few: Spectrum
+    many: Spectrum
+    bins: Bins
 
 
 def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> Level | None:
@@ -105,14 +117,13 @@ def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> 
     stack = entry.read()
     if len(stack) < 2:
         return None
-    full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
     runs = [_run(stack, first, last, context, spectra) for first, last in runs_of(stack)]
-    weight = np.array([len(run["time"]) for run in runs], float)
+    weight = np.array([len(run.time) for run in runs], float)
     frame_mean = np.array([frame.mean(dtype=np.float64) for frame in stack.data])
-
-    def pooled(name: str):
-        return np.average([run[name] for run in runs], axis=0, weights=weight)
-
+    variance, variance_sd = _pooled([run.variance for run in runs], weight)
+    neighbour, neighbour_sd = _pooled([run.neighbour for run in runs], weight)
+    pattern, pattern_sd = _pooled([run.pattern for run in runs], weight)
+    low, high = _at_the_ends(stack, context)
     return Level(
         label=entry.label,
         kind=entry.kind,
@@ -121,48 +132,53 @@ def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> 
         pixels=stack.data[0].size,
         mean_dn=float(frame_mean.mean()),
         frame_mean_dn=frame_mean,
-        variance_dn2=float(pooled("variance")),
-        variance_sd_dn2=float(np.sqrt(np.average([r["variance_sd"] ** 2 for r in runs], weights=weight) / len(runs))),
-        neighbour_correlation=float(pooled("neighbour")),
-        neighbour_sd=float(np.sqrt(np.average([r["neighbour_sd"] ** 2 for r in runs], weights=weight) / len(runs))),
-        spatial_variance_dn2=float(pooled("pattern")[0]),
-        spatial_sd_dn2=float(pooled("pattern")[1] / np.sqrt(len(runs))),
-        low_share=_share_at(stack.data, stack.data.min()),
-        high_share=0.0 if full_scale_dn is None else float(np.mean(stack.data >= full_scale_dn)),
-        few=_pooled([run["few"] for run in runs], weight) if spectra else None,
-        many=_pooled([run["many"] for run in runs], weight) if spectra else None,
+        variance_dn2=variance,
+        variance_sd_dn2=variance_sd,
+        neighbour_correlation=neighbour,
+        neighbour_sd=neighbour_sd,
+        spatial_variance_dn2=pattern,
+        spatial_sd_dn2=pattern_sd,
+        low_share=low,
+        high_share=high,
+        few=_mean_spectrum([run.few for run in runs], weight),
+        many=_mean_spectrum([run.many for run in runs], weight),
         runs=len(runs),
-        time=runs[0]["time"],
-        parity=runs[0]["parity"],
-        bins=runs[0]["bins"],
+        time=runs[0].time,
+        parity=runs[0].parity,
+        bins=runs[0].bins,
     )
 
 
-def _run(stack, first: int, last: int, context: Context, spectra: bool) -> dict:
+def _run(stack: FrameStack, first: int, last: int, context: Context, spectra: bool) -> Run:
     """Statistics of a run of frames."""
     shots = exposures(stack, first, last, interlaced=context.interlaced)
     change = fluctuations(shots)
-    pixel = _pixel_products(change, shots.parity)
+    pixel = products_of(change, shots.parity)
     plain = np.zeros(1, np.int64)
     variance = float(autocovariance(pixel, shots.time, shots.parity, plain, within_parity=True)[0])
-    found = {"time": shots.time, "parity": shots.parity, "variance": variance, "bins": None, "pattern": _fixed_pattern(shots, GLOW_EXPOSURES if context.interlaced else 1),
-             **_blocks(change, shots.image, variance)}  # fmt: skip
+    few, many, bins = NO_SPECTRUM, NO_SPECTRUM, NO_BINS
     if spectra:
-        row_pitch = context.pitch_ratio * shots.row_step
-        bins = bins_of(*change.shape[1:], row_pitch)
-        products = cross_spectra(change, shots.parity, bins)
-        found |= {"bins": bins} | {
-            name: _spectrum(products, pixel, shots, most) for name, most in (("few", FEW_LAGS), ("many", MOST_LAGS))
-        }
-    return found
+        bins = bins_of(change.shape[1], change.shape[2], context.pitch_ratio * shots.row_step)
+        modes = cross_spectra(change, shots.parity, bins)
+        few, many = (_spectrum(modes, pixel, shots, most) for most in (FEW_LAGS, MOST_LAGS))
+    return Run(
+        time=shots.time,
+        parity=shots.parity,
+        variance=(variance, variance_error(change, shots.image, variance)),
+        neighbour=neighbours(change),
+        pattern=fixed_pattern(shots, GLOW_EXPOSURES if context.interlaced else 1),
+        few=few,
+        many=many,
+        bins=bins,
+    )
 
 
-def _spectrum(products: Array, pixel: Array, shots: Exposures, most: int) -> Spectrum:
+def _spectrum(modes: Array, pixel: Array, shots: Exposures, most: int) -> Spectrum:
     """Unbiased covariances in time up to a lag."""
     lags = usable_lags(shots.time, shots.parity, most)
     same = rows_lags(lags, shots.parity)
     variance = autocovariance(pixel, shots.time, shots.parity, same, within_parity=True)[0]
-    power = autocovariance(products, shots.time, shots.parity, lags)
+    power = autocovariance(modes, shots.time, shots.parity, lags)
     return Spectrum(lags=lags, power_dn2=power, variance_dn2=float(variance))
 
 
@@ -171,7 +187,14 @@ def rows_lags(lags: NDArray[np.int64], parity: NDArray[np.int64]) -> NDArray[np.
     return lags[lags % 2 == 0] if len(np.unique(parity)) > 1 else lags
 
 
-def _pooled(runs: list[Spectrum], weight: Array) -> Spectrum:
+def _pooled(values: list[tuple[float, float]], weight: Array) -> tuple[float, float]:
+    """Weighted mean and its standard error."""
+    share = weight / weight.sum()
+    value, sd = np.array(values).T
+    return float(share @ value), float(np.sqrt(share**2 @ sd**2))
+
+
+def _mean_spectrum(runs: list[Spectrum], weight: Array) -> Spectrum:
     """Mean of the spectra of all runs over the lags that all of them have."""
     lags = min((run.lags for run in runs), key=len)
     power = np.average([run.power_dn2[:, : len(lags)] for run in runs], axis=0, weights=weight)
@@ -179,59 +202,8 @@ def _pooled(runs: list[Spectrum], weight: Array) -> Spectrum:
     return Spectrum(lags=lags, power_dn2=power, variance_dn2=variance)
 
 
-def _pixel_products(change: NDArray[np.float32], parity: NDArray[np.int64]) -> Array:
-    """Mean product of exposures of equal parity, shape (exposure, exposure)."""
-    flat = change.reshape(len(change), -1)
-    out = np.zeros((len(change), len(change)))
-    for value in np.unique(parity):
-        same = np.flatnonzero(parity == value)
-        out[np.ix_(same, same)] = (flat[same] @ flat[same].T) / flat.shape[1]
-    return out
-
-
-def _blocks(change: NDArray[np.float32], image: NDArray[np.float32], variance: float) -> dict[str, float]:
-    """Standard error of the variance, and the correlation of neighbours with its own, from blocks of the image."""
-    _, rows, cols = change.shape
-    row_cuts = np.linspace(0, rows, min(BLOCKS[0], rows) + 1).astype(int)[:-1]
-    col_cuts = np.linspace(0, cols, min(BLOCKS[1], cols) + 1).astype(int)[:-1]
-
-    def means(of):
-        total = np.add.reduceat(np.add.reduceat(of, row_cuts, axis=0), col_cuts, axis=1)
-        size = np.diff(np.append(row_cuts, of.shape[0]))[:, None] * np.diff(np.append(col_cuts, of.shape[1]))
-        return total / size
-
-    power = means(np.einsum("trc,trc->rc", change, change).astype(np.float64))
-    beside = means(np.einsum("trc,trc->rc", change[..., :-1], change[..., 1:]).astype(np.float64)[:, :cols])
-    level = means(image.mean(axis=0, dtype=np.float64))
-    # A block that is darker is also quieter: its variance is compared at the level of the whole.
-    even = power * (level.mean() / level if level.min() > 0.5 * level.mean() else 1.0)
-    count = np.sqrt(power.size)
-    ratio = beside / np.maximum(power, 1e-12)
-    relative = float(even.std(ddof=1) / max(even.mean(), 1e-12) / count) if power.size > 1 else 1.0
-    return {"variance_sd": variance * relative, "neighbour": float(beside.mean() / max(power.mean(), 1e-12)),
-            "neighbour_sd": float(ratio.std(ddof=1) / count) if power.size > 1 else 1.0}  # fmt: skip
-
-
-def _fixed_pattern(shots: Exposures, apart: int) -> tuple[float, float]:
-    """Variance over the image of what does not change in time, and its standard error.
-
-    The mean covariance over the image of two exposures of the same rows: their temporal noise is not alike, so none
-    of it has to be known and subtracted. Exposures nearer in time than `apart` may share the glow of the screen.
-    """
-    flat = shots.image.reshape(len(shots.image), -1)
-    flat = flat - flat.mean(axis=1, keepdims=True)
-    products, spread, size = [], [], flat.shape[1]
-    for parity in np.unique(shots.parity):
-        same = np.flatnonzero(shots.parity == parity)
-        gram = (flat[same] @ flat[same].T).astype(np.float64) / size
-        distance = np.abs(shots.time[same][:, None] - shots.time[same])
-        far = distance >= min(apart, int(distance.max()))
-        products.append(float(gram[far & (distance > 0)].mean()))
-        noise = max(float(np.trace(gram)) / len(same) - products[-1], 0.0) / len(same)
-        spread.append((4.0 * max(products[-1], 0.0) * noise + 2.0 * noise**2) / size)
-    return float(np.mean(products)), float(np.sqrt(np.sum(spread)) / len(spread))
-
-
-def _share_at(data: NDArray, lowest: float) -> float:
-    """Share of values at the lowest code of an integer stack that reaches zero."""
-    return float(np.mean(data == 0)) if data.dtype.kind in "ui" and lowest == 0 else 0.0
+def _at_the_ends(stack: FrameStack, context: Context) -> tuple[float, float]:
+    """Shares of values at code 0 and at the highest code."""
+    full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    low = float(np.mean(stack.data == 0)) if stack.data.dtype.kind in "ui" else 0.0
+    return low, 0.0 if full_scale_dn is None else float(np.mean(stack.data >= full_scale_dn))

@@ -176,7 +176,7 @@ def _log_probability(summary: Summary, used: NDArray[np.bool_], model: Array, ow
     root = np.linalg.cholesky(np.linalg.inv(np.diag(own**2) + np.outer(shared, shared)))
 
     def log_probability(points: Array) -> Array:
-        inside = ((points >= BOUNDS[:, 0]) & (points <= BOUNDS[:, 1])).all(axis=1)
+        inside = np.all((points >= BOUNDS[:, 0]) & (points <= BOUNDS[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, BOUNDS.mean(axis=1, where=np.isfinite(BOUNDS)))
         residual = (power - spectrum_at(safe, column, row)) @ root
         prior = ((safe[:, 4] - exponent[0]) / exponent[1]) ** 2

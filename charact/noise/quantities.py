@@ -62,8 +62,8 @@ def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, 
     out = []
     dark = max(series.all_darks, key=lambda level: level.frames) if series.all_darks else None
     if dark is not None:
-        unit, scale = ("DN", np.ones(1)) if gain is None else ("e-", gain)
-        out.append(_root("dsnu", unit, dark.spatial_variance_dn2, dark.spatial_sd_dn2, lambda s: s / float(np.median(scale)),
+        unit, scale = ("DN", 1.0) if gain is None else ("e-", float(np.median(gain)))
+        out.append(_root("dsnu", unit, dark.spatial_variance_dn2, dark.spatial_sd_dn2, lambda s: s / scale,
                          flags=flags, **fields))  # fmt: skip
     chosen = np.flatnonzero(series.fitted)
     if dark is None or not len(chosen):

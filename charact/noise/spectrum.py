@@ -45,6 +45,12 @@ class Bins:
     row_pitch: float
 
 
+NO_BINS = Bins(
+    column_cy_per_px=np.empty(0), row_cy_per_px=np.empty(0), modes=np.empty(0), select=np.empty((0, 0), np.int64),
+    window=np.empty((0, 0), np.float32), efficiency=1.0, row_pitch=1.0,
+)  # fmt: skip
+
+
 def bins_of(rows: int, cols: int, row_pitch: float) -> Bins:
     """Return the bins of an image whose rows lie `row_pitch` column pitches apart.
 
@@ -85,9 +91,9 @@ def cross_spectra(change: NDArray[np.float32], parity: NDArray[np.int64], bins: 
     """
     from scipy import fft
 
-    modes = fft.rfft2(change * bins.window, workers=1)
-    turn = np.exp(-1j * np.pi * np.fft.fftfreq(change.shape[1]))[None, :, None]
-    modes = np.where((parity == 1)[:, None, None], modes * turn, modes)
+    modes = np.asarray(fft.rfft2(change * bins.window, workers=1))
+    turn = np.exp(-1j * np.pi * np.fft.fftfreq(change.shape[1])).astype(np.complex64)
+    modes[parity == 1] *= turn[:, None]
     scale = float((bins.window.astype(float) ** 2).sum())
     out = np.empty((len(bins.modes), len(change), len(change)))
     order = np.argsort(bins.select, axis=None, kind="stable")
@@ -95,5 +101,5 @@ def cross_spectra(change: NDArray[np.float32], parity: NDArray[np.int64], bins: 
     flat = modes.reshape(len(change), -1)
     for index, (first, last) in enumerate(pairwise(edges)):
         part = flat[:, order[first:last]]
-        out[index] = (part @ part.conj().T).real / (scale * (last - first))
+        out[index] = np.real(part @ part.conj().T) / (scale * (last - first))
     return out

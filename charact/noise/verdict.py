@@ -41,7 +41,7 @@ def without_flats(darks, series: Series | None, single: list[str], *, quantity=(
         reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
     else:
         reason = "there are no flats"
-    out = [refused(*quantity, reason, **fields)]
+    out = [refused(quantity[0], quantity[1], reason, **fields)]
     return out + (dark_quantities(tuple(darks), flags=(), **fields) if darks else [])
 
 
