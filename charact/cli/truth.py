@@ -10,6 +10,8 @@ from labdata.session import Session
 if TYPE_CHECKING:
     from charact.report.truth import Beside, Truth
 
+# Not the read noise: a dark frame of an intensifier scintillates, and its noise is more than that of reading.
+BESIDE = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor", "halo_diameter")
 # A bar target or an edge without a direction has vertical bars.
 HORIZONTAL_DEG = 0.0
 
@@ -29,8 +31,9 @@ def of_bench(folder: Path, session: Session) -> "Truth":
         raise BadInput(f"truth is stated for one plate voltage, got flats at {sorted(map(str, voltages))} V")
     conditions = session.of_kind("flat")[0].conditions
     at_level = partial(_at_level, sensor)
+    found = truth.quantities(sensor, conditions)
     return {
-        **truth.quantities(sensor, conditions),
+        **{name: found[name] for name in BESIDE},
         "mtf": lambda frequency, angle: truth.mtf(sensor, frequency, HORIZONTAL_DEG if angle is None else angle),
         "mtf50": at_level(0.5),
         "mtf10": at_level(0.1),
@@ -40,7 +43,7 @@ def of_bench(folder: Path, session: Session) -> "Truth":
 def _at_level(sensor, level: float):
     from simulate.iiccd import truth
 
-    return lambda _, angle: truth.mtf_frequency(sensor, level, HORIZONTAL_DEG if angle is None else angle)
+    return lambda _, angle: truth.frequency_at(sensor, level, HORIZONTAL_DEG if angle is None else angle)
 
 
 def lines(rows: Sequence["Beside"]) -> Iterator[str]:

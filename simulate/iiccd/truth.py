@@ -1,153 +1,219 @@
-"""Closed-form truths of an intensified camera: what a perfect measurement of its frames would find."""
+"""Closed-form truths of a sensor description: what an unerring measurement of the simulated camera would find.
 
-from functools import lru_cache
+Formulas and numerical integrals of formulas, no simulated frame. Frequencies are in cycles per column pitch, in both
+directions; lengths in column pitches.
+"""
+
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import photons
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.microchannel import MicrochannelPlate
+from simulate.iiccd.optics import Optics
+from simulate.iiccd.phosphor import Phosphor
+from simulate.iiccd.photocathode import ProximityGap
+from simulate.iiccd.taper import Taper
 from simulate.iiccd.transfer import Blur, PixelAperture
+from simulate.iiccd.video import Video
 
-# Post-gain blur has died out here: the integral of |H|^2 is cut at this many sampling frequencies.
-CUT_SAMPLINGS = 4.0
-STEPS_PER_SAMPLING = 256
-HORIZONTAL_DEG, VERTICAL_DEG = 0.0, 90.0
+# Or degrees from the row direction.
+Direction = Literal["horizontal", "vertical"] | float
+DEGREES = {"horizontal": 0.0, "vertical": 90.0}
+StageType = TypeVar("StageType")
 
 
-def mtf(sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: float | str = HORIZONTAL_DEG) -> NDArray[np.float64]:
-    """Return the MTF of the whole camera, normalised to the light that entered; uniform glare does not count.
+def mtf(sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal") -> NDArray[np.float64]:
+    """Return the MTF of the whole camera, normalised to the light that entered, veiling glare left out.
 
     Parameters
     ----------
     sensor
         The camera.
     frequency_cy_per_px
-        Frequencies, cycles per column pitch.
+        Frequencies, cycles per column pitch in either direction.
     direction
-        Direction of the frequency from the row direction, degrees; or "horizontal", "vertical".
+        "horizontal": frequency along rows (a vertical edge). "vertical": along columns. Or the frequency's direction
+        in degrees from the rows, as along the normal of a tilted edge.
 
     Returns
     -------
     NDArray
-        MTF, dimensionless, shape of the frequencies.
+        Dimensionless, of the frequencies' shape.
 
     Notes
     -----
-    The product of lens, tube (both shares), halo, taper, the aperture of a field pixel and the video filter.
+    Lens x [(1 - q) + q H_halo] x tube x taper x pixel, and along rows the video filter on the pixels' lattice. In the
+    vertical direction the pixel is the row pair of field integration.
     """
-    angle = np.radians({"horizontal": HORIZONTAL_DEG, "vertical": VERTICAL_DEG}.get(str(direction), direction))
-    frequency = np.asarray(frequency_cy_per_px, float)
-    fx_px, fy_px = frequency * np.cos(angle), frequency * np.sin(angle)
+    if isinstance(direction, str) and direction not in DEGREES:
+        raise BadInput(f"a direction must be horizontal, vertical or degrees, got {direction!r}")
+    angle = np.radians(DEGREES[direction] if isinstance(direction, str) else direction)
     camera = IntensifiedCamera(sensor)
-    pitch_mm = camera.cells.pitch_x_mm
-    before, after = _blurs(camera)
-    blurred = _product((*before, *after), fx_px / pitch_mm, fy_px / pitch_mm)
-    return np.abs(blurred) * np.abs(_video(camera).transfer(fx_px))
+    frequency = np.asarray(frequency_cy_per_px, float)
+    fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
+    product = _video(camera).low_pass.transfer(fx)
+    for blur in (*_before_gain(camera), *_after_gain(camera)):
+        product = product * blur.transfer(fx / camera.cells.pitch_x_mm, fy / camera.cells.pitch_x_mm)
+    return np.abs(product)
 
 
-def mtf_frequency(sensor: Sensor, level: float, direction: float | str = HORIZONTAL_DEG) -> float:
-    """Return the frequency where the MTF falls to a level, cycles per column pitch."""
+def frequency_at(sensor: Sensor, level: float, direction: Direction = "horizontal") -> float:
+    """Return the lowest frequency where the MTF falls to a level, cycles per column pitch."""
     from scipy.optimize import brentq
 
-    return float(brentq(lambda f: float(mtf(sensor, f, direction)) - level, 1e-4, 1.0))
+    fine = np.linspace(0.0, 1.0, 2001)
+    below = np.flatnonzero(mtf(sensor, fine, direction) < level)
+    if below.size == 0 or below[0] == 0:
+        raise BadInput(f"the MTF must fall to the level within one cycle per pixel, got the level {level:g}")
+    low, high = fine[below[0] - 1], fine[below[0]]
+    return float(brentq(lambda f: float(mtf(sensor, f, direction)) - level, low, high))
 
 
-def photoelectron_gain_dn(sensor: Sensor, conditions: Conditions) -> float:
-    """Return k, DN per photoelectron (the undetected counted), at low current."""
-    at_screen = photons.photons_per_photoelectron(sensor) * photons.voltage_factor(sensor, conditions.mcp_v)
-    in_chip = at_screen * float(sensor.taper.transmission) * float(sensor.ccd.quantum_efficiency)
-    return in_chip * float(sensor.video.conversion_gain_dn_per_e)
+def quantities(sensor: Sensor, conditions: Conditions | None = None) -> dict[str, float]:
+    """Return the truths that a session can be judged by.
 
+    Parameters
+    ----------
+    sensor
+        The camera.
+    conditions
+        Voltage, gate and temperature; the sensor's reference voltage and an open gate where None.
 
-def excess_noise_factor(sensor: Sensor) -> float:
-    """Return F^2 = (1 + relative variance of pulse heights)/p."""
-    plate = sensor.microchannel_plate
-    return (1.0 + 1.0 / float(plate.pulse_height_shape)) / float(plate.detection_probability)
-
-
-def covariance_gain_dn(sensor: Sensor, conditions: Conditions) -> float:
-    """Return K + k F^2, DN: covariance sum over mean, whatever the blur."""
-    scintillation = photoelectron_gain_dn(sensor, conditions) * excess_noise_factor(sensor)
-    return float(sensor.video.conversion_gain_dn_per_e) + scintillation
-
-
-def blur_factor(sensor: Sensor, conditions: Conditions) -> float:
-    """Return variance over covariance sum of a flat, both without their dark parts.
-
-    Notes
-    -----
-    Scintillations arrive anywhere, so their variance is A times the integral of |H|^2 over all frequencies, A the area
-    of a field pixel and H all blur after the gain, aliases included. Charge of the chip is white before the video
-    filter and keeps the sum of its squared impulse response.
+    Returns
+    -------
+    dict
+        `mtf50`, `mtf10`, `mtf50_vertical`, `mtf10_vertical` (cycles per column pitch); `photoelectron_gain` k and
+        `detected_photoelectron_gain` k/p (DN); `system_gain` K (DN per CCD electron); `excess_noise_factor` F^2;
+        `covariance_gain` K + k F^2 (DN), that of a pulse's whole light: summed over the fields through which the
+        screen decays as well as over pixels; `field_covariance_gain` (DN), summed over the pixels of one field alone;
+        `decay_factor`, the sum over fields of their squared shares of a pulse; `field_correlation`, that of one field
+        with the next; `blur_factor` of variances over covariance sums within a field; `correlation_horizontal` and
+        `correlation_vertical` at one pixel of a field; `halo_diameter` (column pitches); `ebi`
+        (photoelectrons per s and field pixel) and `ebi_per_field`; `photoelectrons_per_lux` of a field pixel and
+        exposure; `read_noise` (DN); `black_level` (DN).
     """
-    white = float(np.sum(_video(IntensifiedCamera(sensor)).impulse_response() ** 2))
-    conversion = float(sensor.video.conversion_gain_dn_per_e)
-    scintillation = photoelectron_gain_dn(sensor, conditions) * excess_noise_factor(sensor)
-    return (conversion * white + scintillation * scintillation_blur_factor(sensor)) / (conversion + scintillation)
-
-
-@lru_cache(maxsize=16)
-def scintillation_blur_factor(sensor: Sensor) -> float:
-    """Return A times the integral of |H|^2, H all blur after the gain; see `blur_factor`."""
+    conditions = Conditions() if conditions is None else conditions
     camera = IntensifiedCamera(sensor)
-    _, after = _blurs(camera)
-    aperture = after[-1]
-    assert isinstance(aperture, PixelAperture)
-    width, height = aperture.width_mm, aperture.height_mm
-    # Midpoints; the transfer is even in both frequencies.
-    steps = (np.arange(int(CUT_SAMPLINGS * STEPS_PER_SAMPLING)) + 0.5) / STEPS_PER_SAMPLING
-    fx, fy = np.meshgrid(steps / width, steps / height)
-    power = np.abs(_product(after, fx, fy)) ** 2 * np.abs(_video(camera).transfer(steps)) ** 2
-    return float(4.0 * power.sum() / STEPS_PER_SAMPLING**2)
-
-
-def halo_diameter_px(sensor: Sensor) -> float:
-    """Return the outer diameter of the halo, four gaps, in column pitches."""
-    pitch_mm = IntensifiedCamera(sensor).cells.pitch_x_mm
-    return 4.0 * float(sensor.photocathode.gap_mm) / pitch_mm
-
-
-def ebi_pe_per_s_px(sensor: Sensor) -> float:
-    """Return dark photoelectrons per s and field pixel."""
-    camera = IntensifiedCamera(sensor)
-    rows = 2 if camera.interlaced else 1
-    area_cm2 = camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * rows * 1e-2
-    return photons.ebi_per_s_cm2(sensor) * area_cm2
-
-
-def quantities(sensor: Sensor, conditions: Conditions) -> dict[str, float]:
-    """Return the truth of every quantity that has a closed form, by the contract's name and in its unit."""
+    noise = _noise(camera, conditions)
+    area_cm2 = field_pixel_area_cm2(camera)
+    ebi = photons.ebi_per_s_cm2(sensor, conditions.temperature_c) * area_cm2
+    per_lux = photons.photoelectrons_per_lumen_s(sensor) * 1e-4 * area_cm2
+    gap_um = 4e3 * float(sensor.photocathode.gap_mm)
     return {
-        "mtf50": mtf_frequency(sensor, 0.5),
-        "mtf10": mtf_frequency(sensor, 0.1),
-        "photoelectron_gain": photoelectron_gain_dn(sensor, conditions),
-        "excess_noise_factor": excess_noise_factor(sensor),
-        "covariance_gain": covariance_gain_dn(sensor, conditions),
-        "blur_factor": blur_factor(sensor, conditions),
-        "halo_diameter": halo_diameter_px(sensor),
-        "ebi": ebi_pe_per_s_px(sensor),
+        "mtf50": frequency_at(sensor, 0.5),
+        "mtf10": frequency_at(sensor, 0.1),
+        "mtf50_vertical": frequency_at(sensor, 0.5, "vertical"),
+        "mtf10_vertical": frequency_at(sensor, 0.1, "vertical"),
+        **noise,
+        "halo_diameter": gap_um * 1e-3 / camera.cells.pitch_x_mm,
+        "ebi": ebi,
+        "ebi_per_field": ebi * camera.gate_s(conditions),
+        "photoelectrons_per_lux": per_lux * camera.gate_s(conditions),
+        "read_noise": _read_noise_dn(camera),
+        "black_level": float(sensor.video.black_level_dn),
     }
 
 
-def _blurs(camera: IntensifiedCamera) -> tuple[tuple[Blur, ...], tuple[Blur, ...]]:
-    """Blurs before the gain, and after it with the aperture of a field pixel last."""
-    chain = {stage.name: stage for stage in camera.chain(Conditions()).stages}
-    cells = camera.cells
-    height_mm = cells.pitch_y_mm * (2 if camera.interlaced else 1)
-    aperture = PixelAperture(width_mm=cells.pitch_x_mm, height_mm=height_mm)
-    gap = chain["gap"]
-    return (chain["optics"].blur, gap.spread, gap.halo), (chain["phosphor"].spread, chain["taper"].blur, aperture)
+def field_pixel_area_cm2(camera: IntensifiedCamera) -> float:
+    """Return the area of one pixel as read, at the photocathode, cm2: two rows where fields are integrated."""
+    height = 2 if camera.interlaced else 1
+    return camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * height * 1e-2
 
 
-def _video(camera: IntensifiedCamera):
-    return camera.chain(Conditions()).stages[-1].low_pass
+def noise_spectrum_integrals(camera: IntensifiedCamera) -> tuple[float, float, float]:
+    """Return sum h^2 of the post-gain blur with the video filter, and its correlations one pixel away.
+
+    Returns
+    -------
+    tuple
+        Sum of the squared pixel responses to single pulses over that of their squares' sum when unblurred,
+        dimensionless; correlation with the next pixel of the row; with the next row of the same field.
+
+    Notes
+    -----
+    Pulses fall evenly, so that the covariance of pixels a vector D apart is the integral over the plane of
+    A |H(f)|^2 |V(fx)|^2 cos(2 pi f.D), A the pixel's area: folding onto the lattice of pixels is implied, as V has the
+    lattice's period along rows.
+    """
+    pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm
+    height = 2 if camera.interlaced else 1
+    x, step_x = _midpoints(4.0, 1600)
+    y, step_y = _midpoints(4.0, 1200)
+    fx, fy = x[None, :] / pitch_x, y[:, None] / (pitch_y * height)
+    power = np.ones((len(y), len(x)))
+    for blur in _after_gain(camera):
+        power = power * blur.transfer(*np.broadcast_arrays(fx, fy)) ** 2
+    power = power * np.abs(_video(camera).low_pass.transfer(x)) ** 2 * (4.0 * step_x * step_y)
+    total = power.sum()
+    beside = (power * np.cos(2.0 * np.pi * x)[None, :]).sum() / total
+    below = (power * np.cos(2.0 * np.pi * y)[:, None]).sum() / total
+    return float(total), float(beside), float(below)
 
 
-def _product(blurs: tuple[Blur, ...], fx_per_mm: NDArray, fy_per_mm: NDArray) -> NDArray:
-    total = np.ones(np.broadcast(fx_per_mm, fy_per_mm).shape)
-    for blur in blurs:
-        total = total * blur.transfer(fx_per_mm, fy_per_mm)
-    return total
+def _midpoints(end: float, count: int) -> tuple[NDArray[np.float64], float]:
+    step = end / count
+    return (np.arange(count) + 0.5) * step, step
+
+
+def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float]:
+    plate = _stage(camera, conditions, "microchannel plate", MicrochannelPlate)
+    screen = _stage(camera, conditions, "phosphor", Phosphor)
+    taper = _stage(camera, conditions, "taper", Taper)
+    system_gain = float(camera.sensor.video.conversion_gain_dn_per_e)
+    efficiency = float(camera.sensor.ccd.quantum_efficiency)
+    gain = plate.gain * screen.photons_per_electron * taper.transmission * efficiency * system_gain
+    pulses = gain * plate.excess_noise_factor
+    shares = camera.afterglow(conditions).weights
+    decay = float(np.sum(shares**2))
+    blur, beside, below = noise_spectrum_integrals(camera)
+    # The charge's own shot noise is white until the video filter.
+    white = float(np.sum(_video(camera).low_pass.impulse_response() ** 2))
+    field = system_gain + pulses * decay
+    return {
+        "photoelectron_gain": gain,
+        "detected_photoelectron_gain": gain / plate.detection_probability,
+        "system_gain": system_gain,
+        "excess_noise_factor": plate.excess_noise_factor,
+        "covariance_gain": system_gain + pulses,
+        "field_covariance_gain": field,
+        "decay_factor": decay,
+        "field_correlation": float(np.sum(shares[1:] * shares[:-1]) / decay),
+        "blur_factor": (system_gain * white + pulses * decay * blur) / field,
+        "correlation_horizontal": beside,
+        "correlation_vertical": below,
+    }
+
+
+def _read_noise_dn(camera: IntensifiedCamera) -> float:
+    white = np.sum(_video(camera).low_pass.impulse_response() ** 2)
+    read = float(camera.sensor.ccd.read_noise_e) * float(camera.sensor.video.conversion_gain_dn_per_e)
+    return float(read * np.sqrt(white))
+
+
+def _stage(camera: IntensifiedCamera, conditions: Conditions, name: str, kind: type[StageType]) -> StageType:
+    (found,) = (stage for stage in camera.chain(conditions).stages if stage.name == name)
+    assert isinstance(found, kind)
+    return found
+
+
+def _video(camera: IntensifiedCamera) -> Video:
+    return _stage(camera, Conditions(), "video", Video)
+
+
+def _before_gain(camera: IntensifiedCamera) -> tuple[Blur, ...]:
+    gap = _stage(camera, Conditions(), "gap", ProximityGap)
+    return (_stage(camera, Conditions(), "optics", Optics).blur, gap.spread, gap.halo)
+
+
+def _after_gain(camera: IntensifiedCamera) -> tuple[Blur, ...]:
+    screen = _stage(camera, Conditions(), "phosphor", Phosphor)
+    taper = _stage(camera, Conditions(), "taper", Taper)
+    height = 2 if camera.interlaced else 1
+    aperture = PixelAperture(width_mm=camera.cells.pitch_x_mm, height_mm=height * camera.cells.pitch_y_mm)
+    return (screen.spread, taper.blur, aperture)
