@@ -13,8 +13,8 @@ HORIZONTAL, VERTICAL, SLANTED = "horizontal frequency", "vertical frequency", "s
 DEGREES = {HORIZONTAL: 0.0, VERTICAL: 90.0, SLANTED: 45.0}
 
 
-def mtf_svg(session: Session | None, result: Result, truth: Truth | None = None) -> str | None:
-    """Draw all MTF curves and four-bar points of a result, one panel for each direction.
+def mtf_svgs(session: Session | None, result: Result, truth: Truth | None = None) -> tuple[str, ...]:
+    """Draw all MTF curves and four-bar points of a result, one figure for each direction.
 
     Parameters
     ----------
@@ -27,22 +27,22 @@ def mtf_svg(session: Session | None, result: Result, truth: Truth | None = None)
 
     Returns
     -------
-    str or None
-        An SVG element; None if there is no curve and no point.
+    tuple of str
+        SVG elements; none if there is no curve and no point.
     """
     curves = [(name, curve) for name, curve in result.curves.items() if name.split(":")[0].startswith("mtf")]
     points = [m for m in result.find("mtf") if m.value is not None and m.frequency_cy_per_px is not None]
     ways = [_direction(session, name, curve.stack) for name, curve in curves]
     point_ways = [_point_way(session, m) for m in points]
-    shown = [way for way in DEGREES if way in (*ways, *point_ways)]
-    if not shown:
-        return None
-    with styled():
-        figure, grid = panels(1, len(shown), size=(5.6 * len(shown), 3.9), sharey=True)
-        for axes, way in zip(grid[0], shown, strict=True):
-            own = [item for item, its in zip(curves, ways, strict=True) if its == way]
-            _panel(axes, way, own, [m for m, its in zip(points, point_ways, strict=True) if its == way], truth)
-        return as_svg(figure, "MTF of all targets with their 95 % bands")
+    drawn = []
+    for way in (way for way in DEGREES if way in (*ways, *point_ways)):
+        own = [item for item, its in zip(curves, ways, strict=True) if its == way]
+        single = [m for m, its in zip(points, point_ways, strict=True) if its == way]
+        with styled():
+            figure, grid = panels(size=(5.6, 3.9))
+            _panel(grid[0, 0], way, own, single, truth)
+            drawn.append(as_svg(figure, f"MTF of all targets against {way}, with 95 % bands"))
+    return tuple(drawn)
 
 
 def _way(angle_deg: float | None) -> str:

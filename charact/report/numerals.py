@@ -3,6 +3,7 @@
 import math
 
 from labdata.measurement import Interval, Measurement
+from labdata.quantity import QUANTITIES
 
 MINUS = "−"
 SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
@@ -59,6 +60,14 @@ def spread_of(measurement: Measurement) -> float | None:
         if interval is not None:
             return (interval[1] - interval[0]) / scale
     return None
+
+
+def titled(m: Measurement) -> str:
+    """A quantity in words, with its frequency where it has one."""
+    title = QUANTITIES[m.quantity].title
+    return (
+        title if m.frequency_cy_per_px is None else title.replace("one frequency", f"{m.frequency_cy_per_px:.4g} cy/px")
+    )
 
 
 def value_text(measurement: Measurement) -> str:

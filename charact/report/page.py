@@ -6,7 +6,7 @@ from typing import Any
 
 from charact.report import evidence, tables
 from charact.report.corner import corner_svg, varying
-from charact.report.curves import mtf_svg
+from charact.report.curves import mtf_svgs
 from charact.report.pictures import representative
 from charact.report.truth import Truth, beside_truth
 from charact.report.validation import validation_section
@@ -65,7 +65,6 @@ def write(
 def page(session: Session, result: Result, *, validation: Any | None = None, truth: Truth | None = None) -> str:
     """Return the report as HTML."""
     figures = [evidence.figure_of(name, data) for name, data in result.evidence.items()]
-    overlay = mtf_svg(session, result, truth)
     return _template("report.html.j2").render(
         session=session,
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -73,8 +72,7 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
         headlines=tables.headlines(result),
         groups=tables.quantity_groups(result),
         beside=beside_truth(result, truth or {}),
-        mtf_figure=overlay,
-        mtf_class="wide" if overlay and overlay.count("frequency; bands") > 1 else "single",
+        mtf_figures=mtf_svgs(session, result, truth),
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         pictures=representative(session, result.measurements),
         validation=None if validation is None else validation_section(validation),
@@ -91,7 +89,7 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
 def fragment(result: Result) -> str:
     """Return the table of quantities and the MTF figure as an HTML fragment, for a notebook."""
     return _template("fragment.html.j2").render(
-        groups=tables.quantity_groups(result), verdicts=tables.verdicts(result), mtf_figure=mtf_svg(None, result)
+        groups=tables.quantity_groups(result), verdicts=tables.verdicts(result), mtf_figures=mtf_svgs(None, result)
     )
 
 

