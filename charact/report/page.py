@@ -2,16 +2,18 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from charact.report import evidence, tables
 from charact.report.corner import corner_svg, varying
 from charact.report.curves import mtf_svgs
-from charact.report.pictures import representative
+from charact.report.pictures import aspect_of, representative
 from charact.report.truth import Truth, beside_truth
-from charact.report.validation import validation_section
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
+
+if TYPE_CHECKING:
+    from charact.validation import Validation
 
 
 def write(
@@ -19,7 +21,7 @@ def write(
     result: Result,
     out: str | Path,
     *,
-    validation: Any | None = None,
+    validation: "Validation | None" = None,
     truth: Truth | None = None,
     pdf: bool = False,
 ) -> Path:
@@ -62,7 +64,9 @@ def write(
     return out
 
 
-def page(session: Session, result: Result, *, validation: Any | None = None, truth: Truth | None = None) -> str:
+def page(
+    session: Session, result: Result, *, validation: "Validation | None" = None, truth: Truth | None = None
+) -> str:
     """Return the report as HTML."""
     figures = [evidence.figure_of(name, data) for name, data in result.evidence.items()]
     return _template("report.html.j2").render(
@@ -75,7 +79,7 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
         mtf_figures=mtf_svgs(session, result, truth),
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         pictures=representative(session, result.measurements),
-        validation=None if validation is None else validation_section(validation),
+        validation=_validated(validation, session),
         posteriors=posteriors(result),
         stacks=tables.stack_table(session),
         sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),
@@ -84,6 +88,15 @@ def page(session: Session, result: Result, *, validation: Any | None = None, tru
         provenance=tables.provenance(result.measurements),
         charted=tables.charted(result),
     )
+
+
+def _validated(validation: "Validation | None", session: Session) -> Any:
+    """The section on validation, or None where there was none."""
+    if validation is None:
+        return None
+    from charact.report.validation import validation_section
+
+    return validation_section(validation, aspect_of(session))
 
 
 def fragment(result: Result) -> str:

@@ -112,12 +112,13 @@ def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measure
     middle = len(stack) // 2
     caption = f"Frame {middle + 1} of {len(stack)}."
     found = picture_of(
-        stack.data[middle], f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=_aspect(session)
+        stack.data[middle], f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session)
     )
     return replace(found, boxes=_boxes(entry, measurements))
 
 
-def _aspect(session: Session) -> float:
+def aspect_of(session: Session) -> float:
+    """Row pitch over column pitch; 1 where the sensor is unknown."""
     if session.sensor is None:
         return 1.0
     return float(session.sensor.ccd.pitch_y_um) / float(session.sensor.ccd.pitch_x_um)

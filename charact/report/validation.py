@@ -1,17 +1,176 @@
 """The validation as the page shows it: pictures side by side, overlays, statistics with their two controls."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 
-def validation_section(validation: Any) -> dict[str, Any]:
-    """Return what the template needs of a `charact.validation.Validation`."""
-    return {
-        "status": "ok",
-        "headline": "",
-        "summary": "",
-        "pairs": (),
-        "figures": (),
-        "columns": (),
-        "rows": (),
-        "notes": (),
-    }
+from charact.report.evidence import Figure
+from charact.report.generic import has
+from charact.report.numerals import plain
+from charact.report.pictures import Picture, as_jpeg
+from charact.report.style import DATA, INK, MODEL, WARN, as_svg, panels, styled, thinned
+from charact.validation import Control, Pair, Statistic, Validation
+
+CONTROL_WORDS = {"null": "must pass", "negative": "must fail"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatisticRow:
+    """One statistic as the table prints it, its p-values in the controls beside it."""
+
+    cells: tuple[str, ...]
+    status: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """What the page says of a validation.
+
+    Parameters
+    ----------
+    status
+        "ok" where all statistics passed and both controls held, else "refused".
+    headline, summary
+        One clause for the top of the page, and a paragraph.
+    pairs
+        Measured and simulated pictures.
+    figures
+        Overlays, and how far each number lies from its prediction.
+    columns, rows
+        The table of statistics.
+    notes
+        What a reader should know.
+    """
+
+    status: str
+    headline: str
+    summary: str
+    pairs: tuple[tuple[Picture, Picture], ...]
+    figures: tuple[Figure, ...]
+    columns: tuple[str, ...]
+    rows: tuple[StatisticRow, ...]
+    notes: tuple[str, ...]
+
+
+def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
+    """Return what the page shows of a validation.
+
+    Parameters
+    ----------
+    validation
+        Statistics, controls, overlays and pictures.
+    aspect
+        Row pitch over column pitch of the pictures.
+    """
+    good = sum(one.passed for one in validation.statistics)
+    words = [f"{control.name} control {'held' if control.held else 'did not hold'}" for control in validation.controls]
+    verdict = "agrees" if validation.passed else "does not agree"
+    headline = f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; {', '.join(words)}"
+    return Section(
+        status="ok" if validation.passed else "refused",
+        headline=headline,
+        summary=_summary(validation),
+        pairs=tuple(_pictures(pair, aspect) for pair in validation.pairs),
+        figures=(*(_overlay(name, data) for name, data in validation.overlays.items()), *_pulls(validation)),
+        columns=_columns(validation),
+        rows=tuple(_row(one, validation.controls) for one in validation.statistics),
+        notes=(*(one.note for one in validation.statistics if one.note), *validation.notes),
+    )
+
+
+def _summary(validation: Validation) -> str:
+    controls = " ".join(
+        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.held else 'did not hold'}: {c.title.rstrip('.')}."
+        for c in validation.controls
+    )
+    return (
+        f"The sensor {validation.sensor}, and nothing else, was simulated under the conditions of the session "
+        f"{validation.session}: {validation.draws} posterior draws, seed {validation.seed}, "
+        f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level. {controls}"
+    )
+
+
+def _columns(validation: Validation) -> tuple[str, ...]:
+    controls = (f"p in the {c.name} control ({CONTROL_WORDS[c.name]})" for c in validation.controls)
+    return ("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", *controls, "Verdict")
+
+
+def _row(one: Statistic, controls: tuple[Control, ...]) -> StatisticRow:
+    """A statistic with its p-value in each control; a dash where the control does not hold it."""
+    told = []
+    for control in controls:
+        same = [other for other in control.statistics if other.name == one.name]
+        told.append(f"{plain(same[0].p_value)} ({'passes' if same[0].passed else 'fails'})" if same else "—")
+    cells = (one.title, f"{one.distance:.3g}", plain(one.p_value), plain(one.level), *told)
+    return StatisticRow(cells=cells, status="ok" if one.passed else "refused")
+
+
+def _pictures(pair: Pair, aspect: float) -> tuple[Picture, Picture]:
+    """Both frames under one stretch."""
+    caption = f"Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN."
+    measured, simulated = (
+        Picture(
+            title=f"{word}: {pair.label} ({pair.kind})",
+            caption=caption,
+            data=as_jpeg(frame, (0.0, 255.0)),
+            rows=frame.shape[0],
+            cols=frame.shape[1],
+            aspect=aspect,
+        )
+        for word, frame in (("Measured", pair.measured), ("Simulated", pair.simulated))
+    )
+    return measured, simulated
+
+
+def _overlay(name: str, data: Mapping[str, Any]) -> Figure:
+    """Measured curve over the simulated one with its 95 % band."""
+    title = str(data.get("title", name))
+    with styled():
+        figure, grid = panels(size=(5.6, 3.6))
+        axes = grid[0, 0]
+        named = isinstance(data["x"][0], str)
+        x = np.arange(len(data["x"]), dtype=float) if named else np.asarray(data["x"], float)
+        x_simulated = np.asarray(data["x_simulated"], float) if has(data, "x_simulated") else x
+        axes.fill_between(*thinned(x_simulated, data["low95"], data["high95"]), color=MODEL, alpha=0.25, linewidth=0)
+        axes.plot(*thinned(x_simulated, data["simulated"]), color=MODEL, label="simulated, band 95 %")
+        style = "o" if len(x) < 30 else "-"
+        axes.plot(*thinned(x, data["measured"]), style, color=DATA, markersize=4, label="measured")
+        if named:
+            axes.set_xticks(x, [str(label) for label in data["x"]], rotation=30, ha="right")
+        axes.set(xlabel=_with_unit(data.get("x_title", "")), ylabel=_with_unit(data.get("y_title", title)))
+        axes.legend()
+        return Figure(section="validation", title=title, svg=as_svg(figure, title))
+
+
+def _with_unit(title: str) -> str:
+    """An axis title "quantity, unit" as "quantity (unit)"; a bare number has the unit 1."""
+    quantity, comma, unit = title.rpartition(", ")
+    return f"{quantity} ({unit})" if comma else f"{title} (1)"
+
+
+def _pulls(validation: Validation) -> tuple[Figure, ...]:
+    """How far each compared number lies from the middle of its prediction, in half-widths of the 95 % interval."""
+    named = [one for one in validation.statistics if one.measured and len(one.measured) == len(one.low95)]
+    if not named:
+        return ()
+    count = sum(len(one.measured) for one in named)
+    with styled():
+        figure, grid = panels(size=(5.6, 1.1 + 0.17 * count))
+        axes = grid[0, 0]
+        axes.axvspan(-1, 1, color=MODEL, alpha=0.18, linewidth=0, label="95 % of the simulation")
+        labels = []
+        for one in named:
+            low, high, measured = (np.asarray(v, float) for v in (one.low95, one.high95, one.measured))
+            pull = (measured - (low + high) / 2) / np.maximum((high - low) / 2, 1e-300)
+            rows = len(labels) + np.arange(len(pull))
+            axes.plot(np.clip(pull, -4, 4), rows, "o", color=DATA if one.passed else WARN, markersize=4)
+            labels += [f"{one.name}: {label}" for label in (one.labels or range(1, len(pull) + 1))]
+        axes.axvline(0, color=INK, linewidth=0.8)
+        axes.set_yticks(range(len(labels)), labels, fontsize=6.5)
+        axes.set(xlim=(-4.2, 4.2), ylim=(len(labels) - 0.5, -0.5))
+        axes.set_xlabel("measured less predicted (half-widths of the 95 % interval)")
+        axes.legend(loc="lower right")
+        title = "Every compared number against its prediction"
+        return (Figure(section="validation", title=title, svg=as_svg(figure, title)),)
