@@ -170,7 +170,7 @@ class LabBench:
         lens_mm = float(camera.sensor.optics.focal_length_mm)
         return View(
             shape=cells.shape,
-            cell_px=(1.0 / cells.per_pixel, ratio / cells.per_pixel),
+            cell_px=(1.0 / cells.per_column, ratio / cells.per_row),
             corner_px=(-cells.margin_columns - centre_col, (-cells.margin_rows - centre_row) * ratio),
             metre_per_px=cells.pitch_x_mm * self.scene.distance_m / lens_mm,
             distance_m=self.scene.distance_m,

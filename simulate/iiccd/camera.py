@@ -1,9 +1,11 @@
 """The intensified camera: a sensor description turned into a chain of stages, and the chain run field by field."""
 
 import zlib
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -246,6 +248,8 @@ class IntensifiedCamera:
         ----------
         at_plate
             Expected photoelectrons at the plate per cell and exposure, on `cells`.
+        conditions
+            Gate, voltage and temperature.
         """
         pixels = self._screen(conditions).mean(at_plate)
         steady = pixels.with_values(np.repeat(pixels.values[None], self.fields_per_frame, axis=0))
@@ -257,22 +261,23 @@ class IntensifiedCamera:
         """Yield the frames of a steady scene, one after the other, shape (row, col), DN; never ends.
 
         A frame depends on the seed and its own number alone: the fields that it still glows from are drawn again,
-        whichever frame comes first.
+        whichever frame comes first. Pulses are drawn on cells one row high; what those blur away of the scene is added
+        without noise, so that frames average to `mean_frame`.
         """
-        screen, readout = self._screen(conditions), self._readout(conditions)
-        weights = self.afterglow(conditions).weights
-        memory = len(weights) - 1
-        recent: list[NDArray[np.float32]] = []
-        field = self.fields_per_frame * first_frame - memory
-        frame = first_frame
-        while True:
-            while len(recent) < memory + self.fields_per_frame:
-                recent.append(screen.draw(at_plate, _field_rng(seed, field)).values)
+        readout, glow = self._readout(conditions), self.afterglow(conditions)
+        coarse = at_plate.in_whole_rows()
+        finer = self._screen(conditions).mean(at_plate).values - self._screen(conditions).mean(coarse).values
+        plate, *behind = self._screen(conditions).stages
+        screen = Chain((plate.under_load(at_plate, parts=2), *behind))
+        halves = coarse.with_values(np.repeat(0.5 * coarse.values[None], 2, axis=0))
+        recent: deque[NDArray[np.float32]] = deque(maxlen=glow.memory + self.fields_per_frame)
+        field = self.fields_per_frame * first_frame - glow.memory
+        for frame in count(first_frame):
+            while field < self.fields_per_frame * (frame + 1):
+                recent.append(screen.draw(halves, _field_rng(seed, field)).values)
                 field += 1
-            glowing = lingering(np.stack(recent), weights.astype(np.float32))
-            yield readout.draw(Light(values=glowing), np.random.default_rng([seed, 1, frame])).values[0]
-            recent = recent[self.fields_per_frame :]
-            frame += 1
+            shown = lingering(recent, glow.halves) + finer
+            yield readout.draw(Light(values=shown), np.random.default_rng([seed, 1, frame])).values[0]
 
     def _screen(self, conditions: Conditions) -> Chain:
         return self.chain(conditions).part("microchannel plate", "pixels")

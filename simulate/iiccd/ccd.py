@@ -64,9 +64,7 @@ class Ccd:
 
         expected = self._generated(light.values)
         expected += np.float32(self.dark_e)
-        charge = np.empty_like(expected)
-        draws.poisson_charge(draws.state_from(rng), expected.ravel(), charge.reshape(-1))
-        held = self._held(charge)
+        held = self._held(draws.poisson_charge(rng, expected))
         if self.read_noise_e > 0.0:
             held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
         return light.with_values(held - np.float32(self.dark_e))

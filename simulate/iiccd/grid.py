@@ -1,6 +1,6 @@
 """The lattice of cells on which light is carried: finer than the pixels, wider than the picture."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,8 @@ class Grid:
     ----------
     rows, columns
         Physical pixels of the chip that the picture needs.
-    per_pixel
-        Cells per pixel, along rows and along columns alike.
+    per_column, per_row
+        Cells per pixel along a row and along a column.
     margin_rows, margin_columns
         Pixels added before the first row and column; after the last, what the shape leaves.
     shape
@@ -26,7 +26,8 @@ class Grid:
 
     rows: int
     columns: int
-    per_pixel: int
+    per_column: int
+    per_row: int
     margin_rows: int
     margin_columns: int
     shape: tuple[int, int]
@@ -36,19 +37,23 @@ class Grid:
     @property
     def cell_area_cm2(self) -> float:
         """Area of one cell at the photocathode, cm2."""
-        return self.pitch_x_mm * self.pitch_y_mm / self.per_pixel**2 * 1e-2
+        return self.pitch_x_mm * self.pitch_y_mm / (self.per_column * self.per_row) * 1e-2
 
     def frequencies(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Frequencies (fx (1, col), fy (row, 1)) of this grid's real Fourier transform, cycles/mm at the cathode."""
         rows, columns = self.shape
-        fx = np.fft.rfftfreq(columns, self.pitch_x_mm / self.per_pixel)[None, :]
-        fy = np.fft.fftfreq(rows, self.pitch_y_mm / self.per_pixel)[:, None]
+        fx = np.fft.rfftfreq(columns, self.pitch_x_mm / self.per_column)[None, :]
+        fy = np.fft.fftfreq(rows, self.pitch_y_mm / self.per_row)[:, None]
         return fx, fy
+
+    def whole_rows(self) -> "Grid":
+        """Return the grid of the same extent whose cells are one row high."""
+        return replace(self, per_row=1, shape=(self.shape[0] // self.per_row, self.shape[1]))
 
     def window_of(self, other: "Grid") -> tuple[slice, slice]:
         """Slices that cut this grid's extent out of an image with this grid's cells and `other`'s wider extent."""
-        row = (other.margin_rows - self.margin_rows) * self.per_pixel
-        col = (other.margin_columns - self.margin_columns) * self.per_pixel
+        row = (other.margin_rows - self.margin_rows) * self.per_row
+        col = (other.margin_columns - self.margin_columns) * self.per_column
         return slice(row, row + self.shape[0]), slice(col, col + self.shape[1])
 
 
@@ -58,7 +63,8 @@ def padded_grid(rows: int, columns: int, *, per_pixel: int, margin: int, pitch_x
     return Grid(
         rows=rows,
         columns=columns,
-        per_pixel=per_pixel,
+        per_column=per_pixel,
+        per_row=per_pixel,
         margin_rows=margin,
         margin_columns=margin,
         shape=shape,

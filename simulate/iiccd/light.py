@@ -1,4 +1,4 @@
-"""Images between stages, with the linear blur they still owe: blurs that follow each other are paid in one transform."""
+"""Images between stages, with the linear blur they still owe, so that blurs in a row are paid in one transform."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -53,6 +53,14 @@ class Light:
         spectrum = rfft2(self.values) * _transfer(self.owed, self.grid)
         return replace(self, values=irfft2(spectrum, s=self.grid.shape).astype(self.values.dtype), owed=())
 
+    def in_whole_rows(self) -> "Light":
+        """Return the light gathered into cells one row high, nowhere below zero."""
+        if self.grid is None or self.grid.per_row == 1:
+            return self
+        rows = self.values.shape[-2] // self.grid.per_row
+        parts = self.values.reshape(*self.values.shape[:-2], rows, self.grid.per_row, self.values.shape[-1])
+        return replace(self, values=np.maximum(parts.sum(axis=-2), 0.0), grid=self.grid.whole_rows())
+
     def resampled(self, grid: Grid) -> "Light":
         """Return box-integrated cells as point samples on half as many cells per pixel, blurs computed.
 
@@ -61,14 +69,14 @@ class Light:
         from scipy.fft import irfft2, rfft2
 
         fine = self.grid
-        if fine is None or fine.per_pixel != 2 * grid.per_pixel:
+        if fine is None or fine.per_column != 2 * grid.per_column:
             raise ValueError("light is resampled to half as many cells per pixel")
         rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
         spectrum = rfft2(self.values)
         half = rows // 2
         kept = np.concatenate([spectrum[..., :half, :], spectrum[..., -half:, :]], axis=-2)[..., : columns // 2 + 1]
         # Four cells become one, and the inverse transform divides by a quarter of the number: the two cancel.
-        values = irfft2(kept * _resampling(self.owed, fine, grid.per_pixel), s=(rows, columns))
+        values = irfft2(kept * _resampling(self.owed, fine, grid.per_column), s=(rows, columns))
         row, col = grid.window_of(fine)
         return Light(values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid)
 
@@ -76,27 +84,28 @@ class Light:
 @lru_cache(maxsize=16)
 def _transfer(owed: tuple[Blur, ...], grid: Grid) -> NDArray[np.float32]:
     fx, fy = grid.frequencies()
-    return _product(owed, *np.broadcast_arrays(fx, fy)).astype(np.float32)
+    return product(owed, *np.broadcast_arrays(fx, fy)).astype(np.float32)
 
 
 @lru_cache(maxsize=2)
 def _resampling(owed: tuple[Blur, ...], fine: Grid, per_pixel: int) -> NDArray[np.complex64]:
-    """Transfer of the owed blurs, of the undone cell and of the shift by half a fine cell, at the coarse frequencies."""
+    """Transfer of the owed blurs, the undone cell and the shift by half a fine cell, at the coarse frequencies."""
     rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
     fx = np.fft.rfftfreq(columns, fine.pitch_x_mm / per_pixel)[None, :]
     fy = np.fft.fftfreq(rows, fine.pitch_y_mm / per_pixel)[:, None]
     x, y = fx * fine.pitch_x_mm, fy * fine.pitch_y_mm
-    whole = _product(owed, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
-    cell = np.sinc(x / fine.per_pixel) * np.sinc(y / fine.per_pixel)
-    shift = np.exp(2j * np.pi * 0.5 * (x + y) / fine.per_pixel)
+    whole = product(owed, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
+    cell = np.sinc(x / fine.per_column) * np.sinc(y / fine.per_column)
+    shift = np.exp(2j * np.pi * 0.5 * (x + y) / fine.per_column)
     return (whole / cell * shift).astype(np.complex64)
 
 
-def _product(owed: tuple[Blur, ...], fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float64]:
-    product = np.ones(fx.shape)
+def product(owed: tuple[Blur, ...], fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the transfer of blurs that follow each other, at frequencies of one shape."""
+    whole = np.ones(fx.shape)
     for blur in owed:
-        product = product * blur.transfer(fx, fy)
-    return product
+        whole = whole * blur.transfer(fx, fy)
+    return whole
 
 
 def _fade(frequency_cy_per_px: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,6 +1,6 @@
 """The microchannel plate: it detects photoelectrons one by one and gives each a pulse of random height."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +69,11 @@ class MicrochannelPlate:
         output = self.gain * per_cell / light.grid.cell_area_cm2 / self.field_s
         return self.gain / (1.0 + output / self.saturation_e_per_s_cm2)
 
+    def under_load(self, light: Light, parts: int = 1) -> "MicrochannelPlate":
+        """Return the plate as it works on one of several equal parts of an exposure: its gain is that of the whole."""
+        gain = float(self.saturated_gain(light).mean())
+        return replace(self, gain=gain, saturation_e_per_s_cm2=np.inf, gate_s=self.gate_s / parts)
+
     def _ions_per_cell(self, light: Light) -> float:
         area = 0.0 if light.grid is None else light.grid.cell_area_cm2
         return self.ion_events_per_s_cm2 * self.gate_s * area
@@ -87,13 +92,11 @@ class MicrochannelPlate:
         """
         from simulate.iiccd import draws
 
-        expected = np.ascontiguousarray(light.values, dtype=np.float32)
-        pulses = np.empty_like(expected)
-        detected = expected * np.float32(self.detection_probability)
-        draws.pulse_sums(draws.state_from(rng), detected.ravel(), self.pulse_height_shape, pulses.reshape(-1))
+        detected = light.values * np.float32(self.detection_probability)
+        pulses = draws.pulse_sums(rng, detected, self.pulse_height_shape)
         self._add_ions(pulses, self._ions_per_cell(light), rng)
         height = (self.saturated_gain(light) / self.detection_probability).astype(np.float32)
-        if expected.min() < 0.0:
+        if detected.min() < 0.0:
             pulses += np.minimum(detected, 0.0)
         pulses *= height
         return light.with_values(pulses)

@@ -1,5 +1,6 @@
 """Fixed patterns of a specimen: the screen's mottle, the fibres' honeycomb, the pixels' unequal response."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,13 +12,21 @@ from simulate.iiccd.grid import Grid
 MOTTLE_MM = 0.06
 
 
+def _split_rows(grid: Grid) -> Grid:
+    return replace(grid, per_row=2, shape=(2 * grid.shape[0], grid.shape[1]))
+
+
+def _row_means(cells: NDArray[np.float32]) -> NDArray[np.float32]:
+    return read_only(cells.reshape(-1, 2, cells.shape[1]).mean(axis=1, dtype=np.float32))
+
+
 @lru_cache(maxsize=4)
 def mottle(grid: Grid, relative_sd: float, specimen: int) -> NDArray[np.float32]:
     """Return the screen's gain on cells, mean 1, Gaussian with a correlation length of `MOTTLE_MM` at the cathode."""
     from scipy.fft import irfft2, rfft2
 
-    if relative_sd == 0.0:
-        return read_only(np.ones(grid.shape, np.float32))
+    if grid.per_row == 1:
+        return _row_means(mottle(_split_rows(grid), relative_sd, specimen))
     rng = np.random.default_rng([specimen, 1])
     fx, fy = grid.frequencies()
     grain = np.exp(-2.0 * (np.pi * MOTTLE_MM * np.hypot(fx, fy)) ** 2)
@@ -34,9 +43,11 @@ def honeycomb(
 
     Hexagons of a pitch and a line width at the small end, laid out on cells at the photocathode.
     """
+    if grid.per_row == 1:
+        return _row_means(honeycomb(_split_rows(grid), contrast, pitch_mm, line_mm, demagnification))
     rows, columns = (np.arange(n, dtype=np.float64) for n in grid.shape)
-    y = rows[:, None] * (grid.pitch_y_mm / grid.per_pixel / demagnification / pitch_mm)
-    x = columns[None, :] * (grid.pitch_x_mm / grid.per_pixel / demagnification / pitch_mm)
+    y = rows[:, None] * (grid.pitch_y_mm / grid.per_row / demagnification / pitch_mm)
+    x = columns[None, :] * (grid.pitch_x_mm / grid.per_column / demagnification / pitch_mm)
     border = _border_distance(x, y) * pitch_mm
     return read_only((1.0 - contrast * np.exp(-0.5 * (border / (line_mm / 2.0)) ** 2)).astype(np.float32))
 

@@ -1,6 +1,8 @@
 """The screen: electrons become light, spread sideways and linger over the following fields."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,8 @@ from simulate.iiccd.transfer import Blur
 
 # Light that comes later than the remembered fields is less than this share.
 FORGOTTEN = 1e-3
+# Fields that are looked at to find them, and pulses over which shares are averaged.
+LONGEST, PULSES = 64, 2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +73,11 @@ class Afterglow:
 
     Notes
     -----
-    Electrons arrive evenly over the gate tg at the start of a field T. Of a component of time constant tau the share
-    that comes out after the end of the j-th field (j = 0: its own) is (tau/tg)(exp(tg/tau) - 1) exp(-(j + 1) T/tau).
-    A field's pulses share these mean shares; that pulses early in the gate leave a little less is neglected.
+    A pulse that arrives u before the end of its field T leaves sum_i a_i exp(-u/tau_i) of its light to later fields,
+    a_i the components' shares of the light, tau_i their time constants. Pulses arrive evenly over the gate, so the
+    shares differ from pulse to pulse; that matters for the noise, whose share in one field is the mean square. A field
+    is therefore drawn in two halves, early and late, whose shares are the mean plus and minus the leading component of
+    the shares' covariance: their mean is exact, and their mean products are so to about one per cent.
     """
 
     fast_fraction: float
@@ -86,28 +92,45 @@ class Afterglow:
     def __post_init__(self) -> None:
         if not 0.0 < self.gate_s <= self.field_s * (1.0 + 1e-6):
             raise BadInput(
-                f"gate_ns must be positive and at most one field, {self.field_s * 1e9:.4g} ns, got {self.gate_s * 1e9:.4g}"
+                f"gate_ns must be positive and at most one field, {self.field_s * 1e9:.4g} ns, "
+                f"got {self.gate_s * 1e9:.4g}"
             )
 
-    def residuals(self, fields: int) -> NDArray[np.float64]:
-        """Share of a field's light that comes after the end of field j = 0, 1, ..., shape (fields,)."""
+    @cached_property
+    def pulse_shares(self) -> NDArray[np.float64]:
+        """Shares of the light of pulses at evenly spaced times, shape (pulse, field), each summing to 1.
+
+        Field 0 is the pulse's own. What comes later than the last field is on average less than `FORGOTTEN` and is
+        added to it.
+        """
         # A screen without decay is one whose decay is far below any gate.
         tau = np.maximum(np.array([self.fast_decay_ms, self.slow_decay_ms]) * 1e-3, 1e-12)
-        shares = np.array([self.fast_fraction, 1.0 - self.fast_fraction]) * tau
-        ends = (np.arange(fields)[:, None] + 1.0) * self.field_s
-        late = tau / self.gate_s * -np.expm1(-self.gate_s / tau) * np.exp(-(ends - self.gate_s) / tau)
-        return late @ (shares / shares.sum())
+        share = np.array([self.fast_fraction, 1.0 - self.fast_fraction]) * tau
+        arrival = self.gate_s * (np.arange(PULSES) + 0.5) / PULSES
+        ends = self.field_s * np.arange(1.0, LONGEST + 1)
+        late = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (share / share.sum())
+        last = int(np.argmax(late.mean(axis=0) < FORGOTTEN))
+        late[:, last:] = 0.0
+        return -np.diff(late[:, : last + 1], axis=1, prepend=1.0)
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """Share of a field's light that comes out in field j after it, shape (field,), summing to 1.
+        """Mean share of a field's light that comes out in field j after it, shape (field,), summing to 1."""
+        return self.pulse_shares.mean(axis=0)
 
-        What comes later than the last is less than `FORGOTTEN` and is added to the last.
-        """
-        late = self.residuals(64)
-        last = int(np.argmax(late < FORGOTTEN))
-        late[last:] = 0.0
-        return -np.diff(late[: last + 1], prepend=1.0)
+    @cached_property
+    def halves(self) -> NDArray[np.float64]:
+        """Shares of the early and the late half of a field's pulses, shape (2, field); equal without decay."""
+        mean = self.weights
+        values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(self.pulse_shares.T, bias=True)))
+        spread = np.sqrt(max(values[-1], 0.0)) * vectors[:, -1]
+        spread = spread * (1.0 if spread[0] >= 0.0 else -1.0)
+        return np.stack([mean + spread, mean - spread])
+
+    def residuals(self, fields: int) -> NDArray[np.float64]:
+        """Share of a field's light that comes after the end of field j = 0, 1, ..., shape (fields,)."""
+        later = 1.0 - np.cumsum(self.weights)
+        return np.pad(later, (0, max(0, fields - len(later))))[:fields]
 
     @property
     def memory(self) -> int:
@@ -115,28 +138,45 @@ class Afterglow:
         return len(self.weights) - 1
 
     def mean(self, light: Light) -> Light:
-        """Return what each field shows of itself and of those before it, shape (field, row, col).
+        """Return what each field shows of itself and of those before it.
 
+        Takes (field, row, col), or (field, half, row, col) with the halves' own shares, and emits (field, row, col).
         Fields before the first are taken to have been like the first, so a steady scene stays as it is.
         """
-        if light.values.ndim != 3:
+        fields = light.values
+        if fields.ndim < 3:
             return light
-        weights = self.weights.astype(light.values.dtype)
-        before = np.repeat(light.values[:1], self.memory, axis=0)
-        return light.with_values(lingering(np.concatenate([before, light.values]), weights))
+        before = np.repeat(fields[:1], self.memory, axis=0)
+        shares = self.weights if fields.ndim == 3 else self.halves
+        return light.with_values(lingering(np.concatenate([before, fields]), shares))
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return the mean: decay adds no noise of its own."""
         return self.mean(light)
 
 
-def lingering(fields: NDArray, weights: NDArray) -> NDArray:
-    """Return sum_j weights[j] fields[n - j] for every field n that has all its predecessors.
+def lingering(fields: Sequence[NDArray] | NDArray, shares: NDArray[np.float64]) -> NDArray:
+    """Return what every field that has all its predecessors shows, shape (shown, row, col).
 
-    Shapes: fields (field, row, col), weights (m,), result (field - m + 1, row, col).
+    Parameters
+    ----------
+    fields
+        Fields in their order, each (row, col), or (half, row, col) with shares of each half.
+    shares
+        Share of a field's light in field j after it, shape (m,) or (half, m).
+
+    Notes
+    -----
+    sum_j shares[j] fields[n - j], summed over halves.
     """
-    count = len(fields) - len(weights) + 1
-    total = weights[0] * fields[len(weights) - 1 :]
-    for j, weight in enumerate(weights[1:], start=1):
-        total += weight * fields[len(weights) - 1 - j :][:count]
-    return total
+    by_half = np.atleast_2d(shares).astype(np.float32)
+    memory = by_half.shape[1] - 1
+    shown = []
+    for n in range(memory, len(fields)):
+        total = np.zeros(np.shape(fields[n])[-2:], np.float32)
+        for j in range(memory + 1):
+            halves = fields[n - j] if shares.ndim == 2 else fields[n - j][None]
+            for share, half in zip(by_half[:, j], halves, strict=True):
+                total += share * half
+        shown.append(total)
+    return np.stack(shown)

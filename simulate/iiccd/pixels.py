@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import Light, _transfer
+from simulate.iiccd.light import Light, product
 from simulate.iiccd.transfer import Blur, PixelAperture
 
 
@@ -23,7 +23,8 @@ class Collection:
     Notes
     -----
     All blurs that the light still owes and the aperture are computed in one transform, and the transform is folded
-    onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells per pixel.
+    onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells per column, and two
+    per row for exact means. Cells one row high are for draws, see `pixel_transfer`.
     """
 
     row_pairs: bool
@@ -36,14 +37,15 @@ class Collection:
         from scipy.fft import irfft2, rfft2
 
         grid = light.grid
-        if grid is None or grid.per_pixel != 2:
-            raise ValueError("pixels collect light on two cells per pixel")
+        if grid is None or grid.per_column != 2 or grid.per_row > 2:
+            raise ValueError("pixels collect light on two cells per column and one or two per row")
         height = 2 if self.row_pairs else 1
         aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
-        folded = folded_spectrum(rfft2(light.values), pixel_transfer((*light.owed, aperture), grid, height))
-        pixels = irfft2(folded, s=(grid.shape[0] // 2, grid.shape[1] // 2))
-        # A pixel holds 4 cells per row of the chip; folding and the shorter inverse give the sample of one cell.
-        pixels *= pixels.dtype.type(4 * height)
+        spectrum = rfft2(light.values) * pixel_transfer((*light.owed, aperture), grid, height)
+        folded = folded_columns(folded_rows(spectrum) if grid.per_row == 2 else spectrum)
+        pixels = irfft2(folded, s=(grid.shape[0] // grid.per_row, grid.shape[1] // 2))
+        # So far the amount in a cell around the pixel's centre, averaged by its aperture.
+        pixels *= pixels.dtype.type(grid.per_column * grid.per_row * height)
         top, left = grid.margin_rows, grid.margin_columns
         rows = grid.rows - height + 1
         return Light(values=pixels[..., top : top + rows, left : left + grid.columns])
@@ -55,24 +57,45 @@ class Collection:
 
 @lru_cache(maxsize=8)
 def pixel_transfer(owed: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
-    """Transfer of the owed blurs with the shift from cell centres to the centres of the pixels read."""
-    fx, fy = grid.frequencies()
-    shift = np.exp(2j * np.pi * (0.25 * fx * grid.pitch_x_mm + (0.5 * height - 0.25) * fy * grid.pitch_y_mm))
-    return (_transfer(owed, grid) * shift).astype(np.complex64)
+    """Return the transfer of the owed blurs with the shift from cell centres to the centres of the pixels read.
 
+    Parameters
+    ----------
+    owed
+        Blurs.
+    grid
+        Cells.
+    height
+        Rows of the chip in a pixel as read.
 
-def folded_spectrum(spectrum: NDArray, transfer: NDArray) -> NDArray:
-    """Return the transform of every second sample along both axes of an image times a transfer.
-
-    `spectrum` (..., row, col) is a real transform over an even number of columns, divisible by four.
+    Notes
+    -----
+    Cells one row high are too coarse to hold the blurs' whole transfer H. For them it is sqrt(sum_m |H(f + m/row)|^2):
+    independent cells then have the very covariance, on the pixels, of pulses that fall anywhere inside the cells.
     """
-    rows, columns = spectrum.shape[-2], 2 * (spectrum.shape[-1] - 1)
-    product = spectrum * transfer
-    upright = product[..., : rows // 2, :] + product[..., rows // 2 :, :]
-    quarter = columns // 4
-    mirrored = upright[..., : quarter - 1 : -1].conj()
+    fx, fy = np.broadcast_arrays(*grid.frequencies())
+    if grid.per_row == 1:
+        aliases = (product(owed, fx, fy + m / grid.pitch_y_mm) ** 2 for m in (-2, -1, 0, 1, 2))
+        whole = np.sqrt(sum(aliases, start=np.zeros(fx.shape)))
+    else:
+        whole = product(owed, fx, fy)
+    right, down = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
+    shift = np.exp(2j * np.pi * (right * fx * grid.pitch_x_mm + down * fy * grid.pitch_y_mm))
+    return (whole * shift).astype(np.complex64)
+
+
+def folded_rows(spectrum: NDArray) -> NDArray:
+    """Return the transform of every second row from the transform (..., row, col) of all."""
+    half = spectrum.shape[-2] // 2
+    return 0.5 * (spectrum[..., :half, :] + spectrum[..., half:, :])
+
+
+def folded_columns(spectrum: NDArray) -> NDArray:
+    """Return the real transform (..., row, col) of every second column from that of all, a multiple of four."""
+    quarter = (spectrum.shape[-1] - 1) // 2
+    mirrored = spectrum[..., : quarter - 1 : -1].conj()
     mirrored = np.roll(mirrored[..., ::-1, :], 1, axis=-2)
-    return 0.25 * (upright[..., : quarter + 1] + mirrored)
+    return 0.5 * (spectrum[..., : quarter + 1] + mirrored)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -169,8 +169,9 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
     efficiency = float(camera.sensor.ccd.quantum_efficiency)
     gain = plate.gain * screen.photons_per_electron * taper.transmission * efficiency * system_gain
     pulses = gain * plate.excess_noise_factor
-    shares = camera.afterglow(conditions).weights
-    decay = float(np.sum(shares**2))
+    shares = camera.afterglow(conditions).pulse_shares
+    decay = float(np.mean(np.sum(shares**2, axis=1)))
+    next_field = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
     blur, beside, below = noise_spectrum_integrals(camera)
     # The charge's own shot noise is white until the video filter.
     white = float(np.sum(_video(camera).low_pass.impulse_response() ** 2))
@@ -183,7 +184,7 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
         "covariance_gain": system_gain + pulses,
         "field_covariance_gain": field,
         "decay_factor": decay,
-        "field_correlation": float(np.sum(shares[1:] * shares[:-1]) / decay),
+        "field_correlation": next_field / decay,
         "blur_factor": (system_gain * white + pulses * decay * blur) / field,
         "correlation_horizontal": beside,
         "correlation_vertical": below,

@@ -1,6 +1,5 @@
-"""A specimen: one camera of the kind that a description describes, drawn within its ranges."""
+"""The specimen behind the virtual bench: a camera of the sheet's type whose numbers nobody was told."""
 
-import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -8,13 +7,17 @@ import numpy as np
 from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 
-# What differs from one specimen to the next and what a bench can tell. The rest is the same in every camera of a kind.
-VARYING = (
+# A range holds its value with 95 % probability: 1.96 standard deviations on either side.
+TWO_SIDED_95 = 1.959964
+
+# The parameters in which specimens differ; the rest are the type's.
+VARIED = (
     "optics.aberration_blur_um",
     "photocathode.luminous_sensitivity_ua_per_lm",
     "photocathode.ebi_lm_per_cm2",
     "photocathode.gap_mm",
     "photocathode.halo_fraction",
+    "photocathode.halo_elastic_share",
     "microchannel_plate.detection_probability",
     "tube.luminous_gain",
     "tube.mtf_frequency_lp_per_mm",
@@ -23,36 +26,45 @@ VARYING = (
     "taper.transmission",
     "ccd.quantum_efficiency",
     "ccd.read_noise_e",
+    "ccd.prnu",
+    "video.bandwidth_mhz",
 )
-# Half of a 95 % range in standard deviations; also where the draw is cut off, so that ranges are kept.
-HALF_RANGE_SD = 1.959964
 
 
 def draw_truth(sensor: Sensor, seed: int) -> Sensor:
-    """Return a specimen whose varying parameters are drawn within their ranges, every parameter exact.
+    """Draw a specimen within the ranges of a description.
 
     Parameters
     ----------
     sensor
-        The description; ranges hold their parameter with 95 % probability.
+        The type: each varied parameter's `low` and `high` hold it with 95 % probability.
     seed
-        Seed; each parameter has its own stream, so that a new one does not move the others.
+        Seed; it names the specimen.
 
     Returns
     -------
     Sensor
-        The specimen. Its name says from what and with which seed it was drawn.
+        The same description with the parameters of `VARIED` drawn and exact; its notes record the seed.
+
+    Notes
+    -----
+    Each side of the value is half a normal law whose 95 % point is the bound, cut off at the bound: a specimen outside
+    what the sheet calls possible would be another camera.
     """
-    drawn = {path: _drawn(path, parameter, seed) for path, parameter in sensor.parameters().items() if path in VARYING}
-    return replace(sensor.with_values(drawn), name=f"{sensor.name}, specimen of seed {seed}")
+    known = sensor.parameters()
+    rng = np.random.default_rng([seed, 7])
+    drawn = {path: _within(known[path], rng) for path in VARIED}
+    specimen = sensor.with_values({path: value for path, value in drawn.items() if value is not None})
+    note = f"A specimen drawn within the ranges of {sensor.name} with the seed {seed}."
+    return replace(specimen, name=f"{sensor.name}, specimen {seed}", notes=(*sensor.notes, note))
 
 
-def _drawn(path: str, parameter: Parameter, seed: int) -> float:
-    """Draw from a normal distribution split at the best value and cut off at the ends of the range."""
+def _within(parameter: Parameter, rng: np.random.Generator) -> float | None:
+    """A value within a parameter's bounds; None where the parameter is exact."""
     if parameter.low is None or parameter.high is None:
-        return parameter.value
-    rng = np.random.default_rng(np.random.SeedSequence((seed, zlib.crc32(path.encode()))))
-    while abs(z := rng.standard_normal()) > HALF_RANGE_SD:
-        pass
-    end = parameter.high if z > 0 else parameter.low
-    return parameter.value + abs(z) / HALF_RANGE_SD * (end - parameter.value)
+        return None
+    while True:
+        deviate = float(rng.standard_normal())
+        side = parameter.high if deviate > 0.0 else parameter.low
+        if abs(deviate) <= TWO_SIDED_95:
+            return parameter.value + abs(deviate) / TWO_SIDED_95 * (side - parameter.value)
