@@ -24,7 +24,7 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
     share and that is several times as frequent as the one beside it. Where the values are so still that the next
     code hardly occurs on either end, nothing can be said but from a known full scale.
     """
-    values, counts = np.unique(data, return_counts=True)
+    values, counts = _histogram(data)
     if values.size < 3:
         return ("clipped",) if data.size > 64 else ()
     share = counts / data.size
@@ -37,3 +37,12 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
     lively = max(share[1], share[-2]) > 1e-4 and values.size > 12
     clipped |= bool(top != bottom) and lively
     return ("clipped",) if clipped else ()
+
+
+def _histogram(data: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the values that occur and how often."""
+    if data.dtype.kind == "u" and data.dtype.itemsize <= 2:
+        counts = np.bincount(data.ravel())
+        values = np.flatnonzero(counts)
+        return values, counts[values]
+    return np.unique(data, return_counts=True)

@@ -127,6 +127,7 @@ def response_flags(posterior: Posterior, known: Known) -> tuple[str, ...]:
     A curved response and a lopsided blur look alike on an edge; either way the modulus of the transform is not what
     it would be for low contrast.
     """
-    bend = posterior["phase_bend"]
-    size, error = abs(float(np.mean(bend))), float(np.std(bend))
-    return ("gamma",) if size > SIGNIFICANT * error and size > PHASE_MATTERS_RAD else ()
+    bends = [posterior[name] for name in ("phase_0", "phase_1")]
+    sizes = [(abs(float(np.mean(bend))), float(np.std(bend))) for bend in bends]
+    lopsided = any(size > SIGNIFICANT * error and size > PHASE_MATTERS_RAD for size, error in sizes)
+    return ("gamma",) if lopsided else ()

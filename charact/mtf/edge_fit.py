@@ -12,7 +12,7 @@ from charact.posterior import maximum
 
 Array = NDArray[np.float64]
 
-DEPARTURES = (0.01, 0.04, 0.15)
+DEPARTURES = (0.01, 0.04, 0.15, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ def fit(profile: Profile, fixed_at, *, halo: Wide | None, halo_certain: bool) ->
     found: list[EdgeFit] = []
     for kind in kinds:
         for slope in (EVEN_PER_PX, UNEVEN_PER_PX):
-            found.append(_fit(profile, fixed_at, kind, slope, found[0] if found else None))
+            found.append(_fit(profile, fixed_at, kind, slope, found[-1] if found else None))
     return max(found, key=lambda one: one.log_evidence)
 
 
@@ -76,7 +76,7 @@ def refit(profile: Profile, found: EdgeFit) -> EdgeFit:
     """Fit the same kind of model again, from where it was, to a profile whose noise is known better."""
     evidence = profile.evidence(found.model.grid, found.slope_sd_per_px)
     model = replace(found.model, evidence=evidence)
-    return _weighed(model, *maximum(model.log_probability, found.point, model.bounds), found.slope_sd_per_px)
+    return _climbed(model, found.point, found.slope_sd_per_px)
 
 
 def _fit(profile: Profile, fixed_at, halo: Wide | None, slope_sd_per_px: float, near: EdgeFit | None) -> EdgeFit:
@@ -89,18 +89,24 @@ def _fit(profile: Profile, fixed_at, halo: Wide | None, slope_sd_per_px: float, 
         return EdgeModel(grid=grid, fixed=fixed, evidence=evidence, scale=scale, departure_sd=departure, halo=halo)
 
     starts = _starts(model(0.2, DEPARTURES[0]), near)
-    scale = float(np.exp(starts[0][1]))
-    departures = DEPARTURES if near is None else (near.model.departure_sd,)
-    found = []
-    for departure in departures:
-        candidate = model(scale, departure)
-        peaks = [maximum(candidate.log_probability, start, candidate.bounds) for start in starts]
-        found += [_weighed(candidate, *peak, slope_sd_per_px) for peak in peaks]
+    scale = float(np.exp(starts[0][1])) if near is None else near.model.scale
+    first = DEPARTURES[1] if near is None else near.model.departure_sd
+    found = [_climbed(model(scale, first), start, slope_sd_per_px) for start in starts]
+    best = max(found, key=lambda one: one.log_evidence)
+    others = [sd for sd in DEPARTURES if sd != first] if near is None else []
+    found += [_climbed(model(scale, sd), best.point, slope_sd_per_px) for sd in others]
     return max(found, key=lambda one: one.log_evidence)
+
+
+def _climbed(model: EdgeModel, start: Array, slope_sd_per_px: float) -> EdgeFit:
+    """Return the fit at the peak above a start."""
+    return _weighed(model, *maximum(model.log_probability, start, model.bounds), slope_sd_per_px)
 
 
 def _starts(model: EdgeModel, near: EdgeFit | None) -> list[Array]:
     """Return where to climb from: the most probable of a grid, for a halo one of small and one of large diameter."""
+    if near is not None and near.model.halo == model.halo:
+        return [near.point]
     frequencies = np.exp(np.linspace(np.log(0.01), np.log(1.5), 40))
     exponents: tuple[float, ...] = (1.2, 2.0)
     if near is not None:

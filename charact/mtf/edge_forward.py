@@ -1,7 +1,7 @@
 """The forward method for edges: the whole profile fitted with the noise that is in it, and the posterior of its MTF."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from charact.method import Context, register
 from charact.mtf import edge_checks, line
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.edge_fit import EdgeFit, fit, refit
-from charact.mtf.edge_profile import Profile, profile_of, refined
+from charact.mtf.edge_profile import Profile, centred, profile_of, refined
 from charact.mtf.geometry import orientation_deg
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.picture import Picture, mean_picture
@@ -91,6 +91,7 @@ def _found(used: FrameStack, context: Context) -> Found | str:
     """Find and fit the edge; a sentence where there is none."""
     picture, coarse = line.find(mean_picture(used.data, context.pitch_ratio))
     rows = line.refine(picture, coarse)
+    rows = replace(rows, line=centred(picture, rows.line))
     profile = profile_of(picture, rows.line, WIDEST_PX)
     if not profile.step > 0 or profile.gathered.half_width_px < 3:
         return "no target: no step from dark to bright was found in the region"

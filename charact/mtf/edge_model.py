@@ -21,7 +21,13 @@ KNOTS = np.array([0.35, 0.6, 0.9, 1.3, 1.8, 2.5])
 HALF_FREQUENCY = (0.008, 2.0)
 EXPONENT = (0.6, 4.0)
 EXPONENT_PRIOR = (1.6, 0.6)
-PHASE_SD = 0.3
+# The phase bends freely at these multiples of the half frequency, with these prior standard deviations, rad.
+PHASE_KNOTS = np.array([1.0, 1.5, 2.1, 2.8])
+PHASE_SD = np.array([0.2, 0.3, 0.5, 0.7])
+
+
+# Shift, half frequency, exponent, departures and phases: what every model has.
+PARAMETERS = 3 + KNOTS.size + PHASE_KNOTS.size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,59 +101,59 @@ class EdgeModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        core = ("edge_shift_px", "ln_half_frequency", "exponent", "phase_bend")
+        core = ("edge_shift_px", "ln_half_frequency", "exponent")
         departures = tuple(f"departure_{index}" for index in range(KNOTS.size))
-        return (*core, *departures, *(self.halo.parameters if self.halo else ()))
+        phases = tuple(f"phase_{index}" for index in range(PHASE_KNOTS.size))
+        return (*core, *departures, *phases, *(self.halo.parameters if self.halo else ()))
 
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the parameters."""
         tail = [unit for unit, _ in self.halo.parameters.values()] if self.halo else []
-        return ("px", "ln(cy/px)", "1", "rad", *("1" for _ in KNOTS), *tail)
+        return ("px", "ln(cy/px)", "1", *("1" for _ in KNOTS), *("rad" for _ in PHASE_KNOTS), *tail)
 
     @property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
         low, high = np.log(HALF_FREQUENCY)
-        core = [(-6.0, 6.0), (low, high), EXPONENT, (-3.0, 3.0), *[(-6.0, 6.0)] * KNOTS.size]
+        phases = [(-6.0 * sd, 6.0 * sd) for sd in PHASE_SD]
+        core = [(-6.0, 6.0), (low, high), EXPONENT, *[(-6.0, 6.0)] * KNOTS.size, *phases]
         tail = [bound for _, bound in self.halo.parameters.values()] if self.halo else []
         return np.array([*core, *tail])
 
     def start(self, half_frequency: float, exponent: float) -> Array:
         """Return a point from which to climb."""
         tail = [0.6 * low + 0.4 * high for _, (low, high) in self.halo.parameters.values()] if self.halo else []
-        return np.array([0.0, np.log(half_frequency), exponent, 0.0, *np.zeros(KNOTS.size), *tail])
+        return np.array([0.0, np.log(half_frequency), exponent, *np.zeros(KNOTS.size + PHASE_KNOTS.size), *tail])
 
     def modulus(self, theta: Array, grid: Array | None = None) -> Array:
         """Return the transfer without phase and without the fixed part, shape (n, node)."""
         f = self.grid if grid is None else grid
         log_core = forms.exponential(f, np.exp(theta[:, 1]), theta[:, 2])
         shapes = self._shapes if grid is None else self.departures(grid)
-        log_core = log_core + self.departure_sd * theta[:, 4 : 4 + KNOTS.size] @ shapes
+        log_core = log_core + self.departure_sd * theta[:, 3 : 3 + KNOTS.size] @ shapes
         core = np.exp(log_core)
         if self.halo is None:
             return core
-        tail = theta[:, 4 + KNOTS.size :]
+        tail = theta[:, PARAMETERS:]
         return core * (1.0 - tail[:, :1] + tail[:, :1] * self.halo.transfer(f, tail[:, 1:]))
 
     def departures(self, frequency: Array) -> Array:
-        """Return the shapes of the departure, shape (knot, frequency): cosine bumps in ln f, the last one held."""
-        place = np.interp(np.log(frequency / self.scale), np.log(KNOTS), np.arange(KNOTS.size), left=-1.0)
-        below = np.log(frequency / self.scale) < np.log(KNOTS[0])
-        entry = (np.log(frequency / self.scale) - np.log(KNOTS[0])) / np.log(KNOTS[1] / KNOTS[0])
-        place = np.where(below, np.maximum(entry, -1.0), place)
-        away = np.clip(np.abs(place - np.arange(KNOTS.size)[:, None]), 0.0, 1.0)
-        return 0.5 * (1.0 + np.cos(np.pi * away))
+        """Return the shapes of the departure, shape (knot, frequency)."""
+        return _bumps(frequency / self.scale, KNOTS)
 
     @cached_property
     def _shapes(self) -> Array:
         return self.departures(self.grid)
 
+    @cached_property
+    def _bends(self) -> Array:
+        return _bumps(self.grid / self.scale, PHASE_KNOTS)
+
     def transfer(self, theta: Array) -> NDArray[np.complex128]:
         """Return the complex transfer at the nodes, shape (n, node)."""
-        ratio = self.grid / self.scale
-        bend = ratio**3 / (1.0 + (ratio / 2.0) ** 3)
-        phase = -2.0 * np.pi * theta[:, :1] * self.grid + theta[:, 3:4] * bend
+        bend = theta[:, 3 + KNOTS.size : PARAMETERS] @ self._bends
+        phase = bend - 2.0 * np.pi * theta[:, :1] * self.grid
         return self.fixed * self.modulus(theta) * np.exp(1j * phase)
 
     def mtf(self, theta: Array, grid: Array, fixed: Array) -> Array:
@@ -159,9 +165,10 @@ class EdgeModel:
         bounds = self.bounds
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         mean, sd = EXPONENT_PRIOR
-        normal = -0.5 * ((theta[:, 2] - mean) / sd) ** 2 - 0.5 * (theta[:, 3] / PHASE_SD) ** 2
         count = KNOTS.size
-        normal = normal - 0.5 * np.sum(theta[:, 4 : 4 + count] ** 2, axis=1) - 0.5 * count * np.log(2 * np.pi)
+        phases = theta[:, 3 + count : PARAMETERS] / PHASE_SD
+        normal = -0.5 * ((theta[:, 2] - mean) / sd) ** 2 - 0.5 * np.sum(phases**2, axis=1)
+        normal = normal - 0.5 * np.sum(theta[:, 3 : 3 + count] ** 2, axis=1) - 0.5 * count * np.log(2 * np.pi)
         if self.halo:
             normal = normal - np.log(np.prod([high - low for _, (low, high) in self.halo.parameters.values()]))
         return np.where(inside, normal, -np.inf)
@@ -173,3 +180,12 @@ class EdgeModel:
         if inside.any():
             value[inside] += self.evidence.log_likelihood(self.transfer(theta[inside]))
         return value
+
+
+def _bumps(ratio: Array, knots: Array) -> Array:
+    """Return cosine bumps in the logarithm of a ratio, one at each knot and the last one held, shape (knot, ratio)."""
+    place = np.interp(np.log(ratio), np.log(knots), np.arange(knots.size))
+    entry = (np.log(ratio) - np.log(knots[0])) / np.log(knots[1] / knots[0])
+    place = np.where(entry < 0, np.maximum(entry, -1.0), place)
+    away = np.clip(np.abs(place - np.arange(knots.size)[:, None]), 0.0, 1.0)
+    return 0.5 * (1.0 + np.cos(np.pi * away))

@@ -101,6 +101,23 @@ def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
     return _assembled(picture, line, gathered, residual, level, defects)
 
 
+def centred(picture: Picture, line: Line) -> Line:
+    """Return the line moved to where the profile is half way up, so that bins fall alike on both sides of the edge."""
+    gathered = gather(picture, line, 16.0, np.zeros(picture.value.shape, bool))
+    mean, count = gathered.means(picture.value)
+    filled = count > 0
+    distance, value = gathered.means(gathered.distance)[0][filled], mean[filled]
+    dark, bright = _levels(mean, count, gathered)
+    smooth = np.convolve(value, np.ones(9) / 9.0, "same")[4:-4]
+    above = smooth > 0.5 * (dark + bright)
+    place = distance[4:-4]
+    rises = np.flatnonzero(np.diff(above.astype(int)) == 1)
+    shift = float(np.median(place[rises])) if rises.size else 0.0
+    if not np.isfinite(shift) or abs(shift) > 4.0:
+        return line
+    return replace(line, position=line.position + shift / float(np.cos(line.angle_rad(picture.pitch_ratio))))
+
+
 def _residual(picture: Picture, gathered: Gathered) -> tuple[Array, Array]:
     """Return the picture less its own bin means, and the profile from 0 to 1, at every pixel.
 

@@ -64,7 +64,7 @@ def halo_of(picture: Picture, half_width_px: float, context: Context) -> tuple[W
     plateau beyond it, can be told from a slope of the illumination.
     """
     if context.sensor is None:
-        longest = 0.18 * half_width_px
+        longest = 0.25 * half_width_px
         return (GlarePrior(length_px=(2.0, longest)), False) if longest > 4.0 else (None, False)
     low, high = halo_diameters_px(context, transposed=picture.transposed)
     if half_width_px < 0.6 * high:

@@ -65,7 +65,7 @@ def maximum(
             point, best = candidates[top], float(values[top])
         if gain < 1e-6:
             break
-        steps = _steps(log_probability, point, best, walls, steps)
+        steps = _rescaled(steps, hessian, walls)
     steps = _steps(log_probability, point, best, walls, steps)
     _, hessian = _derivatives(log_probability, point, steps, walls)
     return point, _covariance(hessian, steps, walls)
@@ -163,6 +163,14 @@ def _steps(
     index = np.argmax(bend >= wanted, axis=1)
     index = np.where((bend >= wanted).any(1), index, sizes.shape[1] - 1)
     return sizes[np.arange(point.size), index]
+
+
+def _rescaled(steps: NDArray, hessian: NDArray, walls: NDArray) -> NDArray[np.float64]:
+    """Return steps of `STENCIL_SD` standard deviations after a Hessian in units of the last ones."""
+    bend = np.maximum(np.abs(np.diag(hessian)), 1e-12)
+    wanted = steps * np.clip(STENCIL_SD / np.sqrt(bend), 0.1, 10.0)
+    ranges = walls[:, 1] - walls[:, 0]
+    return np.where(np.isfinite(ranges), np.minimum(wanted, 0.2 * ranges), wanted)
 
 
 def _derivatives(
