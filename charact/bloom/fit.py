@@ -24,7 +24,7 @@ LEAST_DIAMETER_PX = 12.0
 MODEL_SHARE = 0.03
 # Standard errors of its brightness that a halo needs to be seen at all, and in one level to be judged there.
 SEEN = 7.0
-SEEN_LEVEL = 5.0
+SEEN_LEVEL = 8.0
 # What a diameter off by these factors must cost in log-probability: wings without an edge pass for any disc.
 OFF = (0.75, 1.3)
 OFF_COST = 12.5
@@ -165,7 +165,7 @@ def fit(problem: Problem, *, seed: int, quick: bool, first_diameter_px: float) -
     draw = laplace if quick else sample
     posterior = draw(problem.log_probability, names=NAMES, units=UNITS, start=point, covariance=covariance, seed=seed,
                      bounds=problem.bounds)  # fmt: skip
-    own = [_own_diameter(problem, i, point) if significance[i] > SEEN_LEVEL else (np.nan, np.nan) for i in levels]
+    own = [own_diameter(problem, i, point) if significance[i] > SEEN_LEVEL else (np.nan, np.nan) for i in levels]
     found = [problem.level(i, point[None]) for i in levels]
     return HaloFit(
         posterior=posterior,
@@ -207,8 +207,8 @@ def _best(problem: Problem, first_diameter_px: float) -> tuple[Array, Array]:
     return max(climbed, key=lambda pair: float(problem.log_probability(pair[0][None])[0]))
 
 
-def _own_diameter(problem: Problem, one: int, point: Array) -> tuple[float, float]:
-    """Diameter and standard error that one level alone gives, its rim free, the core as all levels have it."""
+def own_diameter(problem: Problem, one: int, point: Array) -> tuple[float, float]:
+    """Return diameter and standard error that one level alone gives, its rim free, the core as all levels have it."""
 
     def log_probability(points: Array) -> Array:
         inside = np.all((points >= problem.bounds[:2, 0]) & (points <= problem.bounds[:2, 1]), axis=1)

@@ -7,13 +7,14 @@ import numpy as np
 
 from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
 from charact.bloom.edge import STEP_SEEN, first_radius
-from charact.bloom.fit import HaloFit, fit, problem_of
+from charact.bloom.fit import HaloFit, fit, own_diameter, problem_of
 from charact.bloom.model import optics_of, shapes
 from charact.bloom.profile import Profile, profile_of
 from charact.bloom.spot import DETECTED, Spot, read_spots
 from charact.bloom.threshold import reach_of
 from charact.method import Context, register
 from labdata.measurement import Measurement, Result, from_draws, refused
+from labdata.sensor import Sensor
 from labdata.session import Session
 
 METHOD = "halo-profile"
@@ -21,6 +22,8 @@ METHOD = "halo-profile"
 OUTER = 1.6
 # A level serves where at least so many rings inside the halo are not saturated.
 RINGS_INSIDE = 4
+# Share by which a round halo may seem wider in one direction than in the other.
+ROUND_SHARE = 0.02
 # Profiles kept for the report.
 SHOWN = 3
 
@@ -65,6 +68,9 @@ def _halo(spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]) -> 
         return refused("halo_diameter", "px", "no point source stands out of its surroundings", **fields), {}
     wide = [profile_of(spot, reach_of(spot), context=context) for spot in clear]
     radius, significance = first_radius(wide)
+    if significance < STEP_SEEN and context.sensor is not None:
+        # A peaked halo has a soft edge: the fit looks where the sheet's gap puts it.
+        radius, significance = 0.5 * _expected_diameter_px(context.sensor), STEP_SEEN
     if significance < STEP_SEEN:
         reason = "no profile has a step that stands out of its noise: no halo is visible"
         return refused("halo_diameter", "px", reason, **fields), _profile_evidence(wide, None, radius)
@@ -81,18 +87,27 @@ def _halo(spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]) -> 
     if found is None:
         reason = "the profiles show no disc with an edge: no halo is visible"
         return refused("halo_diameter", "px", reason, **fields), _profile_evidence(serving, None, radius)
-    flags = _flags(found, reach, all(spot.dark_known for spot in clear))
+    flags = _flags(found, reach)
+    if context.sensor is None:
+        best = clear[[spot.label for spot in clear].index(problem.labels[int(np.argmax(found.significance))])]
+        flags += _roundness(best, found, reach, context)
     halo = from_draws("halo_diameter", "px", found.posterior["halo_diameter"], posterior=found.posterior, flags=flags,
                       notes=_notes(context), **fields)  # fmt: skip
     evidence = _profile_evidence(serving, found, radius) | {"halo-constancy": _constancy(found, problem.labels)}
     return halo, evidence
 
 
+def _expected_diameter_px(sensor: Sensor) -> float:
+    """Four gaps as the sheet states them, column pitches."""
+    pitch_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
+    return 4e3 * float(sensor.photocathode.gap_mm) / pitch_um
+
+
 def _notes(context: Context) -> tuple[str, ...]:
     return ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
 
 
-def _flags(found: HaloFit, reach: int, darks: bool) -> tuple[str, ...]:
+def _flags(found: HaloFit, reach: int) -> tuple[str, ...]:
     """What the fit says against its number; the elastic share may well lie on its bound, and harms nothing there."""
     from scipy.stats import chi2
 
@@ -107,6 +122,17 @@ def _flags(found: HaloFit, reach: int, darks: bool) -> tuple[str, ...]:
         if chi2.sf(float(pull @ pull), int(own.sum()) - 1) < 1e-4:
             flags += ("model-misfit",)
     return flags
+
+
+def _roundness(spot: Spot, found: HaloFit, reach: int, context: Context) -> tuple[str, ...]:
+    """A flag where the halo is wider along rows than along columns: then pixels are not square after all."""
+    wide, tall = (
+        own_diameter(problem_of([profile_of(spot, reach, context=context, along=along)], reach, context=context), 0,
+                     found.point)
+        for along in ("rows", "columns")
+    )  # fmt: skip
+    apart = abs(wide[0] - tall[0])
+    return ("model-misfit",) if apart > max(4.0 * np.hypot(wide[1], tall[1]), ROUND_SHARE * found.point[0]) else ()
 
 
 def _profile_evidence(profiles: list[Profile], found: HaloFit | None, radius: float) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Brightness around the source against radius, with the covariance that correlated noise gives neighbouring rings."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,8 @@ from charact.bloom.spot import LINEAR_SHARE, Spot
 from charact.method import Context
 
 Array = NDArray[np.float64]
+
+Along = Literal["all", "rows", "columns"]
 
 SECTORS = 16
 # Columns on either side of the source that smear and overflow fill, px; beyond this radius they are left out.
@@ -59,10 +62,10 @@ class Profile:
         return lifted * np.outer(sd, sd) + 1e-9 * np.eye(count)
 
 
-def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
+def profile_of(spot: Spot, reach_px: int, *, context: Context, along: Along = "all") -> Profile:
     """Average a stack's mean frame over rings one column pitch wide.
 
-    Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
+    `along` takes only their parts left and right of the source ("rows"), or above and below it ("columns"). Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
     and by successive frames is in them, and are smoothed over rings.
     """
     rows = np.arange(spot.image.shape[0])[:, None]
@@ -70,6 +73,8 @@ def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
     dx, dy = np.broadcast_arrays(cols - spot.col, (rows - spot.row) * context.pitch_ratio)
     radius = np.hypot(dx, dy)
     inside = (radius < reach_px) & ((np.abs(dx) > STREAK_PX) | (radius < STREAK_FROM_PX))
+    if along != "all":
+        inside &= (np.abs(dx) > np.abs(dy)) == (along == "rows")
     ring = radius[inside].astype(int)
     sector = ((np.arctan2(dy[inside], dx[inside]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     value = spot.image[inside]

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 DETECTED = 8.0
 # Width of the smoothing that finds it, px.
 SMOOTHING_PX = 1.5
+# Width of its near surroundings, in widths of the smoothing.
+SURROUNDINGS = 3.0
 # Share of full scale from which on noise is cut by the highest code.
 LINEAR_SHARE = 0.75
 
@@ -66,15 +68,45 @@ class Spot:
 
 
 def read_spots(session: Session, *, context: Context) -> tuple[Spot, ...]:
-    """Read every point stack, one at a time; the faintest clear one says where the source is."""
+    """Read every point stack, one at a time, twice: the stacks agree on where the source is before it is measured."""
     darks = [(entry.conditions, float(entry.read().data.mean(dtype=np.float64))) for entry in session.of_kind("dark")]
     entries = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
+    places = [_place(entry) for entry in entries]
     spots: list[Spot] = []
-    for done, entry in enumerate(entries):
+    for done, (entry, place) in enumerate(zip(entries, places, strict=True)):
         context.progress(f"blooming of {entry.label}", done / len(entries))
-        known = next(((spot.row, spot.col) for spot in spots if spot.significance > 2 * DETECTED), None)
-        spots.append(_spot(entry, entry.read(), _dark_of(entry.conditions, darks), known, context))
+        same = [other for other, one in zip(places, entries, strict=True) if one.target.region == entry.target.region]
+        spots.append(_spot(entry, entry.read(), _dark_of(entry.conditions, darks), place, _agreed(same), context))
     return tuple(spots)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where one stack shows a point source, and how clearly."""
+
+    row: float
+    col: float
+    significance: float
+
+
+def _place(entry: StackEntry) -> Place:
+    """Find the source of one stack."""
+    image = entry.read().data.mean(axis=0, dtype=np.float64)
+    row, col, significance = _find(image, entry.target.region)
+    row, col = _centroid(image, row, col)
+    return Place(row=row, col=col, significance=significance)
+
+
+def _agreed(places: list[Place]) -> Place | None:
+    """The place in the stack that shows it most clearly, which is neither faint nor a saturated blob."""
+    best = max(places, key=lambda place: place.significance)
+    return best if best.significance > 2 * DETECTED else None
+
+
+def _full_scale(stack: FrameStack, context: Context) -> float:
+    """Highest code: as told, as recorded, else the highest value seen."""
+    told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    return told if told is not None else float(stack.data.max())
 
 
 def _dark_of(conditions: Conditions, darks: list[tuple[Conditions, float]]) -> float | None:
@@ -85,18 +117,14 @@ def _dark_of(conditions: Conditions, darks: list[tuple[Conditions, float]]) -> f
     return max(darks, key=lambda d: sum(getattr(d[0], n) == getattr(conditions, n) for n in names))[1]
 
 
-def _spot(entry: StackEntry, stack: FrameStack, dark: float | None, known, context: Context) -> Spot:
+def _spot(entry: StackEntry, stack: FrameStack, dark: float | None, own: Place, agreed: Place | None,
+          context: Context) -> Spot:  # fmt: skip
     """Statistics of one stack."""
     image = stack.data.mean(axis=0, dtype=np.float64)
-    full = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    full = full if full is not None else float(stack.data.max())
+    full = _full_scale(stack, context)
     recorded = dark if dark is not None else stack.black_level_dn
     level = float(np.median(image)) if recorded is None else recorded
-    row, col, significance = _find(image, entry.target.region)
-    if known is not None:
-        row, col = known
-    else:
-        row, col = _centroid(image, row, col)
+    row, col = (own.row, own.col) if agreed is None else (agreed.row, agreed.col)
     threshold = level + 0.5 * (full - level)
     single = [extent(frame, row, col, threshold, context.pitch_ratio)[:2] for frame in stack.data]
     bloom, streak, touches = extent(image, row, col, threshold, context.pitch_ratio)
@@ -110,7 +138,7 @@ def _spot(entry: StackEntry, stack: FrameStack, dark: float | None, known, conte
         dark_known=recorded is not None,
         row=row,
         col=col,
-        significance=significance,
+        significance=own.significance,
         frame_bloom_px=np.array([bloom for bloom, _ in single]),
         frame_streak_px=np.array([streak for _, streak in single]),
         bloom_px=bloom,
@@ -120,22 +148,22 @@ def _spot(entry: StackEntry, stack: FrameStack, dark: float | None, known, conte
 
 
 def _find(image: Array, region) -> tuple[float, float, float]:
-    """Brightest smoothed pixel and its height over the spread of the surroundings."""
+    """Pixel that stands out most from its near surroundings, and by how much over what others do."""
     from scipy import ndimage
 
     smooth = ndimage.gaussian_filter(image, SMOOTHING_PX)
+    contrast = smooth - ndimage.gaussian_filter(image, SURROUNDINGS * SMOOTHING_PX)
     window = np.zeros(image.shape, bool)
     if region is None:
         window[:] = True
     else:
         row, col, height, width = region
         window[row : row + height, col : col + width] = True
-    index = int(np.argmax(np.where(window, smooth, -np.inf)))
+    index = int(np.argmax(np.where(window, contrast, -np.inf)))
     row, col = divmod(index, image.shape[1])
-    middle = float(np.median(smooth))
-    spread = 1.4826 * float(np.median(np.abs(smooth - middle)))
+    spread = 1.4826 * float(np.median(np.abs(contrast - np.median(contrast))))
     # Rounding leaves a background without noise: its steps are the least spread.
-    return float(row), float(col), float((smooth[row, col] - middle) / max(spread, 0.05))
+    return float(row), float(col), float(contrast[row, col] / max(spread, 0.05))
 
 
 def _centroid(image: Array, row: float, col: float, reach: int = 6) -> tuple[float, float]:
