@@ -1,0 +1,109 @@
+"""The same plan with the same seed gives the same frames, over real wires and without any."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.acquire import acquire
+from drivers.aravis import AravisCamera
+from drivers.interlock import Bench
+from drivers.lines import gate_line, supply_line
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.plan import Limits, Plan, Step
+from labdata.sensors import load_sensor, save_sensor
+from labdata.target import Target
+from simulate.rig import aravis_library
+from simulate.rig.bench import VirtualBench
+
+STEPS = (
+    Step(label="dark", kind="dark", frames=3, conditions=Conditions(mcp_v=650.0, gate_ns=1.6e7)),
+    Step(
+        label="flat",
+        kind="flat",
+        frames=3,
+        conditions=Conditions(mcp_v=700.0, gate_ns=1.6e7, illuminance_lux=1e-4),
+    ),
+    Step(
+        label="edge",
+        kind="edge",
+        frames=3,
+        conditions=Conditions(mcp_v=680.0, gate_ns=1.2e7, illuminance_lux=2e-5),
+        target=Target(angle_deg=5.0),
+    ),
+)
+
+
+def taken(folder, wires):
+    sensor = load_sensor("pulnix-ag5745ef3")
+    small = replace(sensor, ccd=replace(sensor.ccd, rows=61, columns=84))
+    folder.mkdir()
+    save_sensor(small, folder / "small.toml")
+    plan = Plan(
+        name="twice", sensor=str(folder / "small.toml"), seed=5, limits=Limits(ramp_v_per_s=4000.0), steps=STEPS
+    )
+    with VirtualBench(folder / "bench", small, plan.seed, wires=wires, time_scale=20.0) as rig:
+        lines = None
+        camera = rig.in_process_camera()
+        if inside := rig.inside:
+            lines = gate_line(inside.gate_port), supply_line(inside.supply_port, address=rig.wires.supply_address)
+        elif rig.camera:
+            camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
+        bench = Bench(rig.wires, plan.limits, log=folder / "safety.jsonl", lines=lines)
+        session = acquire(plan, folder / "session", camera=camera, bench=bench, operator=rig.operator)
+        left_open, left_v = rig.outputs().gate_open, rig.outputs().mcp_v
+        return session, rig.left_out, left_open, left_v
+
+
+@pytest.fixture(scope="module")
+def inside(tmp_path_factory):
+    return taken(tmp_path_factory.mktemp("inside") / "run", "in-process")
+
+
+def test_a_run_without_wires_is_whole_and_says_what_it_left_out(inside):
+    session, left_out, gate_open, mcp_v = inside
+    assert [len(entry.read()) for entry in session.stacks] == [3, 3, 3]
+    assert "no watchdog guards them" in left_out[0]
+    assert not gate_open
+    assert mcp_v < 5.0
+
+
+def test_light_and_gain_show_in_the_frames(inside):
+    session, *_ = inside
+    dark, flat = (session.stack(label).read().data.mean() for label in ("dark", "flat"))
+    assert flat > dark + 2.0
+
+
+def test_a_run_without_wires_gives_the_same_frames_again(inside, tmp_path):
+    again, *_ = taken(tmp_path / "again", "in-process")
+    for entry in inside[0].stacks:
+        assert np.array_equal(again.stack(entry.label).read().data, entry.read().data)
+
+
+@pytest.mark.wires
+@pytest.mark.aravis
+@pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine")
+def test_a_run_over_real_wires_gives_the_same_frames_as_one_without(inside, tmp_path):
+    wired, left_out, gate_open, mcp_v = taken(tmp_path / "wired", "virtual")
+    assert left_out == ()
+    assert not gate_open
+    assert mcp_v < 5.0
+    for entry in inside[0].stacks:
+        other = wired.stack(entry.label)
+        assert np.array_equal(other.read().data, entry.read().data)
+        assert replace(other.conditions, exposure_s=None) == replace(entry.conditions, exposure_s=None)
+
+
+def test_a_virtual_bench_keeps_its_specimen_and_refuses_another_seed(tmp_path):
+    sensor = load_sensor("pulnix-ag5745ef3")
+    with VirtualBench(tmp_path / "bench", sensor, 5, wires="in-process") as first:
+        truth = first.truth()
+    with VirtualBench(tmp_path / "bench", sensor, 5, wires="in-process") as second:
+        assert second.truth() == truth
+    assert truth.light_per_reading != 1.0
+    with (
+        pytest.raises(BadInput, match="must keep its seed and sensor"),
+        VirtualBench(tmp_path / "bench", sensor, 6, wires="in-process"),
+    ):
+        pass
