@@ -61,7 +61,7 @@ def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) ->
     dark, bright = _variances(residual[used], level[used], floor)
     grain = Grain(dark_variance=dark, bright_variance=bright, correlation=np.ones((1, 1)))
     standard = np.where(used, residual / np.sqrt(grain.variance(level)), 0.0)
-    return Grain(dark_variance=dark, bright_variance=bright, correlation=_correlation(standard, used))
+    return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation_of(standard, used))
 
 
 def _variances(residual: Array, level: Array, floor: float) -> tuple[float, float]:
@@ -74,7 +74,7 @@ def _variances(residual: Array, level: Array, floor: float) -> tuple[float, floa
     return max(float(dark), 0.02 * mean, floor), max(float(bright), 0.02 * mean, floor)
 
 
-def _correlation(standard: Array, used: NDArray[np.bool_]) -> Array:
+def correlation_of(standard: Array, used: NDArray[np.bool_]) -> Array:
     """Return the correlation of standardised residuals at lags up to REACH, insignificant far lags set to none."""
     rows, cols = standard.shape
     reach_row, reach_col = min(REACH, rows - 1), min(REACH, cols - 1)
