@@ -1,8 +1,10 @@
 """Where methods fail: every axis swept past the breaking point, with errors, refusals, flags and silent failures."""
 
+import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from itertools import repeat
 from multiprocessing import get_context
@@ -161,8 +163,21 @@ def _mapped(cases: Sequence[Case], methods: tuple[Method, ...], chains: bool, wo
     if workers == 1:
         yield from map(_attempt_all, cases, repeat(methods), repeat(chains))
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_attempt_all, cases, repeat(methods), repeat(chains), chunksize=4)
+    with one_thread_each(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield from pool.map(_attempt_all, cases, repeat(methods), repeat(chains), chunksize=2)
+
+
+@contextmanager
+def one_thread_each() -> Iterator[None]:
+    """Let processes started meanwhile run their linear algebra on one thread each: together they fill the machine."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def _written(result: Stability, out: Path) -> tuple[Path, ...]:
