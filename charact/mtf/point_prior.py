@@ -1,0 +1,144 @@
+"""What is believed of a point source and its camera before the pixels are looked at."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.optics import halo_diameters_px
+
+Array = NDArray[np.float64]
+
+NAMES = (
+    "x_px",
+    "y_px",
+    "ln_cut_off",
+    "exponent",
+    "blur_px",
+    "stretch",
+    "ln_bandwidth",
+    "halo_deviate",
+    "halo_diameter_px",
+    "halo_elastic_share",
+)
+UNITS = ("px", "px", "ln(cy/px)", "1", "px", "1", "1", "1", "px", "1")
+# Standard deviations by which a camera may differ from its description: tubes' cut-offs, exponents, and how far from
+# round their blur is.
+CUT_OFF_SD, EXPONENT_SD, STRETCH_SD = 0.12, 0.08, 0.03
+TWO_SIDED_95 = 1.959964
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """Normal priors within bounds.
+
+    Parameters
+    ----------
+    free
+        Which of `NAMES` are fitted.
+    centre, spread, bounds
+        Mean, standard deviation and bounds of all, shape (name,) and (name, 2); a parameter not free stays at its mean.
+    halo_px
+        Bounds of the halo's diameter, px; None: no halo can be told.
+    halo_fraction_bend
+        (a, b, c) of ln share = a + b z + c z^2, z the halo's standard normal deviate.
+    """
+
+    free: tuple[str, ...]
+    centre: Array
+    spread: Array
+    bounds: Array
+    halo_px: tuple[float, float] | None
+    halo_fraction_bend: tuple[float, float, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that are fitted."""
+        return self.free
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return tuple(UNITS[NAMES.index(name)] for name in self.free)
+
+    @property
+    def chosen(self) -> NDArray[np.int64]:
+        """Places of the free parameters among all."""
+        return np.array([NAMES.index(name) for name in self.free])
+
+    def named(self, theta: Array) -> dict[str, Array]:
+        """Return every parameter by name, shape (n,) each."""
+        held = {name: np.full(len(theta), value) for name, value in zip(NAMES, self.centre, strict=True)}
+        return held | {name: theta[:, index] for index, name in enumerate(self.free)}
+
+    def halo_fraction(self, deviate: Array) -> Array:
+        """Return the halo's share of the photoelectrons."""
+        a, b, c = self.halo_fraction_bend
+        return np.exp(a + b * deviate + c * deviate**2)
+
+    def log_density(self, theta: Array) -> Array:
+        """Return ln of the density, -inf outside the bounds, shape (n,)."""
+        chosen = self.chosen
+        low, high = self.bounds[chosen].T
+        inside = np.all((theta >= low) & (theta <= high), axis=1)
+        normal = -0.5 * np.sum(((theta - self.centre[chosen]) / self.spread[chosen]) ** 2, axis=1)
+        return np.where(inside, normal, -np.inf)
+
+
+def prior_of(context: Context, *, halo_seen: bool) -> Prior:
+    """Return the prior: of the described camera, or of cameras at large.
+
+    Parameters
+    ----------
+    halo_seen
+        Whether the region is wide enough for the halo.
+    """
+    return _of_camera(context) if context.sensor is None else _of_sensor(context, halo_seen)
+
+
+def _of_camera(context: Context) -> Prior:
+    """Any camera: a blur of half a pixel to several, no halo, no filter."""
+    return _prior(NAMES[:6], (np.log(0.4), 1.5, 0.3), (1.0, 0.4, 1.0), (0.0, 1.0), None, (-30.0, 0.0, 0.0))
+
+
+def _of_sensor(context: Context, halo_seen: bool) -> Prior:
+    """The described intensifier, whose lens and fibres are Gaussians to the tube's exponential."""
+    sensor = context.sensor
+    assert sensor is not None
+    pitch_um = float(sensor.ccd.pitch_x_um)
+    demagnification = float(sensor.taper.demagnification)
+    cut_off = float(sensor.tube.mtf_frequency_lp_per_mm) * pitch_um * demagnification * 1e-3
+    lens = float(sensor.optics.aberration_blur_um) / (pitch_um * demagnification)
+    fibres = float(sensor.taper.fibre_pitch_um) / (4.0 * pitch_um)
+    faces = 1e3 / (np.pi * np.sqrt(2.0) * float(sensor.taper.interface_mtf_lp_per_mm) * pitch_um)
+    blur = float(np.sqrt(lens**2 + fibres**2 + faces**2))
+    share = sensor.photocathode.halo_fraction
+    halo = halo_diameters_px(context, transposed=False) if halo_seen else None
+    bend = _bend(float(share), share.low, share.high) if halo_seen else (-30.0, 0.0, 0.0)
+    gap = sensor.photocathode.gap_mm
+    diameter = (4e3 * float(gap) / (pitch_um * demagnification), 0.12)
+    video = 0.04 if float(sensor.video.bandwidth_mhz) > 0 else 0.0
+    free = (*NAMES[:7], *(NAMES[7:] if halo_seen else ()))
+    core = (np.log(cut_off), float(sensor.tube.mtf_exponent), blur)
+    return _prior(free, core, (CUT_OFF_SD, EXPONENT_SD, 0.25 * blur), (video or 1e-3, diameter[0]), halo, bend)
+
+
+def _prior(free, core, core_sd, tail, halo, bend) -> Prior:
+    """Assemble a prior."""
+    bandwidth_sd, diameter = tail
+    centre = np.array([0.0, 0.0, *core, 0.0, 0.0, 0.0, diameter, 0.5])
+    spread = np.array([np.inf, np.inf, *core_sd, STRETCH_SD, max(bandwidth_sd, 1e-3), 1.0, 0.12 * diameter, 1e3])
+    low, high = halo or (1.0, 2.0)
+    bounds = np.array([
+        (-3.0, 3.0), (-3.0, 3.0), (np.log(0.02), np.log(3.0)), (0.5, 4.0), (0.0, 3.0), (-0.3, 0.3), (-0.2, 0.2),
+        (-3.0, 3.0), (low, high), (0.0, 1.0),
+    ])  # fmt: skip
+    return Prior(free=tuple(free), centre=centre, spread=spread, bounds=bounds, halo_px=halo, halo_fraction_bend=bend)
+
+
+def _bend(value: float, low: float | None, high: float | None) -> tuple[float, float, float]:
+    """Return the parabola of ln through the 95 % bounds and the value, the middle."""
+    low, high = low or 0.3 * value, high or 2.0 * value
+    middle, down, up = np.log([value, low, high])
+    return float(middle), float((up - down) / (2 * TWO_SIDED_95)), float((up + down - 2 * middle) / (2 * 3.841459))
