@@ -1,0 +1,168 @@
+"""Finding a bar target: where it lies, which way its bars point and how often they really repeat."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Length of a bar over its width (STANAG 4349); a bar is half a period wide.
+LENGTH_OVER_WIDTH = 7.0
+DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
+# The tallest response of noise alone over a whole frame, in its own robust standard deviations, stays below this.
+LEAST_RESPONSE = 8.0
+# Longest departure of the bars' own frequency from the one asked for.
+FREQUENCY_SLACK = 0.06
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarTarget:
+    """Bars in a picture, in pixels of its columns; rows are scaled by the pitch ratio.
+
+    Parameters
+    ----------
+    bars
+        Number of bars.
+    frequency
+        Cycles per column pitch.
+    angle_rad
+        Direction across the bars, from the row direction.
+    row, col
+        Centre, px.
+    pitch_ratio
+        Row pitch over column pitch.
+    """
+
+    bars: int
+    frequency: float
+    angle_rad: float
+    row: float
+    col: float
+    pitch_ratio: float
+
+    @property
+    def width_px(self) -> float:
+        """Extent across the bars, column pitches."""
+        return self.bars / self.frequency
+
+    @property
+    def length_px(self) -> float:
+        """Extent along the bars, column pitches."""
+        return LENGTH_OVER_WIDTH / (2.0 * self.frequency)
+
+    def coordinates(self, shape: tuple[int, int]) -> tuple[Array, Array]:
+        """Return the distance of every pixel from the centre, across and along the bars, column pitches."""
+        x = np.arange(shape[1])[None, :] - self.col
+        y = (np.arange(shape[0])[:, None] - self.row) * self.pitch_ratio
+        cosine, sine = np.cos(self.angle_rad), np.sin(self.angle_rad)
+        return x * cosine + y * sine, y * cosine - x * sine
+
+    def box(self, shape: tuple[int, int], margin_px: float) -> NDArray[np.bool_]:
+        """Return which pixels lie on the target or within a margin of it."""
+        across, along = self.coordinates(shape)
+        return (np.abs(across) < self.width_px / 2 + margin_px) & (np.abs(along) < self.length_px / 2 + margin_px)
+
+
+def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray[np.bool_]) -> complex:
+    """Return the Fourier sum of the window's pixels at a frequency across the bars."""
+    across, _ = target.coordinates(image.shape)
+    return complex(np.sum(image[window] * np.exp(-2j * np.pi * frequency * across[window])))
+
+
+def find(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
+    """Return the target that answers best to a filter of as many cycles, or None if nothing rises above noise.
+
+    Parameters
+    ----------
+    image
+        Mean frame, shape (row, col).
+    """
+    from scipy.fft import next_fast_len, rfft2
+
+    blank = BarTarget(bars=bars, frequency=frequency, angle_rad=0.0, row=0.0, col=0.0, pitch_ratio=pitch_ratio)
+    reach = int(np.ceil(0.5 * np.hypot(blank.width_px, blank.length_px))) + 1
+    size = (next_fast_len(image.shape[0] + 2 * reach, True), next_fast_len(image.shape[1] + 2 * reach, True))
+    spectrum = rfft2(image - np.median(image), s=size)
+    best: tuple[float, BarTarget] | None = None
+    for degrees in DIRECTIONS_DEG:
+        turned = replace(blank, angle_rad=float(np.deg2rad(degrees)))
+        response = _response(spectrum, size, turned, reach, image.shape)
+        scale = np.median(response) / np.sqrt(np.log(4.0)) + 1e-9 * (response.max() + 1e-30)
+        row, col = np.unravel_index(int(np.argmax(response)), response.shape)
+        rise = float(response[row, col] / scale)
+        if best is None or response[row, col] > best[0]:
+            best = (float(response[row, col]), replace(turned, row=float(row), col=float(col)))
+            strongest = rise
+    if best is None or strongest < LEAST_RESPONSE:
+        return None
+    return _settled(image, best[1])
+
+
+def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple) -> Array:
+    """Return the modulus of the filter's answer centred on each pixel; whole cycles answer to no even light."""
+    from scipy.fft import irfft2, rfft2
+
+    centred = replace(target, row=float(reach), col=float(reach))
+    across, along = centred.coordinates((2 * reach + 1, 2 * reach + 1))
+    box = (np.abs(across) < target.width_px / 2) & (np.abs(along) < target.length_px / 2)
+    wave = np.where(box, np.exp(2j * np.pi * target.frequency * across), 0.0)
+    wave[box] -= wave[box].mean()
+    parts = (irfft2(spectrum * rfft2(part, s=size), s=size) for part in (wave.real, wave.imag))
+    real, imaginary = (part[reach : reach + shape[0], reach : reach + shape[1]] for part in parts)
+    return np.hypot(real, imaginary)
+
+
+def _settled(image: Array, target: BarTarget) -> BarTarget:
+    """Centre the target on its light and turn it until its fundamental is strongest, twice."""
+    for step_deg in (2.0, 0.5):
+        target = _centred(image, target)
+        window = target.box(image.shape, 0.5 / target.frequency + 2.0)
+        level = float(np.median(image))
+        angles = target.angle_rad + np.deg2rad(step_deg * np.arange(-6, 7))
+        tried = [replace(target, angle_rad=float(angle)) for angle in angles]
+        height = [abs(amplitude(image - level, one, one.frequency, window)) for one in tried]
+        target = replace(target, angle_rad=_vertex(angles, np.array(height)))
+    return _centred(image, target)
+
+
+def _centred(image: Array, target: BarTarget) -> BarTarget:
+    """Move the centre to the centroid of the light on the target."""
+    window = target.box(image.shape, 0.5 / target.frequency + 2.0)
+    light = np.where(window, image - np.median(image), 0.0)
+    total = light.sum()
+    if not total > 0:
+        return target
+    row = float(np.sum(light * np.arange(image.shape[0])[:, None]) / total)
+    col = float(np.sum(light * np.arange(image.shape[1])[None, :]) / total)
+    limit = 0.5 * max(target.width_px, target.length_px)
+    if abs(row - target.row) * target.pitch_ratio > limit or abs(col - target.col) > limit:
+        return target
+    return replace(target, row=row, col=col)
+
+
+def _vertex(x: Array, y: Array) -> float:
+    """Return where the parabola through the highest point and its neighbours peaks."""
+    peak = int(np.clip(np.argmax(y), 1, len(x) - 2))
+    before, at, after = y[peak - 1 : peak + 2]
+    bend = before - 2.0 * at + after
+    shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    return float(x[peak] + np.clip(shift, -1.0, 1.0) * (x[1] - x[0]))
+
+
+def own_frequency(image: Array, target: BarTarget, margin_px: float) -> float:
+    """Return the frequency at which the spectrum of N bars has its zeros, next to the one asked for.
+
+    Notes
+    -----
+    N bars of pitch P have no spectrum at k/(N P), k no multiple of N: the zeros beside the fundamental tell P better
+    than its broad peak, which the falling transfer shifts.
+    """
+    window = target.box(image.shape, margin_px)
+    level = float(np.median(image[~window])) if (~window).any() else float(image.min())
+    tried = target.frequency * (1.0 + np.linspace(-FREQUENCY_SLACK, FREQUENCY_SLACK, 25))
+    power = np.zeros(tried.size)
+    for order in (target.bars - 1, target.bars + 1):
+        share = order / target.bars
+        power += [abs(amplitude(image - level, target, share * one, window)) ** 2 for one in tried]
+    return _vertex(tried, -power)
