@@ -96,7 +96,7 @@ def series_of(flats: list[Level], darks: list[Level]) -> Series:
     signal = np.array([f.mean_dn - d.mean_dn for f, d in zip(chosen, matched, strict=True)])
     variance = np.array([f.variance_dn2 - d.variance_dn2 for f, d in zip(chosen, matched, strict=True)])
     sd = np.array([np.hypot(f.variance_sd_dn2, d.variance_sd_dn2) for f, d in zip(chosen, matched, strict=True)])
-    peak = _peak(chosen)
+    peak = _peak(chosen, signal)
     high = np.array([flat.high_share for flat in chosen])
     fitted = (signal > 0) & (high <= CLIPPED_SHARE)
     if peak is not None:
@@ -121,11 +121,12 @@ def _dark_of(flat: Level, darks: list[Level]) -> Level:
     return min(darks, key=unlike)
 
 
-def _peak(flats: list[Level]) -> int | None:
-    """Index of the variance peak if the variance falls beyond it by more than its noise."""
+def _peak(flats: list[Level], signal: Array) -> int | None:
+    """Index of the variance peak if the variance falls beyond it, and levels below it show that it rose before."""
     if len(flats) < 3:
         return None
     variance = np.array([flat.variance_dn2 for flat in flats])
     top = int(np.argmax(variance))
     beyond = variance[top + 1 :]
-    return top if len(beyond) and beyond.min() < 0.9 * variance[top] else None
+    rose = signal.min() < FIT_SHARE * signal[top]
+    return top if rose and len(beyond) and beyond.min() < 0.9 * variance[top] else None

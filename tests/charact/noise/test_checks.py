@@ -1,0 +1,146 @@
+"""What is wrong with a series is said: no wrong number goes out without a flag."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from charact import noise
+from charact.method import Context
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+QUICK = Context(seed=1, quick=True)
+LEVELS = (5.0, 15.0, 30.0)
+METHODS = ("covariance-sum", "variance")
+
+
+def flags_of(result) -> set[str]:
+    return {flag for m in result.measurements for flag in m.flags}
+
+
+def gain_of(result):
+    return next(m for m in result.measurements if m.quantity in ("covariance_gain", "system_gain"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_frames_of_pure_noise_are_never_ok(in_memory, seed, method):
+    rng = np.random.default_rng(seed)
+    stacks = [
+        (f"flat-{i}", "flat", FrameStack(data=rng.integers(0, 256, (6, 96, 128), np.uint8)), Conditions())
+        for i in range(3)
+    ]
+    dark = [("dark", "dark", FrameStack(data=rng.integers(0, 256, (6, 96, 128), np.uint8)), Conditions())]
+    for session in (in_memory(dark + stacks), in_memory(stacks)):
+        gain = gain_of(noise.measure(session, method=method, context=QUICK))
+        assert gain.status != "ok", gain
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_frames_that_never_change_are_refused(in_memory, method):
+    stacks = [
+        ("dark", "dark", FrameStack(data=np.full((4, 64, 64), 10, np.uint8)), Conditions()),
+        ("flat", "flat", FrameStack(data=np.full((4, 64, 64), 90, np.uint8)), Conditions()),
+    ]
+    gain = gain_of(noise.measure(in_memory(stacks), method=method, context=QUICK))
+    assert gain.status == "refused" and "noisier" in gain.reason
+
+
+def test_single_frames_are_refused_by_name(in_memory, seed):
+    rng = np.random.default_rng(seed)
+    stacks = [("lone", "flat", FrameStack(data=rng.integers(0, 99, (1, 64, 64), np.uint8)), Conditions())]
+    gain = gain_of(noise.measure(in_memory(stacks), context=QUICK))
+    assert gain.status == "refused" and "lone" in gain.reason
+
+
+def test_a_session_without_flats_or_darks_is_bad_input(in_memory, seed):
+    stacks = [("edge", "edge", FrameStack(data=np.zeros((2, 8, 8), np.uint8)), Conditions())]
+    with pytest.raises(BadInput, match="dark or flat"):
+        noise.measure(in_memory(stacks), context=QUICK)
+
+
+def test_drift_and_flicker_are_told_apart(pulses, series, seed):
+    drifting = pulses(light_of_frame=lambda n: 1.0 + 0.01 * n)
+    flickering = pulses(light_of_frame=lambda n: 1.0 + 0.04 * (-1) ** n)
+    steady = pulses()
+    seen = [
+        flags_of(noise.measure(series(c, np.random.default_rng(seed), LEVELS), context=QUICK)) & {"drift", "flicker"}
+        for c in (drifting, flickering, steady)
+    ]
+    assert seen == [{"drift"}, {"flicker"}, set()]
+
+
+def test_a_mean_that_stays_while_the_light_changes_betrays_automatic_gain(pulses, in_memory, seed):
+    rng = np.random.default_rng(seed)
+    stacks = [("dark", "dark", pulses().frames(rng, 0.0, 8), Conditions(illuminance_lux=0.0))]
+    for index, level in enumerate((4.0, 12.0, 36.0)):
+        held = pulses(gain_dn=20.0 * 20.0 / level * (1 + 0.01 * index))
+        stacks.append((f"flat-{index}", "flat", held.frames(rng, level, 8), Conditions(illuminance_lux=level)))
+    for method in METHODS:
+        assert "agc" in gain_of(noise.measure(in_memory(stacks), method=method, context=QUICK)).flags
+
+
+def test_levels_beyond_the_variance_peak_are_left_out(pulses, series, seed):
+    camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, full_scale_dn=4095.0)
+    levels = (400.0, 1200.0, 2500.0, 4000.0, 5500.0, 7000.0, 8400.0)
+    session = series(camera, np.random.default_rng(seed), levels, frames=4)
+    result = noise.measure(session, method="variance", context=QUICK)
+    (saturation,), (gain,) = result.find("saturation"), result.find("system_gain")
+    assert saturation.value == pytest.approx(100 + 0.5 * 7000, rel=0.02)
+    assert gain.status == "ok"
+    low, high = gain.interval68
+    assert abs(gain.value - 0.5) < 4.5 * 0.5 * (high - low)
+    assert not result.evidence["photon-transfer"]["fitted"][-1]
+
+
+def test_saturation_that_no_flat_reaches_is_refused(pulses, series, seed):
+    result = noise.measure(series(pulses(), np.random.default_rng(seed), LEVELS, frames=4), context=QUICK)
+    (saturation,) = result.find("saturation")
+    assert saturation.status == "refused" and "still rises" in saturation.reason
+
+
+def test_missing_darks_are_flagged_and_the_slope_still_found(pulses, series, seed):
+    camera = pulses()
+    session = series(camera, np.random.default_rng(seed), (3.0, 10.0, 20.0, 30.0), dark_frames=0)
+    gain = gain_of(noise.measure(session, context=QUICK))
+    assert gain.status == "suspect" and "no-darks" in gain.flags
+    low, high = gain.interval68
+    assert abs(gain.value - camera.covariance_gain_dn) < 4.5 * 0.5 * (high - low)
+
+
+def test_darks_at_another_gain_are_unlike(pulses, series, seed):
+    session = series(pulses(), np.random.default_rng(seed), LEVELS, frames=4)
+    other = [
+        replace(s, conditions=replace(s.conditions, mcp_v=700.0 if s.kind == "dark" else 800.0)) for s in session.stacks
+    ]
+    gain = gain_of(noise.measure(replace(session, stacks=tuple(other)), context=QUICK))
+    assert "unlike-conditions" in gain.flags
+
+
+def test_noise_finer_than_the_digitiser_is_flagged(pulses, series, seed):
+    camera = pulses(read_noise_dn=0.2)
+    result = noise.measure(series(camera, np.random.default_rng(seed), LEVELS, frames=4), context=QUICK)
+    read = next(m for m in result.find("read_noise") if m.unit == "DN")
+    assert "quantised" in read.flags
+
+
+def test_a_dark_clipped_at_zero_is_flagged(pulses, series, seed):
+    camera = pulses(black_dn=1.0)
+    result = noise.measure(series(camera, np.random.default_rng(seed), LEVELS, frames=4), context=QUICK)
+    assert "clipped" in gain_of(result).flags
+
+
+def test_darks_alone_give_read_noise_and_blur_factor(in_memory, seed):
+    rng = np.random.default_rng(seed)
+    white = rng.normal(0.0, 9.0, (12, 128, 160))
+    # The mean of two neighbours: half the variance, the same covariance sum.
+    smooth = 0.5 * (white + np.roll(white, 1, axis=2))
+    for noisy, blur in ((white, 1.0), (smooth, 0.5)):
+        stack = FrameStack(data=np.rint(100 + noisy).astype(np.uint16))
+        result = noise.measure(in_memory([("dark", "dark", stack, Conditions())]), context=QUICK)
+        (read,), (factor,) = result.find("read_noise"), result.find("blur_factor")
+        assert read.value == pytest.approx(9.0 * np.sqrt(blur), rel=0.02)
+        low, high = factor.interval68
+        assert abs(factor.value - blur) < 4.5 * 0.5 * (high - low)
+        assert result.find("covariance_gain")[0].status == "refused"

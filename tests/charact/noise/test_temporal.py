@@ -1,0 +1,48 @@
+"""Covariance in time from few exposures, whose mean had to be taken away first."""
+
+import numpy as np
+import pytest
+
+from charact.noise.temporal import autocovariance, centring, independent, usable_lags
+
+LAGS = np.arange(4)
+TRUTH = np.array([1.0, 0.5, 0.2, 0.1])
+
+
+def covariance(time):
+    gap = np.abs(time[:, None] - time)
+    return np.where(gap < len(TRUTH), TRUTH[np.minimum(gap, len(TRUTH) - 1)], 0.0)
+
+
+@pytest.mark.parametrize("interlaced", [False, True])
+def test_the_expectation_is_the_truth_whatever_the_mean_took_away(interlaced):
+    time = np.arange(14)
+    parity = time % 2 if interlaced else np.zeros(14, int)
+    project = centring(parity)
+    found = autocovariance(project @ covariance(time) @ project, time, parity, LAGS)
+    assert found == pytest.approx(TRUTH, abs=1e-12)
+
+
+def test_a_lost_frame_leaves_the_expectation_alone():
+    time = np.delete(np.arange(14), 5)
+    parity = np.zeros(13, int)
+    project = centring(parity)
+    found = autocovariance(project @ covariance(time) @ project, time, parity, LAGS)
+    assert found == pytest.approx(TRUTH, abs=1e-12)
+
+
+def test_without_lag_n_frames_count_as_n_minus_one():
+    time, parity = np.arange(9), np.zeros(9, int)
+    assert independent(time, parity, np.zeros(1, int), np.empty(0)) == pytest.approx(8.0)
+
+
+def test_allowing_for_lags_and_lag_itself_cost_information():
+    time, parity = np.arange(12), np.zeros(12, int)
+    plain = independent(time, parity, np.arange(1), np.empty(0))
+    allowed = independent(time, parity, LAGS, np.empty(0))
+    lagged = independent(time, parity, LAGS, TRUTH[1:])
+    assert lagged < allowed < plain
+
+
+def test_a_pair_of_frames_has_no_lag_to_tell():
+    assert usable_lags(np.arange(2), np.zeros(2, int), 12).tolist() == [0]
