@@ -208,6 +208,8 @@ class IntensifiedCamera:
             blur=blur,
             pattern_contrast=float(taper.pattern_contrast),
             pattern_pitch_um=float(taper.pattern_pitch_um),
+            line_um=float(taper.fibre_pitch_um),
+            demagnification=float(taper.demagnification),
         )
 
     def _ccd(self, conditions: Conditions) -> Ccd:

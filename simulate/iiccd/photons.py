@@ -1,4 +1,4 @@
-"""Photometry of the tube: from illuminance and quantum efficiency to photoelectrons, and from luminous gain to photons."""
+"""Photometry of the tube: illuminance and quantum efficiency to photoelectrons, luminous gain to photons."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -6,7 +6,7 @@ import numpy as np
 
 from simulate.iiccd import pattern
 from simulate.iiccd.light import Light
-from simulate.iiccd.transfer import FibreTaper
+from simulate.iiccd.transfer import Blur
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,14 +19,18 @@ class Taper:
         Photons out per photon in, dimensionless.
     blur
         Its fibres and interfaces.
-    pattern_contrast, pattern_pitch_um
-        Depth and pitch, at the small end, of the dark lines between multi-fibres; the lines are one fibre wide.
+    pattern_contrast, pattern_pitch_um, line_um
+        Depth, pitch and width, at the small end, of the dark lines between multi-fibres.
+    demagnification
+        Large end over small end.
     """
 
     transmission: float
-    blur: FibreTaper
+    blur: Blur
     pattern_contrast: float = 0.0
     pattern_pitch_um: float = 750.0
+    line_um: float = 6.0
+    demagnification: float = 1.0
     name: str = "taper"
     takes: str = "screen photons"
     emits: str = "screen photons"
@@ -38,10 +42,8 @@ class Taper:
         """
         values = light.values * np.asarray(self.transmission, light.values.dtype)
         if self.pattern_contrast > 0.0 and light.grid is not None:
-            line_mm = self.blur.fibre_pitch_um * 1e-3
-            values *= pattern.honeycomb(
-                light.grid, self.pattern_contrast, self.pattern_pitch_um * 1e-3, line_mm, self.blur.demagnification
-            )
+            pitch_mm, line_mm = self.pattern_pitch_um * 1e-3, self.line_um * 1e-3
+            values *= pattern.honeycomb(light.grid, self.pattern_contrast, pitch_mm, line_mm, self.demagnification)
         return light.with_values(values).blurred(self.blur)
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:

@@ -14,12 +14,13 @@ from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import photons
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.light import product
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.optics import Optics
 from simulate.iiccd.phosphor import Phosphor
 from simulate.iiccd.photocathode import ProximityGap
 from simulate.iiccd.taper import Taper
-from simulate.iiccd.transfer import Blur, PixelAperture
+from simulate.iiccd.transfer import Blur, PixelAperture, VideoFilter
 from simulate.iiccd.video import Video
 
 # Or degrees from the row direction.
@@ -126,14 +127,25 @@ def field_pixel_area_cm2(camera: IntensifiedCamera) -> float:
     return camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * height * 1e-2
 
 
-def noise_spectrum_integrals(camera: IntensifiedCamera) -> tuple[float, float, float]:
-    """Return sum h^2 of the post-gain blur with the video filter, and its correlations one pixel away.
+def pulse_correlation(
+    blurs: tuple[Blur, ...], low_pass: VideoFilter | None, pitch_x_mm: float, pitch_y_mm: float
+) -> tuple[float, float, float]:
+    """Return the blur factor of pulses behind a blur, and their correlations one pixel away.
+
+    Parameters
+    ----------
+    blurs
+        Blurs after the gain, the pixel's aperture among them.
+    low_pass
+        Filter along the lines; None for none.
+    pitch_x_mm, pitch_y_mm
+        Sides of a pixel as read, at the photocathode, mm.
 
     Returns
     -------
     tuple
-        Sum of the squared pixel responses to single pulses over that of their squares' sum when unblurred,
-        dimensionless; correlation with the next pixel of the row; with the next row of the same field.
+        Variance over covariance sum, dimensionless; correlation with the next pixel of the row; with the next row of
+        the same field.
 
     Notes
     -----
@@ -141,24 +153,21 @@ def noise_spectrum_integrals(camera: IntensifiedCamera) -> tuple[float, float, f
     A |H(f)|^2 |V(fx)|^2 cos(2 pi f.D), A the pixel's area: folding onto the lattice of pixels is implied, as V has the
     lattice's period along rows.
     """
-    pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm
-    height = 2 if camera.interlaced else 1
-    x, step_x = _midpoints(4.0, 1600)
-    y, step_y = _midpoints(4.0, 1200)
-    fx, fy = x[None, :] / pitch_x, y[:, None] / (pitch_y * height)
-    power = np.ones((len(y), len(x)))
-    for blur in _after_gain(camera):
-        power = power * blur.transfer(*np.broadcast_arrays(fx, fy)) ** 2
-    power = power * np.abs(_video(camera).low_pass.transfer(x)) ** 2 * (4.0 * step_x * step_y)
+    x, y = _midpoints(1600), _midpoints(1200)
+    fx, fy = np.broadcast_arrays(x[None, :] / pitch_x_mm, y[:, None] / pitch_y_mm)
+    power = product(blurs, fx, fy) ** 2
+    if low_pass is not None:
+        power = power * np.abs(low_pass.transfer(x)) ** 2
     total = power.sum()
     beside = (power * np.cos(2.0 * np.pi * x)[None, :]).sum() / total
     below = (power * np.cos(2.0 * np.pi * y)[:, None]).sum() / total
-    return float(total), float(beside), float(below)
+    # One quadrant stands for four.
+    return float(4.0 * total * (x[1] - x[0]) * (y[1] - y[0])), float(beside), float(below)
 
 
-def _midpoints(end: float, count: int) -> tuple[NDArray[np.float64], float]:
-    step = end / count
-    return (np.arange(count) + 0.5) * step, step
+def _midpoints(count: int, end: float = 4.0) -> NDArray[np.float64]:
+    """Midpoints of even steps from zero to so many cycles per pixel, beyond which no camera has transfer left."""
+    return (np.arange(count) + 0.5) * (end / count)
 
 
 def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float]:
@@ -172,7 +181,9 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
     shares = camera.afterglow(conditions).pulse_shares
     decay = float(np.mean(np.sum(shares**2, axis=1)))
     next_field = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
-    blur, beside, below = noise_spectrum_integrals(camera)
+    height = 2 if camera.interlaced else 1
+    pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm * height
+    blur, beside, below = pulse_correlation(_after_gain(camera), _video(camera).low_pass, pitch_x, pitch_y)
     # The charge's own shot noise is white until the video filter.
     white = float(np.sum(_video(camera).low_pass.impulse_response() ** 2))
     field = system_gain + pulses * decay

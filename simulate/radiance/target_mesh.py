@@ -6,6 +6,7 @@ knows where it must look closely.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,7 @@ def _bars(target: Target) -> TargetMesh:
 
 
 def _pairs(values: NDArray[np.float64]) -> list[tuple[float, float]]:
-    return [(float(a), float(b)) for a, b in zip(values[:-1], values[1:], strict=True)]
+    return [(float(a), float(b)) for a, b in pairwise(values)]
 
 
 def _edge(angle_deg: float) -> TargetMesh:
