@@ -65,8 +65,9 @@ class Profile:
 def profile_of(spot: Spot, reach_px: int, *, context: Context, along: Along = "all") -> Profile:
     """Average a stack's mean frame over rings one column pitch wide.
 
-    `along` takes only their parts left and right of the source ("rows"), or above and below it ("columns"). Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
-    and by successive frames is in them, and are smoothed over rings.
+    `along` takes only their parts left and right of the source ("rows"), or above and below it ("columns"). Standard
+    errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels and by
+    successive frames is in them, and are smoothed over rings.
     """
     rows = np.arange(spot.image.shape[0])[:, None]
     cols = np.arange(spot.image.shape[1])[None, :]
