@@ -16,11 +16,13 @@ Array = NDArray[np.float64]
 def edge_spread(data: Data) -> Any:
     """Edge spread near the edge with its model, and the residual over the whole width that was fitted."""
     x, measured = array(data, "distance_px"), array(data, "value_dn")
-    figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4))
+    modelled = has(data, "model_dn")
+    figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4)) if modelled else panels()
     near = np.abs(x - _middle(x, measured)) <= _reach(x, measured)
     _profile(grid[0, 0], data, x, measured, near)
     grid[0, 0].set(xlabel="distance from the edge, near it (px)", ylabel="signal (DN)")
-    _residual(grid[1, 0], data, x, measured, "distance from the edge, all that was fitted (px)")
+    if modelled:
+        _residual(grid[1, 0], data, x, measured, "distance from the edge, all that was fitted (px)")
     return figure
 
 
