@@ -1,0 +1,169 @@
+"""The pixels of a point source that carry its MTF: its core pixel by pixel and what surrounds it in rings."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+HALF_ROWS, HALF_COLS = 8, 9
+RING_BORDERS_PX = (9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
+SECTORS = 12
+PIXELS_PER_RING = 48
+# Share of full scale from which single frames are clipped or their chip's wells full.
+FULL_SHARE = 0.97
+# Columns behind a full well that a causal filter spoils.
+AFTERMATH_PX = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Window:
+    """Pixels around a source.
+
+    Parameters
+    ----------
+    core
+        Mean frame of the core, shape (row, col), DN.
+    deviations
+        Frames of the core less their mean, shape (frame, row x col), DN.
+    keep
+        Core pixels that are not spoilt by full scale, shape (row, col).
+    x, y
+        Places of columns and rows from the middle of the core, column pitches.
+    parity
+        Field of every core pixel, shape (row x col,).
+    ring_px
+        Distances of some pixels of each ring, shape (ring, pixel), column pitches.
+    ring_dn, ring_variance
+        Mean of each ring and its variance, shape (ring,).
+    floor
+        Variance of a pixel in the outermost ring over frames, DN^2.
+    quiet
+        Share of the outermost ring's values at one code: where all is quiet, rounding hides faint light.
+    frames
+        Number of frames.
+    holds_halo, cut
+        Whether the region holds the whole halo, and whether it cuts into the core.
+    """
+
+    core: Array
+    deviations: Array
+    keep: NDArray[np.bool_]
+    x: Array
+    y: Array
+    parity: NDArray[np.bool_]
+    ring_px: Array
+    ring_dn: Array
+    ring_variance: Array
+    floor: float
+    quiet: float
+    frames: int
+    holds_halo: bool
+    cut: bool
+
+    @cached_property
+    def distances(self) -> Array:
+        """Distances between core pixels, shape (pixel, pixel), px."""
+        x, y = (part.ravel() for part in np.broadcast_arrays(self.x, self.y[:, None]))
+        return np.hypot(x[:, None] - x, y[:, None] - y)
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Centre of light of the brighter half of the core, px."""
+        height = self.core - np.median(self.core)
+        weight = np.maximum(height - 0.3 * height.max(), 0.0)
+        total = max(float(weight.sum()), 1e-12)
+        return float((weight * self.x).sum() / total), float((weight * self.y[:, None]).sum() / total)
+
+
+def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_scale_dn: float | None,
+              halo_radius_px: float | None, filtered: bool) -> Window:  # fmt: skip
+    """Cut the pixels around a place.
+
+    Parameters
+    ----------
+    data
+        Frames of the region, shape (frame, row, col).
+    halo_radius_px
+        Largest radius of the halo, column pitches; None where none is known.
+    filtered
+        Whether a causal filter runs along rows behind the chip.
+    """
+    frames, rows, cols = data.shape
+    top, bottom = max(0, row - HALF_ROWS), min(rows, row + HALF_ROWS + 1)
+    left, right = max(0, col - HALF_COLS), min(cols, col + HALF_COLS + 1)
+    mean = data.mean(axis=0, dtype=np.float64)
+    core = data[:, top:bottom, left:right].astype(float)
+    x = np.arange(left, right) - float(col)
+    y = (np.arange(top, bottom) - float(row)) * pitch_ratio
+    parity = np.repeat(np.arange(top, bottom) % 2 == 1, x.size)
+    radius = np.hypot(np.arange(cols) - col, ((np.arange(rows) - row) * pitch_ratio)[:, None])
+    outside = np.ones((rows, cols), bool)
+    outside[top:bottom, left:right] = False
+    reach = min(row * pitch_ratio, (rows - 1 - row) * pitch_ratio, col, cols - 1 - col)
+    rings = _rings(data, mean, radius, outside, row, col, reach)
+    far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
+    values = data[:, far] if far.any() else data.reshape(frames, -1)
+    floor = float(values.var(axis=0, ddof=1).mean()) if frames > 1 else float(values.var())
+    quiet = float(np.unique(values, return_counts=True)[1].max() / values.size) if data.dtype.kind in "ui" else 0.0
+    return Window(
+        core=core.mean(axis=0),
+        deviations=(core - core.mean(axis=0)).reshape(frames, -1),
+        keep=_sound(core, full_scale_dn, filtered),
+        x=x,
+        y=y,
+        parity=parity,
+        ring_px=rings[0],
+        ring_dn=rings[1],
+        ring_variance=rings[2],
+        floor=max(floor, 1e-3 if data.dtype.kind in "ui" else 1e-12),
+        quiet=quiet,
+        frames=frames,
+        holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
+        cut=core.shape[1:] != (2 * HALF_ROWS + 1, 2 * HALF_COLS + 1),
+    )
+
+
+def _sound(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[np.bool_]:
+    """Tell which core pixels never meet full scale, nor stand where a filter smears what was cut."""
+    if full_scale_dn is None:
+        return np.ones(core.shape[1:], bool)
+    full = (core >= FULL_SHARE * full_scale_dn).any(axis=0)
+    spoilt = full.copy()
+    if filtered:
+        for step in range(1, AFTERMATH_PX + 1):
+            spoilt[:, step:] |= full[:, :-step]
+        spoilt[:, :-1] |= full[:, 1:]
+    return ~spoilt
+
+
+def _rings(data: NDArray, mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col: int,
+           reach: float) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Return distances, means and variances of the rings that lie in the picture."""
+    angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
+    distances, values, variances = [], [], []
+    for low, high in zip(RING_BORDERS_PX[:-1], RING_BORDERS_PX[1:], strict=True):
+        if high > reach:
+            break
+        inside = outside & (radius >= low) & (radius < high)
+        if inside.sum() < 2 * SECTORS:
+            continue
+        sector = ((angle[inside] / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+        count = np.bincount(sector, minlength=SECTORS)
+        parts = np.bincount(sector, mean[inside], minlength=SECTORS)[count > 0] / count[count > 0]
+        distances.append(np.quantile(radius[inside], (np.arange(PIXELS_PER_RING) + 0.5) / PIXELS_PER_RING))
+        values.append(float(mean[inside].mean()))
+        variances.append(float(parts.var(ddof=1)) / parts.size + 1e-6)
+    empty = np.empty((0, PIXELS_PER_RING))
+    return (np.array(distances) if distances else empty), np.array(values), _steadied(np.array(variances))
+
+
+def _steadied(variance: Array) -> Array:
+    """Return variances not below half their running median: a few sectors can agree by chance."""
+    if variance.size < 3:
+        return variance
+    padded = np.pad(variance, 1, mode="edge")
+    running = np.median([padded[:-2], padded[1:-1], padded[2:]], axis=0)
+    return np.maximum(variance, running)

@@ -1,0 +1,84 @@
+"""Where a point source is: light that stands at one place in most frames, which a single flash does not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SMOOTHING_PX = 1.2
+# Standard deviations of the smoothed background by which a source must stand out, and standard errors over frames.
+DETECTED = 9.0
+STEADY = 4.0
+# Another source counts from this share of the first one on, outside its halo's inner part.
+OTHER_SHARE = 0.08
+APART_PX = 12.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A source found.
+
+    Parameters
+    ----------
+    row, col
+        Brightest smoothed pixel.
+    significance
+        Its height above the background in standard deviations of the smoothed background.
+    others
+        Whether other sources stand out too.
+    """
+
+    row: int
+    col: int
+    significance: float
+    others: bool
+
+
+def find(data: NDArray, pitch_ratio: float) -> Source | str:
+    """Find the brightest steady source of frames (frame, row, col); a sentence where there is none.
+
+    Notes
+    -----
+    The median over frames of the smoothed frames ignores flashes of single ions; its spread over the picture, taken
+    robustly, is what a source must exceed.
+    """
+    from scipy import ndimage
+
+    smooth = np.stack([ndimage.gaussian_filter(frame.astype(np.float32), SMOOTHING_PX) for frame in data])
+    steady = np.median(smooth, axis=0)
+    row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
+    level = float(np.median(steady))
+    spread = _spread(steady, level, data)
+    height = float(steady[row, col]) - level
+    significance = height / spread
+    if significance < DETECTED:
+        return f"no target: the brightest spot stands {significance:.1f} standard deviations out of {DETECTED:g} needed"
+    if len(data) > 2:
+        over = smooth[:, row, col] - level
+        error = max(float(over.std(ddof=1)), spread) / np.sqrt(len(data))
+        if over.mean() < STEADY * error:
+            return f"no target: the brightest spot stands {over.mean() / error:.1f} standard errors over the frames"
+    return Source(
+        row=row, col=col, significance=significance, others=_others(steady - level, row, col, spread, pitch_ratio)
+    )
+
+
+def _spread(steady: Array, level: float, data: NDArray) -> float:
+    """Standard deviation of the smoothed background, not below what rounding to codes hides, nor its upper tail."""
+    robust = 1.4826 * float(np.median(np.abs(steady - level)))
+    # Pulses make a tail that the median does not see: the highest per mille stands for it.
+    tail = (float(np.quantile(steady, 0.999)) - level) / 3.1 if steady.size > 20000 else 0.0
+    rounding = 0.05 if data.dtype.kind in "ui" else 0.0
+    return max(robust, tail, rounding, 1e-12)
+
+
+def _others(height: Array, row: int, col: int, spread: float, pitch_ratio: float) -> bool:
+    """Tell whether another peak stands out beyond the surroundings of the first."""
+    rows, cols = np.ogrid[: height.shape[0], : height.shape[1]]
+    away = np.hypot(cols - col, (rows - row) * pitch_ratio) > APART_PX
+    if not away.any():
+        return False
+    other = float(np.where(away, height, -np.inf).max())
+    return bool(other > max(DETECTED * spread, OTHER_SHARE * height[row, col]))
