@@ -76,7 +76,7 @@ def excess_noise_factor(values: Values) -> Array:
     return (1.0 + 1.0 / shape) / values["microchannel_plate.detection_probability"]
 
 
-def photoelectron_gain(values: Values, mcp_v: float, reference_v: float) -> Array:
+def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
     """Return k, the mean signal of one photoelectron (the undetected counted), shape (n,), DN.
 
     Notes
@@ -95,7 +95,7 @@ def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
     return values["video.conversion_gain_dn_per_e"] + event
 
 
-def photoelectrons(values: Values, illuminance_lux: ArrayLike, gate_s: float) -> Array:
+def photoelectrons(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike) -> Array:
     """Return photoelectrons of an illuminance per field pixel and exposure, without EBI, shape (n,)."""
     return np.asarray(illuminance_lux) * _electrons_per_lumen(values) * _field_pixel_m2(values) * gate_s
 
@@ -105,7 +105,7 @@ def background_rate(values: Values) -> Array:
     return values["photocathode.ebi_lm_per_cm2"] * 1e4 * _electrons_per_lumen(values) * _field_pixel_m2(values)
 
 
-def load(values: Values, illuminance_lux: ArrayLike, gate_s: float, mcp_v: float, reference_v: float) -> Array:
+def load(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike, mcp_v: ArrayLike, reference_v: float) -> Array:
     """Return the plate's mean output current over the one at which its gain has halved, shape (n,).
 
     Notes
@@ -119,24 +119,24 @@ def load(values: Values, illuminance_lux: ArrayLike, gate_s: float, mcp_v: float
     return cathode_a_per_cm2 * per_pe * gate_s * values["video.field_rate_hz"] / limit
 
 
-def dark_variance(values: Values, gain_dn_per_pe: Array, gate_s: float) -> Array:
+def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the temporal variance of a dark frame: reading, rounding and what scintillates, shape (n,), DN^2.
 
     Notes
     -----
     K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: reading noise r and dark charge d pass the video filter w; the n
-    photoelectrons of the EBI are blurred by B, and only the share sum l^2 of their noise is left where the screen
-    glows over several fields.
+    photoelectrons of the EBI are blurred (B, `blur`), and only the share sum l^2 of their noise is left where the
+    screen glows over several fields.
     """
     filtered = np.sum(_video_weights(values) ** 2, axis=1)
     dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
     reading = values["video.conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
     events = background_rate(values) * gate_s
-    pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur_factor(values, gain_dn_per_pe)
+    pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur
     return reading + pulses * kept_by_lag(values, gate_s) + 1.0 / 12.0
 
 
-def ion_variance(values: Values, gain_dn_per_pe: Array, gate_s: float) -> Array:
+def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the variance that ion pulses add to a dark frame, shape (n,), DN^2.
 
     A pulse of a Poisson number of detected photoelectrons, mean m, has the mean square (k/p)^2 (m^2 + m + m/shape).
@@ -145,7 +145,7 @@ def ion_variance(values: Values, gain_dn_per_pe: Array, gate_s: float) -> Array:
     rate = values[plate + "ion_event_rate_per_s_cm2"] * 1e4 * _field_pixel_m2(values) * gate_s
     size, shape = values[plate + "ion_event_size_pe"], values[plate + "pulse_height_shape"]
     square = (gain_dn_per_pe / values[plate + "detection_probability"]) ** 2 * (size**2 + size + size / shape)
-    return rate * square * blur_factor(values, gain_dn_per_pe) * kept_by_lag(values, gate_s)
+    return rate * square * blur * kept_by_lag(values, gate_s)
 
 
 def kept_by_lag(values: Values, gate_s: float) -> Array:
@@ -207,10 +207,10 @@ def _video_weights(values: Values) -> Array:
     return video.weights(values["video.bandwidth_mhz"], clock_mhz, order)
 
 
-def _photons_per_pe(values: Values, mcp_v: float, reference_v: float) -> Array:
+def _photons_per_pe(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
     photon_j = values["phosphor.photon_energy_ev"] * ELEMENTARY_CHARGE_C
     photons_per_lumen = values["tube.luminous_gain"] / (values["phosphor.luminous_efficacy_lm_per_w"] * photon_j)
-    voltage = (mcp_v / reference_v) ** values["microchannel_plate.gain_exponent"]
+    voltage = (np.asarray(mcp_v) / reference_v) ** values["microchannel_plate.gain_exponent"]
     return photons_per_lumen / _electrons_per_lumen(values) * voltage
 
 

@@ -1,5 +1,8 @@
 """Which of a session's measurements the fit uses, each tied to the formula that predicts it."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,6 +10,7 @@ from charact.fit import forward
 from charact.fit.forward import Values
 from charact.fit.levels import Level
 from charact.fit.observed import Observed, curve, one
+from charact.fit.prior import fixed_values
 from labdata.measurement import Curve, Measurement, Result
 from labdata.session import Session
 
@@ -57,17 +61,14 @@ def observations(session: Session, result: Result, levels: tuple[Level, ...]) ->
     A measurement that is suspect is used only where no sound one of its kind is there; a refused one never.
     """
     reference_v = _reference_v(session)
-    volts = _flat_volts(session, reference_v)
     found = [_curve(name, line, session, result) for name, line in _trusted_curves(result)]
-    found += [_bars(m, session) for m in _trusted(result, "mtf") if m.frequency_cy_per_px]
-    found += [_noise(m, session, volts, reference_v) for m in _trusted(result, "covariance_gain", "DN")]
-    found += [_blur(m, session, volts, reference_v) for m in _trusted(result, "blur_factor")]
+    found += [_bars(m, session) for m in _of_bars(session, result)]
+    found += _noises(session, result, levels, reference_v)
     found += [
         one("halo_diameter", m.value or 0.0, _sd(m), forward.halo_diameter_px, ("photocathode.gap_mm",))
         for m in _trusted(result, "halo_diameter")
     ]
-    found += [_dark(m, session, levels, reference_v) for m in _trusted(result, "read_noise", "DN")]
-    found += [_level(level, reference_v, len({one.mcp_v for one in levels}) > 1) for level in levels]
+    found += [_levels(levels, reference_v)] if levels else []
     return tuple(found)
 
 
@@ -76,6 +77,12 @@ def _trusted(result: Result, quantity: str, unit: str | None = None) -> list[Mea
     carrying = [m for m in result.find(quantity) if m.status != "refused" and m.interval68 and unit in (None, m.unit)]
     sound = [m for m in carrying if m.status == "ok"]
     return sound or carrying
+
+
+def _of_bars(session: Session, result: Result) -> list[Measurement]:
+    """Return what bar targets told of the MTF; pinned points of an edge's curve are in the curve already."""
+    bars = {entry.label for entry in session.of_kind("bars")}
+    return [m for m in _trusted(result, "mtf") if m.stack in bars and m.frequency_cy_per_px]
 
 
 def _sd(m: Measurement) -> float:
@@ -128,7 +135,7 @@ def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> floa
 
 
 def _components(frequency: Array, angle_deg: float, session: Session) -> tuple[Array, Array]:
-    """Return frequencies along rows (cy per column pitch) and columns (cy per row pitch) of one in cy per column pitch."""
+    """Split frequencies in cy per column pitch: along rows in the same, along columns in cy per row pitch."""
     assert session.sensor is not None
     pitch_ratio = float(session.sensor.ccd.pitch_y_um) / float(session.sensor.ccd.pitch_x_um)
     angle = np.deg2rad(angle_deg)
@@ -143,63 +150,114 @@ def _bars(m: Measurement, session: Session) -> Observed:
     return one(f"mtf of {m.stack}", m.value or 0.0, sd, lambda values: forward.mtf(values, fx, fy)[:, 0], _SPREAD)
 
 
-def _noise(m: Measurement, session: Session, volts: float, reference_v: float) -> Observed:
-    mcp_v = _volts_of(m, session, volts)
+@dataclass(frozen=True, kw_only=True)
+class _Noise:
+    """One number of the noise, predicted from values, gain per photoelectron and blur factor."""
+
+    mcp_v: float
+    value: float
+    sd: float
+    predict: Callable[[Values, Array, Array], Array]
+    speaks_of: tuple[str, ...] = _NOISE
+
+
+def _noises(session: Session, result: Result, levels: tuple[Level, ...], reference_v: float) -> list[Observed]:
+    """Tie covariance gain, blur factor and the darks' variance, all of one plate voltage at a time."""
+    volts = _flat_volts(session, reference_v)
+    found = []
+    for m in _trusted(result, "covariance_gain", "DN"):
+        value = m.value or 0.0
+        sd = float(np.hypot(_sd(m), NOISE_MODEL_SD * value))
+        found.append(
+            _Noise(
+                mcp_v=_volts_of(m, session, volts),
+                value=value,
+                sd=sd,
+                predict=lambda values, gain, blur: forward.covariance_gain(values, gain),
+            )
+        )
+    for m in _trusted(result, "blur_factor"):
+        value = m.value or 0.0
+        sd = float(np.hypot(_sd(m), NOISE_MODEL_SD * value))
+        speaks_of = (*_SPREAD, *_NOISE, "tube.post_gain_share")
+        found.append(
+            _Noise(
+                mcp_v=_volts_of(m, session, volts),
+                value=value,
+                sd=sd,
+                predict=lambda values, gain, blur: blur,
+                speaks_of=speaks_of,
+            )
+        )
+    darks = [level for level in levels if level.illuminance_lux == 0.0]
+    found += [_dark(m, darks[0], session, reference_v) for m in _trusted(result, "read_noise", "DN") if darks]
+    return [
+        _together([one for one in found if one.mcp_v == mcp_v], mcp_v, reference_v)
+        for mcp_v in dict.fromkeys(one.mcp_v for one in found)
+    ]
+
+
+def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observed:
+    """Return numbers of one plate voltage as one, for which the blur is computed once."""
 
     def predict(values: Values) -> Array:
-        return forward.covariance_gain(values, forward.photoelectron_gain(values, mcp_v, reference_v))
+        gain = forward.photoelectron_gain(values, mcp_v, reference_v)
+        blur = forward.blur_factor(values, gain)
+        return np.stack(np.broadcast_arrays(*(part.predict(values, gain, blur) for part in parts)), axis=1)
 
-    value = m.value or 0.0
-    return one("covariance_gain", value, float(np.hypot(_sd(m), NOISE_MODEL_SD * value)), predict, _NOISE)
-
-
-def _blur(m: Measurement, session: Session, volts: float, reference_v: float) -> Observed:
-    mcp_v = _volts_of(m, session, volts)
-
-    def predict(values: Values) -> Array:
-        return forward.blur_factor(values, forward.photoelectron_gain(values, mcp_v, reference_v))
-
-    value = m.value or 0.0
-    speaks_of = (*_SPREAD, *_NOISE, "tube.post_gain_share")
-    return one("blur_factor", value, float(np.hypot(_sd(m), NOISE_MODEL_SD * value)), predict, speaks_of)
+    return Observed(
+        name="noise",
+        value=np.array([part.value for part in parts]),
+        covariance=np.diag([part.sd**2 for part in parts]),
+        predict=predict,
+        speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)),
+    )
 
 
-def _dark(m: Measurement, session: Session, levels: tuple[Level, ...], reference_v: float) -> Observed:
+def _dark(m: Measurement, dark: Level, session: Session, reference_v: float) -> _Noise:
     """Tie the temporal noise of the darks to reading noise and EBI; rare ion pulses are known by their range only."""
     assert session.sensor is not None
-    dark = next(level for level in levels if level.illuminance_lux == 0.0)
-    ions = session.sensor.parameters()["microchannel_plate.ion_event_rate_per_s_cm2"]
-    sheet = {path: np.array([float(p)]) for path, p in session.sensor.parameters().items()}
-    sheet["video.filter_order"] = np.array([float(session.sensor.video.filter_order)])
-    usual = float(
-        forward.ion_variance(sheet, forward.photoelectron_gain(sheet, dark.mcp_v, reference_v), dark.gate_s)[0]
+    ions = session.sensor.microchannel_plate.ion_event_rate_per_s_cm2
+    sheet = fixed_values(session.sensor)
+    gain = forward.photoelectron_gain(sheet, dark.mcp_v, reference_v)
+    usual = float(forward.ion_variance(sheet, gain, forward.blur_factor(sheet, gain), dark.gate_s)[0])
+    low, high = (float(ions) if end is None else end for end in (ions.low, ions.high))
+    spread = usual * (high - low) / (4.0 * float(ions)) if float(ions) > 0 else 0.0
+    variance = (m.value or 0.0) ** 2
+
+    def predict(values: Values, gain: Array, blur: Array) -> Array:
+        own = forward.dark_variance(values, gain, blur, dark.gate_s)
+        return own + forward.ion_variance(values, gain, blur, dark.gate_s)
+
+    return _Noise(
+        mcp_v=dark.mcp_v,
+        value=variance,
+        sd=float(np.hypot.reduce([2.0 * (m.value or 0.0) * _sd(m), NOISE_MODEL_SD * variance, spread])),
+        predict=predict,
+        speaks_of=("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *_NOISE),
     )
-    spread = usual * ((ions.high or ions.value) - (ions.low or 0.0)) / (4.0 * ions.value) if ions.value else 0.0
+
+
+def _levels(levels: tuple[Level, ...], reference_v: float) -> Observed:
+    """Tie mean levels to black level and gain times photoelectrons; the clamp takes dark charge away."""
+    lux, gate_s, mcp_v = (
+        np.array([getattr(level, name) for level in levels]) for name in ("illuminance_lux", "gate_s", "mcp_v")
+    )
+    mean = np.array([level.mean_dn for level in levels])
+    own = np.array([level.sd_dn for level in levels])
 
     def predict(values: Values) -> Array:
-        gain = forward.photoelectron_gain(values, dark.mcp_v, reference_v)
-        return forward.dark_variance(values, gain, dark.gate_s) + forward.ion_variance(values, gain, dark.gate_s)
+        one = {path: value[:, None] for path, value in values.items()}
+        events = forward.photoelectrons(one, lux, gate_s) + forward.background_rate(one) * gate_s
+        gain = forward.photoelectron_gain(one, mcp_v, reference_v)
+        load = forward.load(one, lux, gate_s, mcp_v, reference_v)
+        return one["video.black_level_dn"] + gain * events / (1.0 + load)
 
-    value = m.value or 0.0
-    sd = float(np.hypot(np.hypot(2.0 * value * _sd(m), NOISE_MODEL_SD * value**2), spread))
-    speaks_of = ("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *_NOISE)
-    return one("variance of the darks", value**2, sd, predict, speaks_of)
-
-
-def _level(level: Level, reference_v: float, several_voltages: bool) -> Observed:
-    """Tie a mean level to black level and gain times photoelectrons; the clamp takes dark charge away."""
-
-    def predict(values: Values) -> Array:
-        lux = level.illuminance_lux
-        events = forward.photoelectrons(values, lux, level.gate_s) + forward.background_rate(values) * level.gate_s
-        gain = forward.photoelectron_gain(values, level.mcp_v, reference_v)
-        load = forward.load(values, lux, level.gate_s, level.mcp_v, reference_v)
-        return values["video.black_level_dn"] + gain * events / (1.0 + load)
-
-    model_sd = np.hypot(LEVEL_MODEL_SD_DN, LEVEL_MODEL_SD * level.mean_dn)
-    extra = ("microchannel_plate.gain_exponent",) if several_voltages else ()
-    speaks_of = (*_LEVEL, *extra)
-    return one(f"level of {level.label}", level.mean_dn, float(np.hypot(level.sd_dn, model_sd)), predict, speaks_of)
+    variance = own**2 + LEVEL_MODEL_SD_DN**2 + (LEVEL_MODEL_SD * mean) ** 2
+    extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
+    return Observed(
+        name="levels", value=mean, covariance=np.diag(variance), predict=predict, speaks_of=(*_LEVEL, *extra)
+    )
 
 
 def _reference_v(session: Session) -> float:

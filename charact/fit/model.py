@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.fit.forward import Values
 from charact.fit.observed import Observed
-from charact.fit.prior import Prior, prior_of, values_of
+from charact.fit.prior import Prior, fixed_values, prior_of
 from charact.fit.product import Product, products_of, widened
 from labdata.measurement import Posterior
 from labdata.sensor import Sensor
@@ -42,8 +44,13 @@ class Model:
 
     def misfit(self, coordinates: Array) -> Array:
         """Return chi-squared of all observations for coordinates (n, parameter), shape (n,)."""
-        values = values_of(self.sensor, self.prior, coordinates)
+        asked = dict(zip(self.prior.names, self.prior.parameters(coordinates).T, strict=True))
+        values = {**self._fixed, **asked}
         return np.sum([observed.chi_squared(values) for observed in self.observed], axis=0)
+
+    @cached_property
+    def _fixed(self) -> Values:
+        return fixed_values(self.sensor)
 
     def log_probability(self, coordinates: Array) -> Array:
         """Return the logarithm of the posterior, not normalised, shape (n,); -inf outside the prior's bounds."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,8 +39,13 @@ class Observed:
 
     def chi_squared(self, values: Values) -> Array:
         """Return the squared distance of each draw's prediction in units of the errors, shape (n,)."""
-        away = self.predict(values) - self.value
-        return np.sum(np.linalg.solve(self.covariance, away.T).T * away, axis=1)
+        away = (self.predict(values) - self.value) @ self._whitening
+        return np.sum(away**2, axis=1)
+
+    @cached_property
+    def _whitening(self) -> Array:
+        """Root of the inverse covariance: residuals times it are independent and of unit variance."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance)).T
 
 
 def one(name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]) -> Observed:

@@ -110,7 +110,7 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
     """
     known = sensor.parameters()
     rows = [(path, *_row(path, known[path])) for path in asked if _has_range(known[path])]
-    numbers = np.array([row[1:] for row in rows], float)
+    numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
     return Prior(
         names=tuple(row[0] for row in rows),
         logarithmic=numbers[:, 0] > 0,
@@ -121,12 +121,10 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
     )
 
 
-def values_of(sensor: Sensor, prior: Prior, coordinates: Array) -> Values:
-    """Return every parameter's value, shape (n,) for those asked at coordinates (n, parameter), else (1,)."""
+def fixed_values(sensor: Sensor) -> Values:
+    """Return every parameter's own value, shape (1,)."""
     values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
-    values["video.filter_order"] = np.array([float(sensor.video.filter_order)])
-    values.update(zip(prior.names, prior.parameters(coordinates).T, strict=True))
-    return values
+    return {**values, "video.filter_order": np.array([float(sensor.video.filter_order)])}
 
 
 def _has_range(parameter: Parameter) -> bool:

@@ -96,11 +96,17 @@ def described(model: Model, posterior: Posterior, *, illuminance_relative_sd: fl
     rng = np.random.default_rng([seed, 1])
     draws = _all_draws(model, posterior, rng)
     meter = 1.0 + illuminance_relative_sd * rng.standard_normal(len(posterior.draws))
+    before = model.sensor.parameters()
     changes = {
-        path: _parameter(model.sensor.parameters()[path], values.get(path), drawn * (meter if path in _METERED else 1.0),
-                         left.get(path, 1.0), path in carriers)
+        path: _parameter(
+            before[path],
+            values.get(path),
+            drawn * meter if path in _METERED else drawn,
+            left.get(path, 1.0),
+            path in carriers,
+        )
         for path, drawn in draws.items()
-    }  # fmt: skip
+    }
     table = np.stack(list(draws.values()), axis=1)
     return replace(
         model.sensor.with_parameters(changes),

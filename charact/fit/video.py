@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Weights beyond this many pixels are below 1e-6 for any bandwidth that a camera of this clock would have.
-LENGTH_PX = 24
+LENGTH_PX = 14
 
 
 def weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0) -> Array:

@@ -85,7 +85,8 @@ def compare(measured: Features, simulated: list[Features]) -> Comparison:
 def _pooled(sets: list[Features]) -> tuple[Array, int]:
     """Return the sampling covariance pooled over sets, and its degrees of freedom."""
     freedom = sum(one.freedom for one in sets)
-    return sum(one.freedom * one.covariance for one in sets) / freedom, freedom
+    total = np.sum([one.freedom * one.covariance for one in sets], axis=0)
+    return total / freedom, freedom
 
 
 def _above(between: Array, within: Array) -> Array:

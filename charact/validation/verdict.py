@@ -158,7 +158,9 @@ def as_json(validation: Validation) -> dict[str, Any]:
             {"name": c.name, "title": c.title, "held": c.held, "statistics": [_statistic(one) for one in c.statistics]}
             for c in validation.controls
         ],
-        "pairs": [{"kind": p.kind, "label": p.label, "low_dn": p.low_dn, "high_dn": p.high_dn} for p in validation.pairs],
+        "pairs": [
+            {"kind": p.kind, "label": p.label, "low_dn": p.low_dn, "high_dn": p.high_dn} for p in validation.pairs
+        ],
     }
 
 
@@ -210,8 +212,10 @@ def _statistic(one: Statistic) -> dict[str, Any]:
 
 
 def _statistics(told: list[dict[str, Any]]) -> tuple[Statistic, ...]:
-    lists = ("labels", "measured", "low95", "high95")
-    return tuple(
-        Statistic(**{key: tuple(value) if key in lists else value for key, value in one.items() if key != "passed"})
-        for one in told
-    )
+    lists = {"labels", "measured", "low95", "high95"}
+    out = []
+    for one in told:
+        fields: dict[str, Any] = {key: tuple(value) if key in lists else value for key, value in one.items()}
+        fields.pop("passed")
+        out.append(Statistic(**fields))
+    return tuple(out)

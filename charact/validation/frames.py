@@ -1,0 +1,198 @@
+"""Measured frames and frames of a sensor description under the same conditions, cut to the same size."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.sensor import Sensor
+from labdata.session import Kind, Session, StackEntry
+from labdata.target import Target
+
+# Frames are cut to this size about the middle: enough for every statistic, and quickly simulated many times.
+SHAPE = (192, 256)
+# An edge is cut narrowly: what lies far beside it adds its noise and little light.
+ALONG_EDGE, ACROSS_EDGE = 192, 72
+FRAMES, EDGE_FRAMES = 8, 16
+FEWEST_FRAMES = 3
+FLATS = 3
+# Levels of flats that are compared, as shares of full scale, and the most pixels that may stand at either end.
+HIGHEST_SHARE = 0.8
+MOST_CLIPPED_SHARE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """One stack that is laid side by side.
+
+    Parameters
+    ----------
+    label, kind, conditions, target
+        As in the session.
+    frames
+        Number of frames taken of it.
+    corner
+        First row and column of the cut.
+    shape
+        Rows and columns of the cut.
+    """
+
+    label: str
+    kind: Kind
+    conditions: Conditions
+    target: Target
+    frames: int
+    corner: tuple[int, int]
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chosen:
+    """The stacks that a validation uses.
+
+    Parameters
+    ----------
+    dark, flats, edge
+        Their shots; no edge: the MTF is not compared.
+    others
+        Shots of which only a picture is shown.
+    measured
+        Measured frames by label, shape (frame, row, col), DN.
+    notes
+        What was left out, and why.
+    """
+
+    dark: Shot
+    flats: tuple[Shot, ...]
+    edge: Shot | None
+    others: tuple[Shot, ...]
+    measured: dict[str, NDArray]
+    notes: tuple[str, ...]
+
+
+def choose(session: Session) -> Chosen:
+    """Choose a dark, up to three flats over the straight part of the range, an edge and pictures of the rest.
+
+    Raises
+    ------
+    BadInput
+        If there is no dark or no usable flat of at least three frames.
+    """
+    darks = _shots(session, "dark")
+    if not darks:
+        raise BadInput(
+            f"a validation needs a dark stack of {FEWEST_FRAMES} frames or more, got none in {session.name!r}"
+        )
+    measured: dict[str, NDArray] = {}
+    dark = max(darks, key=lambda item: item[0].frames)
+    measured[dark[0].label] = _cut(dark[0], dark[1].read())
+    flats, notes = _flats(session, measured)
+    edges = _shots(session, "edge")
+    if not edges:
+        notes.append("no edge: the MTF is not compared")
+    bars, points = _shots(session, "bars"), _shots(session, "point")
+    shown = bars[:1] + points[-1:]
+    for shot, entry in edges[:1] + shown:
+        measured[shot.label] = _cut(shot, entry.read())
+    return Chosen(
+        dark=dark[0],
+        flats=tuple(flats),
+        edge=edges[0][0] if edges else None,
+        others=tuple(shot for shot, _ in shown),
+        measured=measured,
+        notes=tuple(notes),
+    )
+
+
+def simulated(sensor: Sensor, shots: tuple[Shot, ...], *, seed: int) -> dict[str, NDArray]:
+    """Return frames of a sensor under the shots' conditions by label, shape (frame, row, col), DN.
+
+    The chip is as small as the cut, and its fixed patterns follow from the sensor's name.
+    """
+    from simulate.lab import LabBench
+
+    out, benches = {}, {}
+    for index, shot in enumerate(shots):
+        rows, columns = shot.shape
+        if shot.shape not in benches:
+            benches[shot.shape] = LabBench(replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns)))
+        bench, target = benches[shot.shape], replace(shot.target, region=None)
+        own = seed + 1000 * index
+        out[shot.label] = bench.expose(shot.kind, target, shot.conditions, frames=shot.frames, seed=own).data
+    return out
+
+
+def _shots(session: Session, kind: Kind) -> list[tuple[Shot, StackEntry]]:
+    """Return the stacks of a kind that have frames enough, as shots."""
+    out = []
+    for entry in session.of_kind(kind):
+        if kind != "dark" and entry.conditions.illuminance_lux is None:
+            continue
+        stack = entry.read()
+        frames, rows, columns = stack.shape
+        if frames < FEWEST_FRAMES:
+            continue
+        height, width = _wanted(entry)
+        shape = (min(height, rows - rows % 2), min(width, columns))
+        most = EDGE_FRAMES if kind == "edge" else FRAMES
+        out.append(
+            (
+                Shot(
+                    label=entry.label,
+                    kind=entry.kind,
+                    conditions=entry.conditions,
+                    target=entry.target,
+                    frames=min(frames, most),
+                    corner=_corner(entry.target, (rows, columns), shape),
+                    shape=shape,
+                ),
+                entry,
+            )
+        )
+    return out
+
+
+def _wanted(entry: StackEntry) -> tuple[int, int]:
+    """Return the rows and columns of a cut."""
+    if entry.kind != "edge":
+        return SHAPE
+    upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
+    return (ALONG_EDGE, ACROSS_EDGE) if upright else (ACROSS_EDGE, ALONG_EDGE)
+
+
+def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
+    """Return the first row and column of a cut about the target's middle; an even row, so that fields keep theirs."""
+    row, col, height, width = target.region or (0, 0, *whole)
+    top = int(np.clip(round(row + (height - shape[0]) / 2), 0, whole[0] - shape[0]))
+    left = int(np.clip(round(col + (width - shape[1]) / 2), 0, whole[1] - shape[1]))
+    return top - top % 2, left
+
+
+def _cut(shot: Shot, stack: FrameStack) -> NDArray:
+    return np.array(stack.region(*shot.corner, *shot.shape).data[: shot.frames])
+
+
+def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[Shot], list[str]]:
+    """Return flats of low, middle and high level, and keep their frames."""
+    sensor = session.sensor
+    if sensor is None:
+        raise BadInput(f"a validation needs a session of a described sensor, got none in {session.name!r}")
+    full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
+    usable, notes = [], []
+    for shot, entry in _shots(session, "flat"):
+        frames = _cut(shot, entry.read())
+        clipped = float(np.mean((frames >= full) | (frames <= 0)))
+        if frames.mean() > HIGHEST_SHARE * full or clipped > MOST_CLIPPED_SHARE:
+            notes.append(f"{shot.label} is beyond the straight part of the range")
+            continue
+        usable.append((float(frames.mean()), shot, frames))
+    if not usable:
+        raise BadInput(f"a validation needs a flat inside the range with {FEWEST_FRAMES} frames or more, got none")
+    usable.sort(key=lambda item: item[0])
+    picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(FLATS, len(usable)))})
+    for place in picked:
+        measured[usable[place][1].label] = usable[place][2]
+    return [usable[place][1] for place in picked], notes
