@@ -1,5 +1,6 @@
 """The verb `acquire`: a plan becomes a session, on real or virtual instruments."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -30,5 +31,9 @@ def acquire(
         from labdata.border import from_toml
         from labdata.plan import Plan
 
-        session = take(from_toml(plan, Plan), out, resume=resume, progress=progress)
+        asked = from_toml(plan, Plan)
+        beside = plan.parent / (asked.sensor or "")
+        if asked.sensor is not None and beside.is_file():
+            asked = replace(asked, sensor=str(beside.resolve()))
+        session = take(asked, out, resume=resume, progress=progress)
         print(f"{out}: {len(session.stacks)} stacks\nNext: charact measure {out}")

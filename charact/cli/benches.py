@@ -44,25 +44,31 @@ def _on_virtual_bench(
     from drivers.acquire import acquire
     from drivers.aravis import AravisCamera
     from drivers.interlock import Bench
+    from drivers.lines import gate_line, supply_line
     from labdata.sensors import load_sensor
     from simulate.rig.bench import VirtualBench
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
-    wires = plan.wires.bench
-    with VirtualBench(bench_folder(session), load_sensor(plan.sensor), plan.seed, wires=wires, say=tell) as virtual:
+    sensor, kind = load_sensor(plan.sensor), plan.wires.bench
+    with VirtualBench(bench_folder(session), sensor, plan.seed, wires=kind, say=tell) as virtual:
         session.parent.mkdir(parents=True, exist_ok=True)
-        camera = (
-            virtual.in_process_camera()
-            if virtual.left_out
-            else AravisCamera(virtual.wires.camera, silence_s=virtual.silence_s, say=tell)
-        )
-        log = bench_folder(session) / WATCHDOG_LOG
+        wires, lines = virtual.wires, None
+        if (inside := virtual.inside) is not None:
+            lines = (gate_line(inside.gate_port), supply_line(inside.supply_port, address=wires.supply_address))
         return acquire(
             plan,
             session,
-            camera=camera,
-            bench=Bench(virtual.wires, plan.limits, log=log),
+            camera=virtual.in_process_camera()
+            if wires.camera is None
+            else AravisCamera(wires.camera, silence_s=virtual.silence_s, say=tell),
+            bench=Bench(
+                wires,
+                plan.limits,
+                log=bench_folder(session) / WATCHDOG_LOG,
+                lines=lines,
+                gate_hz=float(sensor.video.field_rate_hz),
+            ),
             operator=virtual.operator,
             judge=SaturationJudge(),
             resume=resume,
