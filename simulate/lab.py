@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from itertools import islice
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata.frames import FrameStack, read_only
 from labdata.sensor import Sensor
 from labdata.session import Kind
 from labdata.target import Target
@@ -19,7 +20,9 @@ from simulate.iiccd import photons
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.light import Light
+from simulate.radiance.photometry import planck
 from simulate.radiance.scene import LabScene, load_scene
+from simulate.radiance.view import View
 
 WAVELENGTH_NM = np.arange(450.0, 951.0, 50.0)
 TILE_ROWS = 128
@@ -130,18 +133,13 @@ class LabBench:
 
     def _photons(self, kind: Kind, target: Target) -> NDArray[np.float32]:
         """Photons per s and cell at 1 lux, referred to the wavelength of peak quantum efficiency, before any blur."""
-        from simulate.radiance.render import render, set_up
-        from simulate.radiance.target_mesh import target_mesh
-
-        view, scene = self._view(target), self._scene_of(target)
-        mesh = target_mesh(kind, target, scene.holder, 1.0 / view.metre_per_px)
-        bench = set_up(scene, mesh, view.metre_per_px)
-        cells = self.camera.scene_cells
-        weight = photons.photon_weights(self.camera.sensor, WAVELENGTH_NM, scene) * cells.cell_area_cm2
-        image = np.empty(view.shape, np.float32)
-        for place, tile in view.tiles(TILE_ROWS):
-            image[place] = render(bench, tile, WAVELENGTH_NM).weighted(weight)
-        return image
+        scene = self._scene_of(target)
+        port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmitted(WAVELENGTH_NM)
+        per_cm2, weight = photons.photons_per_lux(self.camera.sensor, WAVELENGTH_NM, port)
+        # Rounded, so that specimens of one type share their pictures.
+        digits = tuple(float(f"{band:.9e}") for band in weight)
+        relative = _relative_picture(scene, kind, target, self._view(target), digits)
+        return relative * np.float32(per_cm2 * self.camera.scene_cells.cell_area_cm2)
 
     def _scene_of(self, target: Target) -> LabScene:
         """The bench with a plate of the target's contrast; without one the plate is as opaque as the scene says."""
@@ -156,10 +154,8 @@ class LabBench:
         )
         return replace(self.scene, mask=mask)
 
-    def _view(self, target: Target):
+    def _view(self, target: Target) -> View:
         """The scene's cells on the target's plane, in column pitches about the target's centre."""
-        from simulate.radiance.view import View
-
         camera, cells = self.camera, self.camera.scene_cells
         ratio = cells.pitch_y_mm / cells.pitch_x_mm
         rows, columns = camera.shape
@@ -176,3 +172,19 @@ class LabBench:
             distance_m=self.scene.distance_m,
             eye_px=(columns / 2.0 - centre_col, (cells.rows / 2.0 - centre_row) * ratio),
         )
+
+
+@lru_cache(maxsize=6)
+def _relative_picture(
+    scene: LabScene, kind: Kind, target: Target, view: View, weight: tuple[float, ...]
+) -> NDArray[np.float32]:
+    """A target's light on cells of the view, relative to that of a large open area, shape (row, col)."""
+    from simulate.radiance.render import render, set_up
+    from simulate.radiance.target_mesh import target_mesh
+
+    mesh = target_mesh(kind, target, scene.holder, 1.0 / view.metre_per_px)
+    bench = set_up(scene, mesh, view.metre_per_px)
+    picture = np.empty(view.shape, np.float32)
+    for place, tile in view.tiles(TILE_ROWS):
+        picture[place] = render(bench, tile, WAVELENGTH_NM).weighted(np.array(weight))
+    return read_only(picture)

@@ -269,8 +269,8 @@ class IntensifiedCamera:
         readout, glow = self._readout(conditions), self.afterglow(conditions)
         coarse = at_plate.in_whole_rows()
         finer = self._screen(conditions).mean(at_plate).values - self._screen(conditions).mean(coarse).values
-        plate, *behind = self._screen(conditions).stages
-        screen = Chain((plate.under_load(at_plate, parts=2), *behind))
+        screen = self._screen(conditions)
+        screen = Chain((self._plate(conditions).under_load(at_plate, parts=2), *screen.stages[1:]))
         halves = coarse.with_values(np.repeat(0.5 * coarse.values[None], 2, axis=0))
         recent: deque[NDArray[np.float32]] = deque(maxlen=glow.memory + self.fields_per_frame)
         field = self.fields_per_frame * first_frame - glow.memory

@@ -39,7 +39,7 @@ class Grid:
         """Area of one cell at the photocathode, cm2."""
         return self.pitch_x_mm * self.pitch_y_mm / (self.per_column * self.per_row) * 1e-2
 
-    def frequencies(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def frequencies(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Frequencies (fx (1, col), fy (row, 1)) of this grid's real Fourier transform, cycles/mm at the cathode."""
         rows, columns = self.shape
         fx = np.fft.rfftfreq(columns, self.pitch_x_mm / self.per_column)[None, :]

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd import fourier
 from simulate.iiccd.grid import Grid
 from simulate.iiccd.transfer import Blur
 
@@ -48,10 +49,8 @@ class Light:
         """Return the light with its blurs computed, on the same cells."""
         if not self.owed or self.grid is None:
             return self
-        from scipy.fft import irfft2, rfft2
-
-        spectrum = rfft2(self.values) * _transfer(self.owed, self.grid)
-        return replace(self, values=irfft2(spectrum, s=self.grid.shape).astype(self.values.dtype), owed=())
+        spectrum = fourier.forward(self.values) * _transfer(self.owed, self.grid)
+        return replace(self, values=fourier.inverse(spectrum, self.grid.shape).astype(self.values.dtype), owed=())
 
     def in_whole_rows(self) -> "Light":
         """Return the light gathered into cells one row high, nowhere below zero."""
@@ -66,17 +65,15 @@ class Light:
 
         The average over a cell, which the finer cells hold, is undone up to `EXACT_CY_PER_PX`; amounts stay per cell.
         """
-        from scipy.fft import irfft2, rfft2
-
         fine = self.grid
         if fine is None or fine.per_column != 2 * grid.per_column:
             raise ValueError("light is resampled to half as many cells per pixel")
         rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
-        spectrum = rfft2(self.values)
+        spectrum = fourier.forward(self.values)
         half = rows // 2
         kept = np.concatenate([spectrum[..., :half, :], spectrum[..., -half:, :]], axis=-2)[..., : columns // 2 + 1]
         # Four cells become one, and the inverse transform divides by a quarter of the number: the two cancel.
-        values = irfft2(kept * _resampling(self.owed, fine, grid.per_column), s=(rows, columns))
+        values = fourier.inverse(kept * _resampling(self.owed, fine, grid.per_column), (rows, columns))
         row, col = grid.window_of(fine)
         return Light(values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid)
 
@@ -108,6 +105,6 @@ def product(owed: tuple[Blur, ...], fx: NDArray[np.float64], fy: NDArray[np.floa
     return whole
 
 
-def _fade(frequency_cy_per_px: NDArray[np.float64]) -> NDArray[np.float64]:
+def _fade(frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.float64]:
     beyond = (np.abs(frequency_cy_per_px) - EXACT_CY_PER_PX) / (1.0 - EXACT_CY_PER_PX)
     return np.cos(np.pi / 2.0 * np.clip(beyond, 0.0, 1.0)) ** 2

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.frames import read_only
+from simulate.iiccd import fourier
 from simulate.iiccd.grid import Grid
 
 MOTTLE_MM = 0.06
@@ -23,15 +24,13 @@ def _row_means(cells: NDArray[np.float32]) -> NDArray[np.float32]:
 @lru_cache(maxsize=4)
 def mottle(grid: Grid, relative_sd: float, specimen: int) -> NDArray[np.float32]:
     """Return the screen's gain on cells, mean 1, Gaussian with a correlation length of `MOTTLE_MM` at the cathode."""
-    from scipy.fft import irfft2, rfft2
-
     if grid.per_row == 1:
         return _row_means(mottle(_split_rows(grid), relative_sd, specimen))
     rng = np.random.default_rng([specimen, 1])
     fx, fy = grid.frequencies()
     grain = np.exp(-2.0 * (np.pi * MOTTLE_MM * np.hypot(fx, fy)) ** 2)
     grain[0, 0] = 0.0
-    smooth = irfft2(rfft2(rng.standard_normal(grid.shape)) * grain, s=grid.shape)
+    smooth = fourier.inverse(fourier.forward(rng.standard_normal(grid.shape)) * grain, grid.shape)
     return read_only((1.0 + relative_sd * smooth / smooth.std()).astype(np.float32))
 
 

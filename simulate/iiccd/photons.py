@@ -6,7 +6,6 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.sensor import Sensor
 from simulate.radiance.cube import band_widths
 from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
-from simulate.radiance.scene import LabScene
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 JOULE_METRE = 6.62607015e-34 * 2.99792458e8
@@ -23,7 +22,7 @@ def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.f
         cathode.wavelength_nm, cathode.relative_quantum_efficiency
     )
     table = scale * np.asarray(cathode.relative_quantum_efficiency)
-    return np.interp(wavelength_nm, cathode.wavelength_nm, table, left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), cathode.wavelength_nm, table, left=0.0, right=0.0)
 
 
 def luminous_sensitivity(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike) -> float:
@@ -35,7 +34,8 @@ def luminous_sensitivity(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike
     """
     fine = np.arange(360.0, 1100.0, 1.0)
     power = planck(fine, LAMP_K)
-    efficiency = np.interp(fine, wavelength_nm, quantum_efficiency, left=0.0, right=0.0)
+    table = np.asarray(wavelength_nm, float), np.asarray(quantum_efficiency, float)
+    efficiency = np.interp(fine, *table, left=0.0, right=0.0)
     responsivity = efficiency * ELEMENTARY_CHARGE_C * fine * 1e-9 / JOULE_METRE
     lumens = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * power)
     return float(1e6 * np.sum(responsivity * power) / lumens)
@@ -75,39 +75,41 @@ def voltage_factor(sensor: Sensor, mcp_v: float | None) -> float:
     return (mcp_v / float(plate.reference_v)) ** float(plate.gain_exponent)
 
 
-def photon_weights(sensor: Sensor, wavelength_nm: NDArray[np.float64], scene: LabScene) -> NDArray[np.float64]:
-    """Return what turns a scene's radiance into photons on the photocathode at 1 lux from its open parts.
+def photons_per_lux(
+    sensor: Sensor, wavelength_nm: NDArray[np.float64], radiance: NDArray[np.float64]
+) -> tuple[float, NDArray[np.float64]]:
+    """Return the photons of light of a given spectrum, and the weights of its bands.
 
     Parameters
     ----------
     sensor
         The camera.
     wavelength_nm
-        Bands of the radiance, shape (band,), nm.
-    scene
-        The bench; the illuminance is that of a large area of the open port.
+        Bands, shape (band,), nm.
+    radiance
+        Spectral radiance of the light, shape (band,), in any unit.
 
     Returns
     -------
-    NDArray
-        Photons per s and cm2 for each unit of band radiance, shape (band,). Photons are referred to the wavelength of
-        peak quantum efficiency: one that is detected half as well counts half.
+    photons
+        Photons per s and cm2 on the photocathode at 1 lux of this light, referred to the wavelength of peak quantum
+        efficiency: one that is detected half as well counts half.
+    weight
+        What turns radiance in these bands into photons relative to the light's own, shape (band,).
 
     Notes
     -----
-    The lens gives E = pi tau L/(4 N^2). Sums over bands replace integrals in the photometric and in the photoelectric
-    sum alike, the latter scaled so that 2856 K light has exactly the tube's luminous sensitivity.
+    Sums over bands replace integrals in the photometric and in the photoelectric sum alike, scaled so that light of
+    2856 K has exactly the tube's luminous sensitivity.
     """
     width = band_widths(wavelength_nm)
-    optics = sensor.optics
-    lens = np.pi * float(optics.transmission) / (4.0 * float(optics.f_number) ** 2)
-    lumens = lens * width * LUMENS_PER_WATT * luminous_efficiency(wavelength_nm)
+    lumens = width * LUMENS_PER_WATT * luminous_efficiency(wavelength_nm)
     efficiency = quantum_efficiency(sensor, wavelength_nm)
-    electrons = lens * width * efficiency * wavelength_nm * 1e-9 / JOULE_METRE
+    electrons = width * efficiency * wavelength_nm
     lamp = planck(wavelength_nm, LAMP_K)
-    # Photoelectrons per lumen of this coarse sum against S/e.
-    correction = photoelectrons_per_lumen_s(sensor) * np.sum(lumens * lamp) / np.sum(electrons * lamp)
-    port = planck(wavelength_nm, scene.sphere.temperature_k) * scene.open.transmitted(wavelength_nm)
+    per_lumen_of_lamp = np.sum(electrons * lamp) / np.sum(lumens * lamp)
+    per_lumen = np.sum(electrons * radiance) / np.sum(lumens * radiance)
     peak = quantum_efficiency(sensor, sensor.photocathode.wavelength_nm).max()
     # 1 lux is 1e-4 lm/cm2.
-    return electrons * correction / peak * 1e-4 / np.sum(lumens * port)
+    photons = 1e-4 * photoelectrons_per_lumen_s(sensor) * per_lumen / per_lumen_of_lamp / peak
+    return float(photons), electrons / np.sum(electrons * radiance)

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd import fourier
 from simulate.iiccd.grid import Grid
 from simulate.iiccd.light import Light, product
 from simulate.iiccd.transfer import Blur, PixelAperture
@@ -34,16 +35,14 @@ class Collection:
 
     def mean(self, light: Light) -> Light:
         """Return photons per pixel, shape (..., frame row, column)."""
-        from scipy.fft import irfft2, rfft2
-
         grid = light.grid
         if grid is None or grid.per_column != 2 or grid.per_row > 2:
             raise ValueError("pixels collect light on two cells per column and one or two per row")
         height = 2 if self.row_pairs else 1
         aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
-        spectrum = rfft2(light.values) * pixel_transfer((*light.owed, aperture), grid, height)
+        spectrum = fourier.forward(light.values) * pixel_transfer((*light.owed, aperture), grid, height)
         folded = folded_columns(folded_rows(spectrum) if grid.per_row == 2 else spectrum)
-        pixels = irfft2(folded, s=(grid.shape[0] // grid.per_row, grid.shape[1] // 2))
+        pixels = fourier.inverse(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
         # So far the amount in a cell around the pixel's centre, averaged by its aperture.
         pixels *= pixels.dtype.type(grid.per_column * grid.per_row * height)
         top, left = grid.margin_rows, grid.margin_columns

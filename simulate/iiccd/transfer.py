@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 
 class Blur(Protocol):
@@ -143,4 +143,4 @@ class VideoFilter:
         """Complex transfer along a line at frequencies in cycles per pixel, 1 at zero."""
         impulse = self.impulse_response()
         phase = np.multiply.outer(np.asarray(frequency_cy_per_px, float), np.arange(len(impulse)))
-        return np.exp(-2j * np.pi * phase) @ impulse
+        return np.exp(-2j * np.pi * phase) @ impulse.astype(np.complex128)

@@ -4,7 +4,7 @@ Formulas and numerical integrals of formulas, no simulated frame. Frequencies ar
 directions; lengths in column pitches.
 """
 
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,7 +73,8 @@ def frequency_at(sensor: Sensor, level: float, direction: Direction = "horizonta
     if below.size == 0 or below[0] == 0:
         raise BadInput(f"the MTF must fall to the level within one cycle per pixel, got the level {level:g}")
     low, high = fine[below[0] - 1], fine[below[0]]
-    return float(brentq(lambda f: float(mtf(sensor, f, direction)) - level, low, high))
+    root: Any = brentq(lambda f: float(mtf(sensor, f, direction)) - level, low, high)
+    return float(root)
 
 
 def quantities(sensor: Sensor, conditions: Conditions | None = None) -> dict[str, float]:
@@ -165,7 +166,7 @@ def pulse_correlation(
     return float(4.0 * total * (x[1] - x[0]) * (y[1] - y[0])), float(beside), float(below)
 
 
-def _midpoints(count: int, end: float = 4.0) -> NDArray[np.float64]:
+def _midpoints(count: int, end: float = 4.0) -> NDArray[np.floating]:
     """Midpoints of even steps from zero to so many cycles per pixel, beyond which no camera has transfer left."""
     return (np.arange(count) + 0.5) * (end / count)
 

@@ -66,7 +66,7 @@ class Video:
         return signal + np.float32(self.black_level_dn)
 
 
-def filtered(lines: NDArray, impulse_response: NDArray[np.float64]) -> NDArray[np.float32]:
+def filtered(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return lines (..., col) through a causal filter; before its first pixel a line is like its first pixel."""
     significant = np.flatnonzero(np.abs(impulse_response) > 1e-7)
     taps = impulse_response[: significant[-1] + 1].astype(np.float32)

@@ -21,7 +21,7 @@ class RadianceCube:
         Spectral radiance, shape (band, row, col), W m-2 sr-1 nm-1. Made read-only.
     """
 
-    wavelength_nm: NDArray[np.float64]
+    wavelength_nm: NDArray[np.floating]
     radiance: NDArray[np.floating]
 
     def __post_init__(self) -> None:
@@ -42,7 +42,7 @@ class RadianceCube:
         return np.tensordot(weight.astype(np.float32), self.radiance.astype(np.float32, copy=False), axes=1)
 
 
-def band_widths(wavelength_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+def band_widths(wavelength_nm: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return the trapezoid's width of each band, shape (band,), nm: an integral is the sum of value times width."""
     steps = np.diff(np.asarray(wavelength_nm, float))
     return 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))

@@ -42,8 +42,8 @@ class Material:
 
     def reflected(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Reflectance at wavelengths, dimensionless."""
-        return np.interp(wavelength_nm, self.wavelength_nm, self.reflectance)
+        return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self.reflectance)
 
     def transmitted(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Transmittance at wavelengths, dimensionless."""
-        return np.interp(wavelength_nm, self.wavelength_nm, self.transmittance)
+        return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self.transmittance)

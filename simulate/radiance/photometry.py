@@ -20,7 +20,7 @@ _EYE = np.array([
 def luminous_efficiency(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     """Return V(lambda), dimensionless, linear between 10 nm steps and zero outside 380..770 nm."""
     table_nm = _EYE_START_NM + _EYE_STEP_NM * np.arange(len(_EYE))
-    return np.interp(wavelength_nm, table_nm, _EYE, left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), table_nm, _EYE, left=0.0, right=0.0)
 
 
 def planck(wavelength_nm: ArrayLike, temperature_k: float) -> NDArray[np.float64]:

@@ -60,7 +60,7 @@ def set_up(scene: LabScene, mesh: TargetMesh, metre_per_px: float) -> Bench:
     )
 
 
-def render(bench: Bench, view: View, wavelength_nm: NDArray[np.float64]) -> RadianceCube:
+def render(bench: Bench, view: View, wavelength_nm: NDArray[np.floating]) -> RadianceCube:
     """Return the spectral radiance that the lens sees, each cell's average, for a port of radiance Planck(T).
 
     Parameters
@@ -161,11 +161,11 @@ def _seen(bench: Bench, view: View, cell: NDArray[np.floating]) -> NDArray[np.fl
     return np.concatenate([one_hot * clear, one_hot * lit]).astype(np.float32)
 
 
-def _port_behind(bench: Bench, point_m: NDArray[np.float64], towards: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _port_behind(bench: Bench, point_m: NDArray[np.floating], towards: NDArray[np.floating]) -> NDArray[np.bool_]:
     return bench.port.blocked(point_m + towards * CLEARANCE_M, towards)
 
 
-def _room_light(bench: Bench, point_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _room_light(bench: Bench, point_m: NDArray[np.floating]) -> NDArray[np.floating]:
     """Irradiance of the room light relative to that at the target's centre, zero in shadow."""
     lamp = np.array(bench.scene.room_light.position_m)
     way = lamp - point_m

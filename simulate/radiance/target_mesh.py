@@ -96,7 +96,7 @@ def _bars(target: Target) -> TargetMesh:
     return _joined(parts, BAR_TILT_DEG if target.angle_deg is None else target.angle_deg, outlines)
 
 
-def _pairs(values: NDArray[np.float64]) -> list[tuple[float, float]]:
+def _pairs(values: NDArray[np.floating]) -> list[tuple[float, float]]:
     return [(float(a), float(b)) for a, b in pairwise(values)]
 
 

@@ -41,17 +41,17 @@ class View:
             corner = (self.corner_px[0], self.corner_px[1] + start * self.cell_px[1])
             yield slice(start, stop), replace(self, shape=(stop - start, self.shape[1]), corner_px=corner)
 
-    def places_px(self, row: NDArray[np.floating], col: NDArray[np.floating]) -> NDArray[np.float64]:
+    def places_px(self, row: NDArray[np.floating], col: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return places (x, y) of cell coordinates, whole numbers at the corners of cells, shape (place, 2)."""
         x = self.corner_px[0] + col * self.cell_px[0]
         y = self.corner_px[1] + row * self.cell_px[1]
         return np.stack([x, y], axis=-1)
 
-    def cells_px(self, place_px: NDArray[np.floating]) -> NDArray[np.float64]:
+    def cells_px(self, place_px: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return cell coordinates (row, col) of places (x, y), shape (place, 2)."""
         return (place_px[:, ::-1] - np.array(self.corner_px[::-1])) / np.array(self.cell_px[::-1])
 
-    def rays(self, place_px: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def rays(self, place_px: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """Return origins and directions, m, of rays from the lens to places (x, y), each of shape (ray, 3)."""
         eye = np.array([*np.multiply(self.eye_px, self.metre_per_px), -self.distance_m])
         towards = np.column_stack([place_px * self.metre_per_px, np.zeros(len(place_px))]) - eye
