@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-HALF_ROWS, HALF_COLS = 8, 9
-RING_BORDERS_PX = (9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
+HALF_ROWS, HALF_COLS = 6, 7
+RING_BORDERS_PX = (7.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
 SECTORS = 12
 PIXELS_PER_RING = 48
 # Share of full scale from which single frames are clipped or their chip's wells full.

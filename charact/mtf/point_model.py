@@ -11,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf import transfer as forms
-from charact.mtf.point_prior import NAMES, Prior
+from charact.mtf.point_prior import Prior
 
 Array = NDArray[np.float64]
 
 # Spacing of the frequencies: copies of the source then lie this far apart, beyond core and halo, px.
 PERIOD_PX = 40.0
 RING_STEP, RING_TOP = 1.0 / 160.0, 0.5
+# Rings are wide: smoothing by this much changes nothing and ends the integral gently.
+RING_SMOOTHING_PX = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +158,7 @@ class PointModel:
         f, table, kernel = self._rings
         along = self.optics.width_px / 2.0 + self.optics.height_px / 2.0
         radial = self.modulus(theta, f / np.sqrt(2), f / np.sqrt(2), table if self.prior.halo_px else None)
-        return (radial * np.sinc(f * along / 2)) @ kernel
+        return (radial * np.sinc(f * along / 2) * np.exp(-2.0 * (np.pi * f * RING_SMOOTHING_PX) ** 2)) @ kernel
 
     def mtf(self, theta: Array, frequency: Array, *, vertical: bool) -> Array:
         """Return the MTF along rows or along columns, shape (n, frequency), of the camera alone, without pinhole."""
@@ -203,5 +205,3 @@ def _bend(values: Array) -> Array:
     """Return constant, slope and curvature of values at -1, 0 and 1."""
     return np.stack([values[1], 0.5 * (values[2] - values[0]), 0.5 * (values[2] + values[0]) - values[1]])
 
-
-PARAMETERS = NAMES

@@ -19,6 +19,8 @@ SHARES = (0.4, 0.6, 0.8, 1.0)
 # Half the spacing of the places of landing near the core and far from it, px, and how far each reaches.
 NEAR, FAR = (0.5, 3.0), (1.5, 15.0)
 FIELDS, MOMENTS = 64, 200
+# Pixels whose frames are compared lie this near the source, px.
+NEAR_PX = 5.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,6 +133,13 @@ def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, kee
     return model.image(shifted, transfer).reshape(rows.size, -1)
 
 
+def _near(model: PointModel, point: Array) -> NDArray[np.int64]:
+    """Return the pixels near the source, where nearly all of its noise is."""
+    p = model.prior.named(point[None])
+    x, y = np.broadcast_arrays(model.x - p["x_px"], (model.y - p["y_px"])[:, None])
+    return np.flatnonzero((np.hypot(x, y) < NEAR_PX).ravel())
+
+
 def noise_of(
     model: PointModel,
     point: Array,
@@ -154,13 +163,15 @@ def noise_of(
     parity
         Field of each pixel, shape (pixel,).
     """
+    near = _near(model, point)
+    deviations, parity = deviations[:, near], parity[near]
     factor = np.where(parity[:, None] == parity[None, :], memory.frame_same, memory.frame_other)
     gains = np.exp(np.linspace(np.log(0.3), np.log(3000.0), 120)) * max(floor, 1e-6) / 0.2
     best: tuple[float, Noise] | None = None
     freedom = len(deviations) - 1
     for share in shares:
         pulse = pulse_covariance(model, point, share)
-        values, vectors = np.linalg.eigh(pulse * factor * light)
+        values, vectors = np.linalg.eigh(pulse[np.ix_(near, near)] * factor * light)
         power = ((deviations @ vectors) ** 2).sum(axis=0)
         variance = gains[:, None] * np.maximum(values, 0.0) + floor
         fit = -0.5 * (freedom * np.log(variance) + power / variance).sum(axis=1)

@@ -14,6 +14,7 @@ STEADY = 4.0
 # Another source counts from this share of the first one on, outside its halo's inner part.
 OTHER_SHARE = 0.08
 APART_PX = 12.0
+LEAST_BACKGROUND = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +51,7 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     steady = np.median(smooth, axis=0)
     row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     level = float(np.median(steady))
-    spread = _spread(steady, level, data)
+    spread = _spread(steady[_away(steady.shape, row, col, pitch_ratio)], level, data)
     height = float(steady[row, col]) - level
     significance = height / spread
     if significance < DETECTED:
@@ -67,6 +68,8 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
 
 def _spread(steady: Array, level: float, data: NDArray) -> float:
     """Standard deviation of the smoothed background, not below what rounding to codes hides, nor its upper tail."""
+    if steady.size < LEAST_BACKGROUND:
+        return np.inf
     robust = 1.4826 * float(np.median(np.abs(steady - level)))
     # Pulses make a tail that the median does not see: the highest per mille stands for it.
     tail = (float(np.quantile(steady, 0.999)) - level) / 3.1 if steady.size > 20000 else 0.0
@@ -74,10 +77,16 @@ def _spread(steady: Array, level: float, data: NDArray) -> float:
     return max(robust, tail, rounding, 1e-12)
 
 
+def _away(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> NDArray[np.bool_]:
+    """Return the pixels beyond the surroundings of a place; in a small picture those nearer its border."""
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    distance = np.hypot(cols - col, (rows - row) * pitch_ratio)
+    return distance > min(APART_PX, 0.75 * float(distance.max()))
+
+
 def _others(height: Array, row: int, col: int, spread: float, pitch_ratio: float) -> bool:
     """Tell whether another peak stands out beyond the surroundings of the first."""
-    rows, cols = np.ogrid[: height.shape[0], : height.shape[1]]
-    away = np.hypot(cols - col, (rows - row) * pitch_ratio) > APART_PX
+    away = _away(height.shape, row, col, pitch_ratio)
     if not away.any():
         return False
     other = float(np.where(away, height, -np.inf).max())
