@@ -12,6 +12,7 @@ LENGTH_OVER_WIDTH = 7.0
 DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
 # The tallest response of noise alone over a whole frame, in its own robust standard deviations, stays below this.
 LEAST_RESPONSE = 8.0
+RAYLEIGH_TENTH = float(np.sqrt(-2.0 * np.log(0.9)))
 # Longest departure of the bars' own frequency from the one asked for.
 FREQUENCY_SLACK = 0.06
 
@@ -85,16 +86,17 @@ def find(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> Ba
     size = (next_fast_len(image.shape[0] + 2 * reach, True), next_fast_len(image.shape[1] + 2 * reach, True))
     spectrum = rfft2(image - np.median(image), s=size)
     best: tuple[float, BarTarget] | None = None
+    quiet = np.inf
     for degrees in DIRECTIONS_DEG:
         turned = replace(blank, angle_rad=float(np.deg2rad(degrees)))
         response = _response(spectrum, size, turned, reach, image.shape)
-        scale = np.median(response) / np.sqrt(np.log(4.0)) + 1e-9 * (response.max() + 1e-30)
         row, col = np.unravel_index(int(np.argmax(response)), response.shape)
-        rise = float(response[row, col] / scale)
-        if best is None or response[row, col] > best[0]:
-            best = (float(response[row, col]), replace(turned, row=float(row), col=float(col)))
-            strongest = rise
-    if best is None or strongest < LEAST_RESPONSE:
+        height = float(response[row, col])
+        # Where and how a large target does not answer there is nothing but noise: a low quantile of a Rayleigh law.
+        quiet = min(quiet, float(np.quantile(response, 0.1)) / RAYLEIGH_TENTH)
+        if best is None or height > best[0]:
+            best = (height, replace(turned, row=float(row), col=float(col)))
+    if best is None or not best[0] > LEAST_RESPONSE * quiet + 1e-9 * np.abs(image).max():
         return None
     return _settled(image, best[1])
 

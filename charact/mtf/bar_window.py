@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf import transfer as forms
+from charact.mtf.bar_target import BarTarget
 from charact.mtf.optics import halo_diameters_px
 from labdata.parameter import Parameter
 
@@ -22,6 +23,19 @@ def margin_px(context: Context, frequency: float) -> float:
     if context.sensor is None:
         return own
     return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + BEYOND_HALO_PX)
+
+
+def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> tuple[float, bool]:
+    """Return the widest margin up to the one wanted at which the window fits, and whether it is less."""
+    for margin in np.linspace(wanted, 2.0, 24):
+        inside = target.box(shape, float(margin))
+        across, along = target.coordinates(shape)
+        reach = (np.abs(across).max(), np.abs(along).max())
+        fits = reach[0] > target.width_px / 2 + margin and reach[1] > target.length_px / 2 + margin
+        touches = inside[0].any() or inside[-1].any() or inside[:, 0].any() or inside[:, -1].any()
+        if fits and not touches:
+            return float(margin), margin < wanted - 1e-9
+    return 2.0, True
 
 
 def lost_share(context: Context, margin: float) -> tuple[float, float]:

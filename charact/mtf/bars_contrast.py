@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.bar_target import BarTarget, find
+from charact.mtf.bar_window import fitting_margin
 from charact.mtf.codes import code_flags
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
@@ -26,7 +27,7 @@ LEAST_SIGNAL = 12.0
     quantities=("mtf",),
     scope=(
         "For comparison with readings by eye, always suspect: harmonics make it read up to a fifth low below a third "
-        "of the cut-off, outer bars low near it, and it is normalised to the light of the bars, not to all that entered."
+        "of the cut-off, outer bars low near it, and it is normalised to the light of the bars, not to all."
     ),
 )
 def bars_contrast(
@@ -78,7 +79,8 @@ def bars_contrast(
 def _read(mean: Array, target: BarTarget) -> tuple[float, float] | None:
     """Return the reading and its standard error, from the pixels that lie on the middles of bars and of gaps."""
     across, along = target.coordinates(mean.shape)
-    pedestal = float(np.median(mean[~target.box(mean.shape, 1.5 / target.frequency)]))
+    margin, _ = fitting_margin(target, (mean.shape[0], mean.shape[1]), 1.5 / target.frequency)
+    pedestal = float(np.median(mean[~target.box(mean.shape, margin)]))
     inner = np.abs(along) < 0.3 * target.length_px
     phase = (across * target.frequency + (target.bars - 1) / 2.0) % 1.0
     within = inner & (np.abs(across) < (target.bars - 1) / 2.0 / target.frequency + 0.1 / target.frequency)

@@ -10,7 +10,7 @@ import charact
 from charact.method import Context, register
 from charact.mtf.bar_amplitudes import Amplitudes, amplitudes_of
 from charact.mtf.bar_target import BarTarget, find, own_frequency
-from charact.mtf.bar_window import lost_share, margin_px
+from charact.mtf.bar_window import fitting_margin, lost_share, margin_px
 from charact.mtf.codes import code_flags
 from charact.mtf.region import Region
 from charact.posterior import laplace, sample
@@ -124,7 +124,7 @@ def _reduced(used: FrameStack, bars: int, frequency: float, context: Context) ->
     if target is None:
         return f"no target: nothing in the region answers to {bars} bars at {frequency:g} cy/px"
     wanted = margin_px(context, frequency)
-    margin, cut = _fitting(target, mean.shape, wanted)
+    margin, cut = fitting_margin(target, mean.shape, wanted)
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
         return "no target: the region ends at the bars, and their pedestal cannot be told"
@@ -142,19 +142,6 @@ def _reduced(used: FrameStack, bars: int, frequency: float, context: Context) ->
     return Reduced(target=target, amplitudes=amplitudes, margin_px=margin, cut=cut)
 
 
-def _fitting(target: BarTarget, shape: tuple[int, int], wanted: float) -> tuple[float, bool]:
-    """Return the widest margin, up to the one wanted, at which the window and more fit; and whether it is less."""
-    for margin in np.linspace(wanted, 2.0, 24):
-        inside = target.box(shape, float(margin))
-        across, along = target.coordinates(shape)
-        reach = (np.abs(across).max(), np.abs(along).max())
-        fits = reach[0] > target.width_px / 2 + margin and reach[1] > target.length_px / 2 + margin
-        touches = inside[0].any() or inside[-1].any() or inside[:, 0].any() or inside[:, -1].any()
-        if fits and not touches:
-            return float(margin), margin < wanted - 1e-9
-    return 2.0, True
-
-
 def _posterior(found: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
     """Draw light, MTF and the share of light lost beyond the window.
 
@@ -162,23 +149,33 @@ def _posterior(found: Amplitudes, lost: tuple[float, float], context: Context) -
     negative. Student's t with the freedom of the estimated covariance.
     """
     inverse = np.linalg.inv(found.covariance)
-    share, share_sd = lost[0], max(lost[1], 1e-6)
+    share, share_sd = lost
+    known = share_sd == 0.0
     bounds = np.array([(0.0, 2.0), (0.0, LARGEST_MTF), (max(0.0, share - 8 * share_sd), share + 8 * share_sd)])
+    bounds = bounds[:2] if known else bounds
 
     def log_probability(theta: Array) -> Array:
-        light, mtf, beyond = theta.T
+        light, mtf = theta[:, 0], theta[:, 1]
+        beyond = np.full(len(theta), share) if known else theta[:, 2]
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         expected = found.light * light[:, None] * np.stack([1.0 - beyond, 2.0 / np.pi * mtf], axis=1)
         off = np.array([found.light, found.fundamental]) - expected
         chi2 = np.einsum("ni,ij,nj->n", off, inverse, off)
         likelihood = -0.5 * (found.freedom + 2.0) * np.log1p(chi2 / found.freedom)
-        return np.where(inside, likelihood - 0.5 * ((beyond - share) / share_sd) ** 2, -np.inf)
+        prior = 0.0 if known else -0.5 * ((beyond - share) / share_sd) ** 2
+        return np.where(inside, likelihood + prior, -np.inf)
 
     ratio = min(np.pi / 2 * found.fundamental / found.light * (1.0 - share), LARGEST_MTF - 0.01)
     start = np.array([1.0 / (1.0 - share), ratio, share])
     relative = found.covariance / found.light**2
     spread = np.diag([relative[0, 0], (np.pi / 2) ** 2 * relative[1, 1] + ratio**2 * relative[0, 0], share_sd**2])
-    asked = {"names": ("light", "mtf", "lost_share"), "units": ("1", "1", "1"), "start": start, "covariance": spread}
+    count = len(bounds)
+    asked = {
+        "names": ("light", "mtf", "lost_share")[:count],
+        "units": ("1", "1", "1")[:count],
+        "start": start[:count],
+        "covariance": spread[:count, :count],
+    }
     if context.quick:
         return laplace(log_probability, **asked, seed=context.seed, bounds=bounds)
     return sample(log_probability, **asked, seed=context.seed, bounds=bounds)

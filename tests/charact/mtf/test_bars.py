@@ -81,7 +81,7 @@ def test_intervals_cover_under_correlated_noise(seed: int) -> None:
     for trial in range(80):
         frequency, angle = (0.1, 0.16, 0.24)[trial % 3], float(rng.uniform(2.0, 10.0))
         found = mtf_at(frames_of(blurred_bars(frequency, angle, 0.9, fine=4), rng), frequency)
-        assert found.status == "ok", found
+        assert found.status == "ok", (found.flags, frequency, trial)
         low, high = found.interval95
         covered += low <= mtf_of(frequency, angle, 0.9) <= high
     assert covered >= 69
