@@ -48,26 +48,39 @@ def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
 
 
 def blur_factor(values: Values, gain_dn_per_pe: Array) -> Array:
-    """Return variance over covariance sum of the noise of a field, shape (n,), dimensionless.
+    """Return variance over covariance sum of the noise of a field, shape (n,), dimensionless; see `noise_shape`."""
+    return noise_shape(values, gain_dn_per_pe)[0]
+
+
+def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
+    """Return blur factor and correlation of neighbours in a row of the noise of a field, shape (n,), dimensionless.
 
     Notes
     -----
     A photoelectron's light spreads with the transfer H of all that follows the gain. Poisson events anywhere on the
-    cathode have the variance (rate) integral of |H|^2 over the frequency plane in cycles per field pixel, and the
-    covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons counted in the detector are
-    white before the video filter: the same integral with the filter alone, weighted with K against k F^2.
+    cathode have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x) over the frequency plane in
+    cycles per field pixel, and the covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons
+    counted in the detector are white before the video filter: its own weights correlate them. The two go together as
+    k F^2 and K.
     """
     weights = _video_weights(values)
     across = transfer.aperture(_ACROSS) * video.transfer(weights, _ACROSS)
     detector = _per_mm_at_detector(values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / 2.0)))
     cathode = detector / _column(values, "taper.demagnification")
     after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(values, detector)
-    rows = (after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2 @ (across**2 * _ACROSS_WEIGHT)[:, :, None])[:, :, 0]
-    scintillation = 4.0 * rows @ (transfer.aperture(_ALONG) ** 2 * _ALONG_WEIGHT)
-    filtered = np.sum(weights**2, axis=1)
+    down = transfer.aperture(_ALONG) ** 2 * _ALONG_WEIGHT
+    columns = down @ after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2
+    power = 4.0 * columns * across**2 * _ACROSS_WEIGHT
     electron = values["video.conversion_gain_dn_per_e"]
     event = gain_dn_per_pe * excess_noise_factor(values)
-    return (event * scintillation + electron * filtered) / (event + electron)
+    variance, neighbour = (
+        (event * pulses + electron * filtered) / (event + electron)
+        for pulses, filtered in (
+            (power.sum(axis=1), np.sum(weights**2, axis=1)),
+            (power @ np.cos(2.0 * np.pi * _ACROSS), np.sum(weights[:, 1:] * weights[:, :-1], axis=1)),
+        )
+    )
+    return variance, neighbour / variance
 
 
 def excess_noise_factor(values: Values) -> Array:
@@ -97,7 +110,7 @@ def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
 
 def photoelectrons(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike) -> Array:
     """Return photoelectrons of an illuminance per field pixel and exposure, without EBI, shape (n,)."""
-    return np.asarray(illuminance_lux) * _electrons_per_lumen(values) * _field_pixel_m2(values) * gate_s
+    return np.asarray(illuminance_lux) * _electrons_per_lumen(values) * _field_pixel_m2(values) * np.asarray(gate_s)
 
 
 def background_rate(values: Values) -> Array:
@@ -116,7 +129,7 @@ def load(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike, mcp_v: A
     cathode_a_per_cm2 = np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
     limit = values["microchannel_plate.strip_current_ua_per_cm2"] * 1e-6
     limit = limit * values["microchannel_plate.saturation_fraction"]
-    return cathode_a_per_cm2 * per_pe * gate_s * values["video.field_rate_hz"] / limit
+    return cathode_a_per_cm2 * per_pe * np.asarray(gate_s) * values["video.field_rate_hz"] / limit
 
 
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
@@ -153,20 +166,22 @@ def kept_by_lag(values: Values, gate_s: float) -> Array:
 
     Notes
     -----
-    sum of l_j^2, l_j the share of a pulse's light that comes out in the j-th field after it, for two exponential
-    components excited evenly over the gate.
+    Mean over the arrival of a pulse, anywhere in the gate at the start of a field, of sum_j l_j^2; l_j is the share of
+    its light that comes out in the j-th field after it, of two exponential components.
     """
-    field_s = 1.0 / values["video.field_rate_hz"]
+    field_s = 1.0 / values["video.field_rate_hz"][:, None, None]
     fast = values["phosphor.fast_fraction"]
-    shares = np.stack([fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]])
-    shares = shares / shares.sum(axis=0)
-    late = np.zeros((len(fast), 12))
-    for share, tau_ms in zip(shares, ("phosphor.fast_decay_ms", "phosphor.slow_decay_ms"), strict=True):
-        tau = values[tau_ms][:, None] * 1e-3
-        end = (np.arange(12) + 1.0) * field_s[:, None]
-        late = late + share[:, None] * tau / gate_s * (np.exp((gate_s - end) / tau) - np.exp(-end / tau))
-    weights = -np.diff(late, axis=1, prepend=1.0)
-    return np.sum(weights**2, axis=1)
+    light = np.stack([fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]])
+    decay_s = [values[f"phosphor.{name}_decay_ms"][:, None, None] * 1e-3 for name in ("fast", "slow")]
+    node, weight = _nodes((0.0, 1.0), (12,))
+    arrival_s = gate_s * node[None, :, None]
+    ends_s = np.maximum((np.arange(13)[None, None, :]) * field_s - arrival_s, 0.0)
+    glowing = [
+        share[:, None, None] * np.exp(-ends_s / tau)
+        for share, tau in zip(light / light.sum(axis=0), decay_s, strict=True)
+    ]
+    shares = -np.diff(glowing[0] + glowing[1], axis=2)
+    return np.sum(shares**2, axis=2) @ weight
 
 
 def halo_diameter_px(values: Values) -> Array:
@@ -234,5 +249,5 @@ def _nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Ar
 
 
 # Nodes of a quadrant of the frequency plane, cycles per field pixel, as far as fibres and their gaps let anything pass.
-_ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 6, 7))
+_ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))

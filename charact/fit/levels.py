@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from labdata.session import Session, StackEntry
 
@@ -23,6 +24,8 @@ class Level:
         Mean over frames and pixels, DN.
     sd_dn
         Standard error of it, from the scatter of the frames' own means, DN.
+    noise_dn
+        Spread of a pixel about its mean that holds for most pixels, DN: half the range of the middle 68 %.
     illuminance_lux, gate_s, exposure_s, mcp_v
         Conditions; a dark has no illuminance.
     """
@@ -30,6 +33,7 @@ class Level:
     label: str
     mean_dn: float
     sd_dn: float
+    noise_dn: float
     illuminance_lux: float
     gate_s: float
     exposure_s: float
@@ -61,8 +65,21 @@ def _level(session: Session, entry: StackEntry) -> Level | None:
         label=entry.label,
         mean_dn=float(means.mean()),
         sd_dn=scatter,
+        noise_dn=_noise_dn(stack.data[0]),
         illuminance_lux=float(illuminance),
         gate_s=float(gate_s),
         exposure_s=float(exposure_s),
         mcp_v=float(conditions.mcp_v or reference_v),
     )
+
+
+def _noise_dn(frame: NDArray) -> float:
+    """Return the width of the middle 68 % of whole DN; where most pixels show one code, what lies outside tells it."""
+    codes, counts = np.unique(frame, return_counts=True)
+    share = float(counts.max()) / frame.size
+    if share < 0.38 or len(codes) < 2:
+        low, high = np.quantile(frame, (0.16, 0.84))
+        return float(high - low) / 2.0
+    from scipy.special import erfinv
+
+    return float(0.5 / (np.sqrt(2.0) * erfinv(min(share, 1.0 - 1e-9))))

@@ -45,7 +45,7 @@ class Observed:
     @cached_property
     def _whitening(self) -> Array:
         """Root of the inverse covariance: residuals times it are independent and of unit variance."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance)).T
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
 
 
 def one(name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]) -> Observed:

@@ -66,7 +66,7 @@ def fit_sensor(
     if session.sensor is None:
         raise BadInput(f"a fit needs a sensor description with prior ranges, got none in session {session.name!r}")
     progress("levels of darks and flats", 0.0)
-    observed = observations(session, result, levels_of(session))
+    observed = observations(session, session.sensor, result, levels_of(session))
     if not observed:
         raise BadInput(f"a fit needs at least one measurement that was not refused, got none in {session.name!r}")
     model = model_of(session.sensor, observed)
