@@ -18,11 +18,11 @@ NEAR_PX = 16.0
 def nodes(*, fine: bool) -> Array:
     """Return the frequencies that carry a transfer, cycles per pixel; fine ones follow the ripples of a wide halo."""
     low = np.array([1e-5, 2.5e-4, 5e-4, 1e-3, 2e-3, 3.5e-3, 5e-3, 7e-3])
-    upper = np.concatenate([np.arange(0.3, 0.6, 0.02), np.arange(0.6, 1.2, 0.05), np.arange(1.2, 4.2, 0.15)])
+    upper = np.concatenate([np.arange(0.3, 0.7, 0.025), np.arange(0.7, 1.4, 0.07), np.arange(1.4, 4.4, 0.25)])
     middle = np.arange(0.01, 0.3, 0.01)
     if fine:
-        low = np.concatenate([low[:4], np.arange(2e-3, 0.05, 1e-3)])
-        middle = np.concatenate([np.arange(0.05, 0.12, 2e-3), np.arange(0.12, 0.3, 5e-3)])
+        low = np.concatenate([low[:4], np.arange(1.5e-3, 0.06, 1.5e-3)])
+        middle = np.concatenate([np.arange(0.06, 0.12, 3e-3), np.arange(0.12, 0.3, 0.012)])
     grid = np.unique(np.concatenate([low, middle, upper]).round(7))
     grid.flags.writeable = False
     return grid
