@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,7 @@ def _sound(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[
     """Tell which core pixels never meet full scale, nor stand where a filter smears what was cut."""
     if full_scale_dn is None:
         return np.ones(core.shape[1:], bool)
-    full = (core >= FULL_SHARE * full_scale_dn).any(axis=0)
+    full = np.asarray(core.max(axis=0) >= FULL_SHARE * full_scale_dn)
     spoilt = full.copy()
     if filtered:
         for step in range(1, AFTERMATH_PX + 1):
@@ -144,7 +145,7 @@ def _rings(data: NDArray, mean: Array, radius: Array, outside: NDArray[np.bool_]
     """Return distances, means and variances of the rings that lie in the picture."""
     angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
     distances, values, variances = [], [], []
-    for low, high in zip(RING_BORDERS_PX[:-1], RING_BORDERS_PX[1:], strict=True):
+    for low, high in pairwise(RING_BORDERS_PX):
         if high > reach:
             break
         inside = outside & (radius >= low) & (radius < high)

@@ -16,8 +16,9 @@ Array = NDArray[np.float64]
 
 # Share by which a screen's own pattern makes pixels unequal, and over how many pixels it is alike.
 PATTERN, PATTERN_PX = 0.015, 1.5
-# Share of a code by which the mean of rounded values may be off where there is little noise.
-ROUNDING_DN = 0.06
+# Noise of a quiet pixel that helps rounding, DN; mean square over squared mean of pulses; pulses per DN before they
+# are known.
+QUIET_SD, PULSE_VARIANCE, SPARSE = 0.2, 3.0, 1.0
 CLIMBS = 3
 
 
@@ -73,7 +74,8 @@ class PointFit:
         normal[:, 1, 1] = flat @ flat
         right = np.stack([unit @ data, np.full(len(theta), flat @ data)], axis=1)
         best = np.linalg.solve(normal, right[..., None])[..., 0]
-        return data @ data - (best * right).sum(axis=1), best, normal
+        chi2 = data @ data - (best * right).sum(axis=1)
+        return np.asarray(chi2, np.float64), np.asarray(best, np.float64), normal
 
     def log_probability(self, theta: Array) -> Array:
         """Return ln of the posterior with light and pedestal marginalised, shape (n,)."""
@@ -81,13 +83,13 @@ class PointFit:
         inside = np.isfinite(value)
         if inside.any():
             chi2, _, normal = self.linear(theta[inside])
-            # The prior of light is flat in its logarithm: a wide core is not favoured for taking more of it.
-            value[inside] += -0.5 * chi2 - 0.5 * np.linalg.slogdet(normal)[1]
+            height = -0.5 * chi2 - 0.5 * np.log(normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2)
+            value[inside] += np.where(np.isfinite(height), height, -np.inf)
         return value
 
 
-def fit(window: Window, context: Context, optics: Optics, progress=None) -> PointFit:
-    """Fit a window; noise and transfer in turns."""
+def fit(window: Window, context: Context, optics: Optics) -> PointFit | None:
+    """Fit a window, noise and transfer in turns; None where no transfer is possible."""
     prior = prior_of(context, halo_seen=window.holds_halo)
     model = PointModel(optics=optics, prior=prior, x=window.x, y=window.y, ring_px=window.ring_px)
     memory = memory_of(context, window.frames)
@@ -95,8 +97,12 @@ def fit(window: Window, context: Context, optics: Optics, progress=None) -> Poin
     noise = None
     found = _weighted(model, window, point, None, memory)
     for turn in range(CLIMBS):
+        if not np.isfinite(found.log_probability(point[None])[0]):
+            return None
         point, covariance = maximum(found.log_probability, point, prior.bounds[prior.chosen])
         found = _at(found, point, covariance, noise)
+        if found.light <= 0:
+            return None
         if turn == CLIMBS - 1:
             break
         if window.frames > 2:
@@ -115,35 +121,54 @@ def _first(model: PointModel, window: Window) -> Array:
 
 
 def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, light: float = 0.0) -> PointFit:
-    """Return a problem whose weights follow from noise and pattern at a point."""
-    keep = window.keep
+    """Return a problem whose weights follow from noise, pattern and rounding at a point."""
+    keep = window.keep.ravel()
+    core = light * model.core(point[None])[0] if light else np.maximum(window.core - np.median(window.core), 0.0)
+    rings = light * model.rings(point[None])[0] if light and window.ring_dn.size else np.zeros(window.ring_dn.size)
+    bright = core.ravel()
+    covariance = _core_covariance(window, bright, noise, memory, light)[np.ix_(keep, keep)]
+    size = len(covariance)
+    whole = np.zeros((size + rings.size,) * 2)
+    whole[:size, :size] = covariance
+    whole[size:, size:] = np.diag(window.ring_variance)
+    pulse = np.zeros(bright.size) if noise is None else noise.gain * light * np.diag(noise.pulse) * memory.frame_same
+    scatter = np.append(pulse[keep], np.full(rings.size, np.inf))
+    whole += _rounding(window, np.append(bright[keep], rings), scatter, noise)
+    root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole)), np.float64)
+    return PointFit(model=model, data=np.concatenate([window.core.ravel()[keep], window.ring_dn]), white=root,
+                    keep=window.keep)  # fmt: skip
+
+
+def _core_covariance(window: Window, bright: Array, noise: Noise | None, memory, light: float) -> Array:
+    """Return the covariance of the core's mean: pulses, the pixels' own noise, and the screen's pattern."""
     count = window.frames
-    mean = light * model.core(point[None])[0] if light else np.maximum(window.core - np.median(window.core), 0.0)
-    bright = mean.ravel()
     if noise is None:
-        covariance = np.diag(window.floor + 0.1 * bright**1.0 * max(float(bright.max()), 1.0) * 0.2) / count
+        covariance = np.diag(0.02 * bright * max(float(bright.max()), 1.0)) / count
     else:
         same = window.parity[:, None] == window.parity[None, :]
-        factor = np.where(same, memory.mean_same, memory.mean_other) / count
-        covariance = noise.gain * max(light, 0.0) * noise.pulse * factor
-    covariance = covariance + np.diag(np.full(bright.size, window.floor / count + ROUNDING_DN**2 / 4))
-    covariance = covariance + PATTERN**2 * np.outer(bright, bright) * np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
-    covariance = covariance[np.ix_(keep.ravel(), keep.ravel())]
-    size, rings = len(covariance), window.ring_dn.size
-    whole = np.zeros((size + rings,) * 2)
-    whole[:size, :size] = covariance
-    whole[size:, size:] = _ring_covariance(window, noise, light, model, point)
-    root = np.linalg.inv(np.linalg.cholesky(whole))
-    return PointFit(model=model, data=np.concatenate([window.core[keep], window.ring_dn]), white=root, keep=keep)
+        covariance = noise.gain * light * noise.pulse * np.where(same, memory.mean_same, memory.mean_other) / count
+    pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
+    return covariance + np.eye(bright.size) * window.floor / count + PATTERN**2 * np.outer(bright, bright) * pattern
 
 
-def _ring_covariance(window: Window, noise: Noise | None, light: float, model: PointModel, point: Array) -> Array:
-    """Return the covariance of the rings' means: scatter of their sectors, and rounding that all share but the last."""
-    rings = window.ring_dn.size
-    if not rings:
-        return np.zeros((0, 0))
-    outer = np.append(np.ones(rings - 1), 0.0)
-    return np.diag(window.ring_variance) + ROUNDING_DN**2 * np.outer(outer, outer) * window.quiet
+def _rounding(window: Window, height: Array, pulse_variance: Array, noise: Noise | None) -> Array:
+    """Return the covariance of what rounding to codes adds to means, shape (value, value).
+
+    Notes
+    -----
+    Rounding of a value x with Gaussian noise sd adds -exp(-2 (pi sd)^2) sin(2 pi x) / pi to its mean (first term of the
+    sawtooth's series). Where the pedestal lies between codes is unknown, so x = pedestal + height has any phase and
+    two values' errors go as the cosine of their difference. Sparse pulses leave quiet moments: there the factor is not
+    below exp(-their number).
+    """
+    if window.quiet == 0.0:
+        return np.zeros((height.size, height.size))
+    own = min(window.floor, QUIET_SD**2)
+    pulses = SPARSE if noise is None else PULSE_VARIANCE / (noise.gain * noise.sharpness)
+    damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses * np.maximum(height, 0.0))
+    size = np.exp(-2.0 * np.pi**2 * own - damping) / np.pi
+    phase = 2.0 * np.pi * height
+    return 0.5 * np.outer(size, size) * np.cos(phase[:, None] - phase)
 
 
 def _at(found: PointFit, point: Array, covariance: Array, noise: Noise | None) -> PointFit:

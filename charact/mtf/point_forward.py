@@ -71,8 +71,9 @@ def point_forward(
 
     Notes
     -----
-    A pixel's mean is pedestal + light P(x, y), P the transform of pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f s)^2)
-    x [(1 - q) + q H_halo]. Light and pedestal are marginalised in closed form.
+    A pixel's mean is pedestal + light P(x, y), P the transform of
+    pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f s)^2) x [(1 - q) + q H_halo].
+    Light and pedestal are marginalised in closed form.
     """
     began = time.perf_counter()
     if pinhole_px is not None and not 0 <= pinhole_px < 50:
@@ -92,6 +93,8 @@ def point_forward(
         return task.nothing(f"the source is too bright: {100 * (1 - kept):.0f} % of its core's light lies in pixels "
                             "that full scale spoils", "saturated")  # fmt: skip
     found = fit(window, context, _optics(context, pinhole_px or 0.0))
+    if found is None:
+        return task.nothing("no target: what stands out of the background is not the picture of a point", "no-target")
     if found.light < LEAST_LIGHT * found.light_sd:
         return task.nothing(
             f"no target: the light stands {found.light / found.light_sd:.1f} standard errors out of {LEAST_LIGHT:g}",

@@ -91,25 +91,27 @@ class PointModel:
     ring_px: Array
 
     @cached_property
-    def _grid(self) -> tuple[Array, Array]:
+    def grid(self) -> tuple[Array, Array]:
+        """Frequencies along rows (fx,) and along columns (fy, 1), cycles per column pitch."""
         step = 1.0 / PERIOD_PX
-        line = np.arange(step / 2, self.optics.top, step)
-        return line, line[:, None]
+        return np.arange(step / 2, self.optics.top, step), np.arange(step / 2, 0.85 * self.optics.top, step)[:, None]
 
     @cached_property
     def _video_lines(self) -> tuple[NDArray[np.complex128], ...]:
-        at = self._grid[0]
+        at = self.grid[0]
         low, middle, high = (self.optics.filtered(at, np.array([x]))[0] for x in (-0.1, 0.0, 0.1))
         return middle, 5.0 * (high - low), 50.0 * (high + low - 2 * middle)
 
     @cached_property
-    def _halo(self) -> "HaloTable":
-        fx, fy = self._grid
+    def halo_table(self) -> "HaloTable":
+        """The halo at the grid's frequencies."""
+        fx, fy = self.grid
         return HaloTable.of(np.hypot(fx, fy), self.prior.halo_px)
 
     @cached_property
-    def _fixed(self) -> Array:
-        fx, fy = self._grid
+    def fixed_part(self) -> Array:
+        """Pixel and pinhole at the grid's frequencies, with the integral's weights, shape (fy, fx)."""
+        fx, fy = self.grid
         return 4.0 / PERIOD_PX**2 * self.optics.fixed(fx, fy)
 
     @cached_property
@@ -127,37 +129,47 @@ class PointModel:
         shape = (slice(None), *(None,) * np.broadcast(fx, fy).ndim)
         stretch = np.exp(p["stretch"])[shape]
         square = fx**2 * stretch + fy**2 / stretch
-        tube = np.exp(p["exponent"][shape] * (0.5 * np.log(square) - p["ln_cut_off"][shape]))
-        core = np.exp(-tube - 2.0 * (np.pi * p["blur_px"][shape]) ** 2 * square)
+        power = np.log(square)
+        power *= 0.5 * p["exponent"][shape]
+        power -= (p["exponent"] * p["ln_cut_off"])[shape]
+        core = np.exp(power, out=power)
+        core += square * (2.0 * (np.pi * p["blur_px"][shape]) ** 2)
+        np.exp(-core, out=core)
         if self.prior.halo_px is None:
             return core
-        table = halo or HaloTable.of(np.hypot(fx, fy), self.prior.halo_px)
-        share = self.prior.halo_fraction(p["halo_deviate"])[shape]
-        return core * (1.0 - share + share * table(p["halo_diameter_px"], p["halo_elastic_share"]))
+        return core * self.spread(theta, halo or HaloTable.of(np.hypot(fx, fy), self.prior.halo_px))
+
+    def spread(self, theta: Array, table: "HaloTable") -> Array:
+        """Return the transfer of straight and scattered photoelectrons, shape (n, ...) as the table's."""
+        if self.prior.halo_px is None:
+            return np.ones((len(theta), *(1,) * (table.elastic.ndim - 1)))
+        p = self.prior.named(theta)
+        share = self.prior.halo_fraction(p["halo_deviate"])
+        return table(share, p["halo_diameter_px"], p["halo_elastic_share"])
 
     def core(self, theta: Array) -> Array:
         """Return the core's pixels per unit light, shape (n, row, col), 1/px^2."""
-        fx, fy = self._grid
-        return self.image(theta, self.modulus(theta, fx, fy, self._halo if self.prior.halo_px else None) * self._fixed)
+        fx, fy = self.grid
+        return self.image(theta, self.modulus(theta, fx, fy, self.halo_table) * self.fixed_part)
 
     def image(self, theta: Array, transfer: Array) -> Array:
         """Return the picture of transfers given at the grid's frequencies with its weights, shape (n, row, col)."""
         p = self.prior.named(theta)
-        line = self._grid[0]
+        line, lines = self.grid[0], self.grid[1][:, 0]
         middle, slope, bend = self._video_lines
         width = p["ln_bandwidth"][:, None]
         shift = np.exp(-2j * np.pi * p["x_px"][:, None] * line)
         along = (middle + slope * width + bend * width**2) * shift
-        waves = np.exp(2j * np.pi * line[:, None] * self.x)
-        columns = along.real[:, :, None] * waves.real - along.imag[:, :, None] * waves.imag
-        rows = np.cos(2.0 * np.pi * (self.y[None, :, None] - p["y_px"][:, None, None]) * line)
+        phase = 2.0 * np.pi * line[:, None] * self.x
+        columns = along.real[:, :, None] * np.cos(phase) - along.imag[:, :, None] * np.sin(phase)
+        rows = np.cos(2.0 * np.pi * (self.y[None, :, None] - p["y_px"][:, None, None]) * lines)
         return rows @ transfer @ columns
 
     def rings(self, theta: Array) -> Array:
         """Return the rings' means per unit light, shape (n, ring), 1/px^2."""
         f, table, kernel = self._rings
         along = self.optics.width_px / 2.0 + self.optics.height_px / 2.0
-        radial = self.modulus(theta, f / np.sqrt(2), f / np.sqrt(2), table if self.prior.halo_px else None)
+        radial = self.modulus(theta, f / np.sqrt(2), f / np.sqrt(2), table)
         return (radial * np.sinc(f * along / 2) * np.exp(-2.0 * (np.pi * f * RING_SMOOTHING_PX) ** 2)) @ kernel
 
     def mtf(self, theta: Array, frequency: Array, *, vertical: bool) -> Array:
@@ -192,16 +204,17 @@ class HaloTable:
             uniform=_bend(forms.sine_integral(u) / u),
         )
 
-    def __call__(self, diameter_px: Array, elastic_share: Array) -> Array:
-        """Return the transfer, shape (n, frequency...)."""
-        shape = (slice(None), *(None,) * (self.elastic.ndim - 1))
-        x = ((np.log(diameter_px) - self.middle) / self.half)[shape]
-        share = elastic_share[shape]
-        parts = share * self.elastic[:, None] + (1.0 - share) * self.uniform[:, None]
-        return parts[0] + x * (parts[1] + x * parts[2])
+    def __call__(self, fraction: Array, diameter_px: Array, elastic_share: Array) -> Array:
+        """Return 1 - q + q H for the halo's share q of the light, shape (n, frequency...)."""
+        x = (np.log(diameter_px) - self.middle) / self.half
+        weight = fraction * np.stack([np.ones_like(x), x, x * x])
+        both = np.concatenate([weight * elastic_share, weight * (1.0 - elastic_share)]).T
+        parts = np.concatenate([self.elastic, self.uniform]).reshape(6, -1)
+        scattered = (both @ parts).reshape(-1, *self.elastic.shape[1:])
+        scattered += (1.0 - fraction)[(slice(None), *(None,) * (self.elastic.ndim - 1))]
+        return scattered
 
 
 def _bend(values: Array) -> Array:
     """Return constant, slope and curvature of values at -1, 0 and 1."""
     return np.stack([values[1], 0.5 * (values[2] - values[0]), 0.5 * (values[2] + values[0]) - values[1]])
-

@@ -92,29 +92,31 @@ class Noise:
         Covariance per light, DN px^2.
     share
         Share of the blur that lies behind the gain.
+    sharpness
+        Mean square of a pulse of unit light over its area, 1/px^2.
     """
 
     pulse: Array
     gain: float
     share: float
+    sharpness: float
 
 
 def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
     """Return the covariance of unit light at unit gain, shape (pixel, pixel), for a share of blur behind the gain."""
-    fx, fy = model._grid
+    fx, fy = model.grid
     p = {name: float(value[0]) for name, value in model.prior.named(point[None]).items()}
     square = fx**2 + fy**2
     tube = np.exp(p["exponent"] * (0.5 * np.log(square) - p["ln_cut_off"]))
     gauss = (np.pi * p["blur_px"]) ** 2 * square
-    behind = np.exp(-share * tube - gauss) * model._fixed
-    all_before = model.modulus(point[None], fx, fy, model._halo if model.prior.halo_px else None)[0]
-    before = all_before / np.exp(-share * tube - gauss)
+    behind = np.exp(-share * tube - gauss) * model.fixed_part
+    before = np.exp(-(1.0 - share) * tube - gauss) * model.spread(point[None], model.halo_table)[0]
     out = np.zeros((model.x.size * model.y.size,) * 2)
     for (step, reach), inner in ((NEAR, 0.0), (FAR, NEAR[1])):
         places = np.arange(-reach, reach + 1e-9, step)
         cell = np.sinc(fx * step) * np.sinc(fy * step)
-        wave = np.cos(2 * np.pi * np.outer(places, fx))
-        density = wave @ (before * cell) @ wave.T * (4.0 / PERIOD_PX**2)
+        along, down = (np.cos(2 * np.pi * np.outer(places, f)) for f in (fx, fy))
+        density = down @ (before * cell) @ along.T * (4.0 / PERIOD_PX**2)
         weight = np.maximum(density, 0.0) * step**2
         keep = np.maximum(*np.broadcast_arrays(np.abs(places)[:, None], np.abs(places))) > inner - 1e-9
         keep = keep if inner else np.ones_like(keep)
@@ -168,15 +170,17 @@ def noise_of(
     factor = np.where(parity[:, None] == parity[None, :], memory.frame_same, memory.frame_other)
     gains = np.exp(np.linspace(np.log(0.3), np.log(3000.0), 120)) * max(floor, 1e-6) / 0.2
     best: tuple[float, Noise] | None = None
+    area = float(np.diff(model.y[:2])[0] * np.diff(model.x[:2])[0])
     freedom = len(deviations) - 1
     for share in shares:
         pulse = pulse_covariance(model, point, share)
+        sharp = float(np.trace(pulse)) * area
         values, vectors = np.linalg.eigh(pulse[np.ix_(near, near)] * factor * light)
         power = ((deviations @ vectors) ** 2).sum(axis=0)
         variance = gains[:, None] * np.maximum(values, 0.0) + floor
         fit = -0.5 * (freedom * np.log(variance) + power / variance).sum(axis=1)
         top = int(np.argmax(fit))
         if best is None or fit[top] > best[0]:
-            best = float(fit[top]), Noise(pulse=pulse, gain=float(gains[top]), share=share)
+            best = float(fit[top]), Noise(pulse=pulse, gain=float(gains[top]), share=share, sharpness=sharp)
     assert best is not None
     return best[1]
