@@ -57,8 +57,8 @@ class Picture:
 
 
 def grey_limits(frame: NDArray) -> tuple[float, float]:
-    """Levels shown as black and white: the 0.5 and 99.5 percentiles, at least one code apart."""
-    low, high = np.percentile(frame, [0.5, 99.5])
+    """Levels shown as black and white: the 0.5 and 99.8 percentiles, at least one code apart."""
+    low, high = np.percentile(frame, [0.5, 99.8])
     return float(low), float(max(high, low + 1))
 
 
@@ -110,11 +110,31 @@ def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measure
 
     stack = entry.read()
     middle = len(stack) // 2
-    caption = f"Frame {middle + 1} of {len(stack)}."
-    found = picture_of(
-        stack.data[middle], f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session)
-    )
-    return replace(found, boxes=_boxes(entry, measurements))
+    frame, caption = stack.data[middle], f"Frame {middle + 1} of {len(stack)}."
+    row, col, height, width = (0, 0, *frame.shape)
+    if entry.kind in ("bars", "point"):
+        row, col, height, width = around_the_light(stack.data.mean(axis=0))
+        caption += f" Cut to rows {row}–{row + height - 1}, cols {col}–{col + width - 1}."
+    cut = frame[row : row + height, col : col + width]
+    found = picture_of(cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session))
+    whole = (height, width) == frame.shape
+    return replace(found, boxes=_boxes(entry, measurements) if whole else ())
+
+
+def around_the_light(mean: NDArray) -> tuple[int, int, int, int]:
+    """Return ROW, COL, HEIGHT, WIDTH around the bright part of a frame, shape (row, col), with room for its blur.
+
+    Bright is what lies above half way from the median to the 99.99 percentile; the cut keeps the frame's proportions.
+    """
+    half = (np.median(mean) + np.percentile(mean, 99.99)) / 2
+    rows, cols = (np.flatnonzero((mean > half).any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return (0, 0, *mean.shape)
+    share = max(2.5 * np.ptp(rows) / mean.shape[0], 2.5 * np.ptp(cols) / mean.shape[1], 0.15)
+    height, width = (min(int(share * size), size) for size in mean.shape)
+    top = int(np.clip((rows[0] + rows[-1] - height) // 2, 0, mean.shape[0] - height))
+    left = int(np.clip((cols[0] + cols[-1] - width) // 2, 0, mean.shape[1] - width))
+    return top, left, height, width
 
 
 def aspect_of(session: Session) -> float:

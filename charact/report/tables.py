@@ -25,6 +25,9 @@ HEADLINES = (
     "halo_diameter",
 )  # fmt: skip
 
+# A method that measured more stacks than this gets one table for all of them.
+SERIES = 4
+
 
 @dataclass(frozen=True, kw_only=True)
 class QuantityRow:
@@ -85,8 +88,8 @@ def quantity_row(m: Measurement, where: str = "") -> QuantityRow:
 
 
 def places(m: Measurement) -> dict[str, str]:
-    """Where and how fast a measurement was made, in words: direction, region, time."""
-    found = {}
+    """Where and how fast a measurement was made, in words: stack, direction, region, time."""
+    found = {"stack": m.stack} if m.stack else {}
     if m.orientation_deg is not None:
         found["direction"] = f"{m.orientation_deg:.4g}° to the rows"
     if m.region is not None:
@@ -98,11 +101,16 @@ def places(m: Measurement) -> dict[str, str]:
 
 
 def quantity_groups(result: Result) -> tuple[QuantityGroup, ...]:
-    """All measurements by stack and method, quantities in the order of the vocabulary."""
+    """All measurements by stack and method, quantities in the order of the vocabulary; a series of stacks together."""
     order = list(QUANTITIES)
+    stacks: dict[str, set[str]] = {}
+    for m in result.measurements:
+        stacks.setdefault(m.method, set()).add(m.stack or "whole session")
     groups: dict[tuple[str, str], list[Measurement]] = {}
     for m in sorted(result.measurements, key=lambda m: order.index(m.quantity)):
-        groups.setdefault((m.stack or "whole session", m.method), []).append(m)
+        many = len(stacks[m.method]) > SERIES
+        stack = f"{len(stacks[m.method])} stacks" if many else m.stack or "whole session"
+        groups.setdefault((stack, m.method), []).append(m)
     return tuple(_group(stack, method, own) for (stack, method), own in groups.items())
 
 
@@ -114,7 +122,7 @@ def _group(stack: str, method: str, own: list[Measurement]) -> QuantityGroup:
     flags = dict.fromkeys(flag for m in own for flag in m.flags)
     notes = dict.fromkeys(note for m in own for note in m.notes)
     return QuantityGroup(
-        title=" · ".join((stack, method, *common.values())),
+        title=" · ".join((stack, method, *(text for key, text in common.items() if key != "stack"))),
         rows=tuple(quantity_row(m, text) for m, text in zip(own, rest, strict=True)),
         flags=tuple((flag, FLAGS[flag], _concerned(own, [m for m in own if flag in m.flags])) for flag in flags),
         notes=tuple((note, _concerned(own, [m for m in own if note in m.notes])) for note in notes),

@@ -11,7 +11,8 @@ from charact.report import beside_truth, fragment, page, write
 from charact.report.corner import corner_svg, varying
 from charact.report.evidence import figure_of
 from charact.report.numerals import plus_minus, rounded
-from charact.report.pictures import grey_limits, picture_of
+from charact.report.pictures import around_the_light, grey_limits, picture_of
+from charact.report.tables import quantity_groups
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
 from labdata.measurement import Posterior, Result, from_sd, measured
@@ -195,3 +196,23 @@ def test_a_pdf_without_its_library_ends_in_one_sentence_with_the_install_command
     monkeypatch.setitem(sys.modules, "weasyprint", None)
     with pytest.raises(BadInput, match=r"pip install 'charact\[pdf\]'"):
         write(made.session(), Result(), tmp_path / "r.html", pdf=True)
+
+
+def test_the_picture_of_a_small_target_is_cut_around_it():
+    mean = np.full((120, 160), 10.0)
+    mean[50:60, 70:85] = 100.0
+    row, col, height, width = around_the_light(mean)
+    assert row < 50
+    assert row + height > 60
+    assert col < 70
+    assert col + width > 85
+    assert height < 40
+    assert around_the_light(np.full((12, 16), 3.0)) == (0, 0, 12, 16)
+
+
+def test_a_series_of_stacks_has_one_table_that_names_them():
+    series = tuple(from_sd("bloom_diameter", "px", 9.0, 1.0, method="threshold", stack=f"point-{n}") for n in range(6))
+    groups = quantity_groups(Result(measurements=series))
+    assert len(groups) == 1
+    assert groups[0].title == "6 stacks · threshold"
+    assert [row.where for row in groups[0].rows] == [f"point-{n}" for n in range(6)]

@@ -11,6 +11,7 @@ from charact.study import STUDIES, chart, run, stability, summary
 from charact.study.edge import Blur, EdgeScene
 from charact.study.edge_cases import AXES, chart_cases, stability_cases
 from charact.study.harness import Case
+from charact.study.quantities import methods_of
 from labdata.errors import BadInput
 from labdata.measurement import Result, from_sd, measured, refused
 
@@ -186,3 +187,10 @@ def test_cases_are_the_same_for_the_same_seed_and_others_for_another(quantity):
 def test_a_quantity_without_a_study_is_refused_with_those_that_have_one():
     with pytest.raises(BadInput, match=r"must be of one of mtf50, covariance_gain, system_gain, got 'prnu'"):
         chart("prnu")
+
+
+def test_every_registered_edge_method_is_charted_on_the_same_cases():
+    found = chart("mtf50", seed=3, cases=2, quick=True)
+    assert {row.method for row in found.summaries} == {method.name for method in methods_of("mtf50")}
+    assert len({(row.case, row.seed, row.truth) for row in found.rows}) == 2
+    assert all(row.status != "crashed" for row in found.rows), [row.reason for row in found.rows]
