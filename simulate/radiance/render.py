@@ -124,11 +124,12 @@ def mixed_cells(mesh: TargetMesh, view: View) -> NDArray[np.bool_]:
     rows, columns = view.shape
     mixed = np.zeros((rows + 2, columns + 2), bool)
     for line in mesh.outlines:
-        for start, stop in zip(*(view.cells_px(end) for end in (line[:-1], line[1:])), strict=True):
-            steps = int(np.ceil(4.0 * np.abs(stop - start).max())) + 1
-            cells = np.floor(start + np.linspace(0.0, 1.0, steps)[:, None] * (stop - start)).astype(int) + 1
-            inside = ((cells >= 0) & (cells < mixed.shape)).all(axis=1)
-            mixed[tuple(cells[inside].T)] = True
+        corners = view.cells_px(line)
+        way = np.insert(np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1)), 0, 0.0)
+        steps = np.arange(0.0, way[-1], 0.25)
+        cells = np.stack([np.floor(np.interp(steps, way, axis)).astype(int) + 1 for axis in corners.T])
+        inside = (cells >= 0).all(axis=0) & (cells[0] < mixed.shape[0]) & (cells[1] < mixed.shape[1])
+        mixed[tuple(cells[:, inside])] = True
     return _dilated(mixed)[1:-1, 1:-1]
 
 

@@ -1,8 +1,8 @@
 """Targets as surfaces: four bars, an edge, a pinhole in its ring, or nothing but the open port.
 
-Lengths are in column pitches of the picture; x runs right, y down, z towards the camera's far side. The surfaces of a
-plate meet without gap or overlap, and the outlines of their materials are kept, so that whoever samples the picture
-knows where it must look closely.
+Lengths are in column pitches of the picture; x runs right, y down, z away from the camera. The surfaces of a plate
+meet without gap or overlap, or hide each other, and the outlines of their materials are kept, so that whoever samples
+the picture knows where it must look closely.
 """
 
 from dataclasses import dataclass
@@ -20,6 +20,7 @@ OPEN, MASK, RING = 0, 1, 2
 BAR_LENGTH = 7.0
 EDGE_TILT_DEG, BAR_TILT_DEG = 5.0, 4.0
 CIRCLE = 256
+BEHIND_M = 1e-5
 # Half the width of a plate: beyond any picture.
 FAR_PX = 4e3
 
@@ -46,7 +47,7 @@ class TargetMesh:
     outlines: tuple[NDArray[np.float64], ...]
 
 
-def target_mesh(kind: Kind, target: Target, holder: Holder, ring_scale: float = 1.0) -> TargetMesh:
+def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float = 1500.0) -> TargetMesh:
     """Return the surfaces of a target centred on the origin.
 
     Parameters
@@ -57,8 +58,8 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, ring_scale: float = 
         Its fields of that kind; an angle not given is a small tilt, so that all phases to the pixels occur.
     holder
         Ring of a pinhole.
-    ring_scale
-        Column pitches per unit of height towards the camera, for the ring's height.
+    px_per_metre
+        Column pitches in a metre of the target's plane, for the heights of what stands above it.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, ring_scale: float = 
     if kind == "edge":
         return _edge(EDGE_TILT_DEG if target.angle_deg is None else target.angle_deg)
     if kind == "point":
-        return _pinhole(target, holder, ring_scale)
+        return _pinhole(target, holder, px_per_metre)
     if kind in ("flat", "dark"):
         plate = _quad(-FAR_PX, FAR_PX, -FAR_PX, FAR_PX)
         return _joined([(plate, OPEN if kind == "flat" else MASK)], 0.0, ())
@@ -105,7 +106,7 @@ def _edge(angle_deg: float) -> TargetMesh:
     return _joined(parts, angle_deg, (np.array([[0.0, -FAR_PX], [0.0, FAR_PX]]),))
 
 
-def _pinhole(target: Target, holder: Holder, ring_scale: float) -> TargetMesh:
+def _pinhole(target: Target, holder: Holder, px_per_metre: float) -> TargetMesh:
     if target.pinhole_px is None or not target.pinhole_px > 0.0:
         raise BadInput(f"a point source must have a positive pinhole_px, got {target.pinhole_px}")
     turns = 2.0 * np.pi * np.arange(CIRCLE + 1) / CIRCLE
@@ -114,20 +115,24 @@ def _pinhole(target: Target, holder: Holder, ring_scale: float) -> TargetMesh:
     circle = swell * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     hole = 0.5 * target.pinhole_px * circle
     inner, outer = holder.inner_radius_px * circle, holder.outer_radius_px * circle
-    height = -holder.height_m * ring_scale
-    parts = [
-        *((np.vstack([[[0.0, 0.0]], hole[i : i + 2]]), OPEN) for i in range(CIRCLE)),
-        *((np.vstack([hole[i : i + 2], FAR_PX * circle[[i + 1, i]]]), MASK) for i in range(CIRCLE)),
-    ]
-    ring = [(np.vstack([inner[i : i + 2], outer[[i + 1, i]]]), RING) for i in range(CIRCLE)]
-    flat = _joined(parts, 0.0, (hole,))
-    raised = _joined(ring, 0.0, (inner, outer))
-    lifted = raised.vertices + np.array([0.0, 0.0, height])
+    disc = _joined([(np.vstack([[[0.0, 0.0]], hole[i : i + 2]]), OPEN) for i in range(CIRCLE)], 0.0, (hole,))
+    plate = _joined([(_quad(-FAR_PX, FAR_PX, -FAR_PX, FAR_PX), MASK)], 0.0, ())
+    ring = _joined(
+        [(np.vstack([inner[i : i + 2], outer[[i + 1, i]]]), RING) for i in range(CIRCLE)], 0.0, (inner, outer)
+    )
+    # A plate cut into slivers about the hole would slow every ray: the open disc hides the plate behind it instead.
+    behind = BEHIND_M * px_per_metre
+    return _stacked((disc, 0.0), (plate, behind), (ring, -holder.height_m * px_per_metre))
+
+
+def _stacked(*layers: tuple[TargetMesh, float]) -> TargetMesh:
+    """Lay surfaces over each other at given depths, column pitches."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in layers)])
     return TargetMesh(
-        np.vstack([flat.vertices, lifted]),
-        np.vstack([flat.faces, raised.faces + len(flat.vertices)]),
-        np.concatenate([flat.material, raised.material]),
-        (*flat.outlines, *raised.outlines),
+        np.vstack([mesh.vertices + np.array([0.0, 0.0, depth]) for mesh, depth in layers]),
+        np.vstack([mesh.faces + start for (mesh, _), start in zip(layers, starts[:-1], strict=True)]),
+        np.concatenate([mesh.material for mesh, _ in layers]),
+        tuple(line for mesh, _ in layers for line in mesh.outlines),
     )
 
 
