@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from charact.report.generic import array, dots, has, line
-from charact.report.style import COLOURS, DATA, INK, MODEL, panels
+from charact.report.style import COLOURS, DATA, INK, MODEL, THIRD, panels
 
 Data = Mapping[str, Any]
 MOST_PROFILES = 6
@@ -35,13 +35,33 @@ def point_profile(data: Data) -> Any:
     return figure
 
 
+def point_spread(data: Data) -> Any:
+    """A point source along its row and column and its rings further out, with the model."""
+    figure, grid = panels(1, 2, size=(5.8, 3.4), width_ratios=(1.2, 1))
+    core, rings = grid[0]
+    for colour, way, place in ((DATA, "row", "column_px"), (THIRD, "column", "row_px")):
+        x = array(data, place)
+        dots(core, x, array(data, f"along_{way}_dn"), color=colour, label=f"along the {way}", markersize=4)
+        line(core, x, array(data, f"along_{way}_model_dn"), color=colour)
+    core.set(xlabel="distance from the source (px)", ylabel="signal (DN)")
+    core.legend()
+    radius, mean = array(data, "ring_px"), array(data, "ring_dn")
+    dots(rings, radius, mean, array(data, "ring_sd_dn"), color=DATA, label="rings, ± 1 sd")
+    line(rings, radius, array(data, "ring_model_dn"), color=MODEL, label="model", zorder=3)
+    rings.set(xlabel="radius (column pitches, px)", ylabel="mean of the ring (DN)")
+    rings.legend()
+    return figure
+
+
 def _spaced(count: int) -> list[int]:
     """At most six levels, evenly chosen."""
     return sorted({int(n) for n in np.linspace(0, count - 1, min(count, MOST_PROFILES)).round()})
 
 
 def exposure(data: Data) -> tuple[np.ndarray, str]:
-    """What rises from stack to stack: the light dose where it is known, else the number of the stack."""
+    """What rises from stack to stack: the overload where it is known, else the light dose, else the stack's number."""
+    if data.get("overload_known"):
+        return array(data, "overload"), "overload: light over what meets full scale (1)"
     gate = [1.0 if value is None else value for value in data.get("gate_ns", [])]
     light = [None if value is None else value for value in data.get("illuminance_lux", [])]
     if light and all(value is not None and value > 0 for value in light):
@@ -56,9 +76,20 @@ def bloom_series(data: Data) -> Any:
     x, label = exposure(data)
     dots(axes, x, array(data, "bloom_diameter_px"), color=DATA, markersize=5, label="bloom diameter")
     dots(axes, x, array(data, "streak_length_px"), color=MODEL, markersize=5, marker="s", label="streak length")
-    if label.endswith("s)"):
+    halo = [(at, diameter) for at, diameter in zip(x, data.get("halo_diameter_px", []), strict=False) if diameter]
+    if halo:
+        dots(
+            axes,
+            *zip(*halo, strict=True),
+            color=THIRD,
+            markersize=5,
+            marker="D",
+            mfc="none",
+            label="halo, edge before blur",
+        )
+    if not label.startswith("stack"):
         axes.set_xscale("log")
-    axes.set(xlabel=label, ylabel="at half of full scale (px)")
+    axes.set(xlabel=label, ylabel="diameter or length at half of full scale (px)")
     axes.legend()
     return figure
 

@@ -13,6 +13,7 @@ Data = Mapping[str, Any]
 DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "edge-spread": ("mtf", edges.edge_spread),
     "bars": ("mtf", edges.bars),
+    "point-spread": ("mtf", blooms.point_spread),
     "point-profile": ("bloom", blooms.point_profile),
     "bloom-series": ("bloom", blooms.bloom_series),
     "halo-constancy": ("bloom", blooms.halo_constancy),
@@ -53,6 +54,8 @@ def figure_of(name: str, data: Data) -> Figure:
     Evidence that its figure cannot draw, for a list is missing or empty, is shown by its numbers, and the page says so.
     """
     kind = str(data.get("figure", ""))
+    # One source through its centre tells of the MTF, a series of rings of the halo.
+    kind = "point-spread" if kind == "point-profile" and "along_row_dn" in data else kind
     section, draw = DRAWN.get(kind, ("other", None))
     title, numbers = titled(name, kind), scalars(data)
     if draw is None:
@@ -76,7 +79,9 @@ def titled(name: str, kind: str) -> str:
 
 
 UNITS = {
-    "_cy_per_px": "cy/px", "_dn_per_e": "DN/e-", "_dn2": "DN²", "_dn": "DN", "_px": "px", "_deg": "°", "_s": "s",
+    "_dn_px2": "DN px²", "_cy_per_px": "cy/px", "_dn_per_e": "DN/e-", "_dn2": "DN²", "_dn": "DN", "_px": "px",
+    "_deg": "°",
+    "_s": "s",
     "_lux": "lux",
 }  # fmt: skip
 

@@ -9,7 +9,7 @@ import pytest
 
 from charact.report import beside_truth, fragment, page, write
 from charact.report.corner import corner_svg, varying
-from charact.report.evidence import figure_of
+from charact.report.evidence import DRAWN, figure_of
 from charact.report.numerals import plus_minus, rounded
 from charact.report.pictures import around_the_light, grey_limits, picture_of
 from charact.report.tables import quantity_groups
@@ -216,3 +216,33 @@ def test_a_series_of_stacks_has_one_table_that_names_them():
     assert len(groups) == 1
     assert groups[0].title == "6 stacks · threshold"
     assert [row.where for row in groups[0].rows] == [f"point-{n}" for n in range(6)]
+
+
+def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
+    spread, level = [0.0, 1.0, 2.0], {"label": ["p1", "p2"]}
+    twice = {key: [spread, spread] for key in ("radius_px", "mean_dn", "sd_dn", "model_dn")}
+    ring = {f"ring_{key}": spread for key in ("px", "dn", "sd_dn", "model_dn")}
+    along = {f"along_{way}_{kind}": spread for way in ("row", "column") for kind in ("dn", "model_dn")}
+    examples = {
+        "edge-spread": {"distance_px": spread, "value_dn": spread, "sd_dn": spread, "model_dn": spread},
+        "bars": {"distance_px": spread, "value_dn": spread, "model_dn": spread},
+        "point-spread": {"figure": "point-profile", "column_px": spread, "row_px": spread, **along, **ring},
+        "point-profile": {**level, **twice, "used": [[True] * 3] * 2, "halo_diameter_px": 3.0},
+        "bloom-series": {**level, "bloom_diameter_px": [1, 2], "streak_length_px": [1, 2], "gate_ns": [1, 1]},
+        "halo-constancy": {**level, "halo_diameter_px": [None, 3.0], "interval95_px": [None, [2.0, 4.0]]},
+        "photon-transfer": {"signal_dn": spread, "variance_dn2": spread, "covariance_gain_dn": 2.0, "blur_factor": 0.5},
+        "noise-spectrum": {
+            "radius_cy_per_px": spread, "angle_deg": [0, 90, 45], "power_dn": spread, "power_sd_dn": spread,
+            "model_dn": spread, "used": [True, True, False], "variance_over_signal_dn": 0.3,
+        },
+        "autocorrelation": {
+            "neighbour_correlation": spread, "neighbour_sd": spread, "lag_exposures": spread,
+            "lag_correlation": spread, "lag_correlation_sd": spread,
+        },
+    }  # fmt: skip
+    assert examples.keys() == DRAWN.keys()
+    for kind, data in examples.items():
+        figure = figure_of(kind, {"figure": kind, **data})
+        assert figure.svg is not None, (kind, figure.why_not)
+        texts = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
+        assert sum(bool(re.search(r"\((px|DN|DN²|1|.*px\)?|.*cycles.*|.*fitted.*)", text)) for text in texts) >= 1, kind
