@@ -11,7 +11,7 @@ from charact.mtf.point_source import Source
 Array = NDArray[np.float64]
 
 # Chi squared per value beyond which the pixels are not what the model says they are.
-MISFIT, SIGNIFICANT = 1.5, 5.0
+MISFIT, SIGNIFICANT = 1.8, 5.0
 LOW_LIGHT = 10.0
 # Standard deviations from its description at which a camera's cut-off is no longer that camera's.
 STRANGE = 3.0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.point_data import Window
 from charact.mtf.point_model import Optics, PointModel
-from charact.mtf.point_noise import Noise, memory_of, noise_of
+from charact.mtf.point_noise import SHARES, Noise, memory_of, noise_of
 from charact.mtf.point_prior import prior_of
 from charact.posterior import maximum
 
@@ -106,11 +106,18 @@ def fit(window: Window, context: Context, optics: Optics) -> PointFit | None:
         if turn == CLIMBS - 1:
             break
         if window.frames > 2:
-            shares = (0.8,) if context.sensor is not None and turn == 0 else (0.4, 0.6, 0.8, 1.0)
+            shares = _shares(context, turn)
             noise = noise_of(model, point, max(found.light, 1e-9), window.deviations, window.floor,
                              window.parity, memory, shares)  # fmt: skip
         found = _weighted(model, window, point, noise, memory, light=found.light)
     return found
+
+
+def _shares(context: Context, turn: int) -> tuple[float | None, ...]:
+    """Return the kinds of noise to choose from: at first the described tube's own."""
+    if context.sensor is None:
+        return None, *SHARES
+    return (float(context.sensor.tube.post_gain_share),) if turn == 0 else SHARES
 
 
 def _first(model: PointModel, window: Window) -> Array:

@@ -21,6 +21,8 @@ NEAR, FAR = (0.5, 3.0), (1.5, 15.0)
 FIELDS, MOMENTS = 64, 200
 # Pixels whose frames are compared lie this near the source, px.
 NEAR_PX = 5.5
+# Variances of light tried, in those of a dark pixel.
+GAINS = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 200))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,14 +93,14 @@ class Noise:
     gain
         Covariance per light, DN px^2.
     share
-        Share of the blur that lies behind the gain.
+        Share of the blur that lies behind the gain; None: pixels whose noise is their own, as in ordinary cameras.
     sharpness
         Mean square of a pulse of unit light over its area, 1/px^2.
     """
 
     pulse: Array
     gain: float
-    share: float
+    share: float | None
     sharpness: float
 
 
@@ -123,6 +125,11 @@ def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
         shapes = _shapes(model, point, behind, places, keep)
         out += (shapes * weight[keep][:, None]).T @ shapes
     return out
+
+
+def shot_covariance(model: PointModel, point: Array) -> Array:
+    """Return the covariance of unit light at unit gain where every pixel counts for itself, shape (pixel, pixel)."""
+    return np.diag(np.maximum(model.core(point[None])[0].ravel(), 0.0))
 
 
 def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, keep: NDArray[np.bool_]) -> Array:
@@ -150,7 +157,7 @@ def noise_of(
     floor: float,
     parity: NDArray[np.bool_],
     memory: Memory,
-    shares: tuple[float, ...] = SHARES,
+    shares: tuple[float | None, ...] = SHARES,
 ) -> Noise:
     """Return the noise that makes the frames' differences most probable.
 
@@ -164,18 +171,20 @@ def noise_of(
         Variance of a pixel far from the source, DN^2.
     parity
         Field of each pixel, shape (pixel,).
+    shares
+        Shares of blur behind the gain to choose from; None: no gain, white noise of the light.
     """
     near = _near(model, point)
     deviations, parity = deviations[:, near], parity[near]
     factor = np.where(parity[:, None] == parity[None, :], memory.frame_same, memory.frame_other)
-    gains = np.exp(np.linspace(np.log(0.3), np.log(3000.0), 120)) * max(floor, 1e-6) / 0.2
     best: tuple[float, Noise] | None = None
     area = float(np.diff(model.y[:2])[0] * np.diff(model.x[:2])[0])
     freedom = len(deviations) - 1
     for share in shares:
-        pulse = pulse_covariance(model, point, share)
+        pulse = shot_covariance(model, point) if share is None else pulse_covariance(model, point, share)
         sharp = float(np.trace(pulse)) * area
         values, vectors = np.linalg.eigh(pulse[np.ix_(near, near)] * factor * light)
+        gains = GAINS * floor / max(float(values.mean()), 1e-300)
         power = ((deviations @ vectors) ** 2).sum(axis=0)
         variance = gains[:, None] * np.maximum(values, 0.0) + floor
         fit = -0.5 * (freedom * np.log(variance) + power / variance).sum(axis=1)
