@@ -5,11 +5,10 @@ from numpy.typing import NDArray
 
 from charact.mtf.codes import code_flags
 from charact.mtf.edge_fit import EdgeFit
+from charact.mtf.edge_model import KNOTS, PARAMETERS
 from charact.mtf.edge_profile import Profile
 from charact.mtf.line import RowFit
-from charact.mtf.optics import Known
 from charact.mtf.picture import Picture
-from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
@@ -23,8 +22,8 @@ MISFIT = 1.6
 # Illumination that changes by more than this share over the band is told, though the fit allows for it.
 GRADIENT = 0.2
 LEAST_STEP_SD = 0.8
-# Bend of the phase at the half frequency beyond which the modulus is in doubt by some percent.
-PHASE_MATTERS_RAD = 0.05
+# Curvature of the response from which the modulus is in doubt by a percent, and its significance.
+CURVATURE, CURVATURE_SD = 0.05, 4.0
 
 
 def picture_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
@@ -121,13 +120,44 @@ def _other_steps(profile: Profile, fit: EdgeFit) -> bool:
     return bool(np.any((np.abs(means) > 0.1 * abs(amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
 
 
-def response_flags(posterior: Posterior, known: Known) -> tuple[str, ...]:
-    """Return `gamma` where the profile is lopsided beyond what the camera's known filter makes it.
+def response_flags(fit: EdgeFit) -> tuple[str, ...]:
+    """Return `gamma` where the profile is lopsided beyond what the camera's known filter makes it."""
+    curvature, error = response_curvature(fit)
+    return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
 
-    A curved response and a lopsided blur look alike on an edge; either way the modulus of the transform is not what
-    it would be for low contrast.
+
+def response_curvature(fit: EdgeFit) -> tuple[float, float]:
+    """Return the curvature of the response that the profile asks for if its blur is symmetric, with its error.
+
+    Notes
+    -----
+    A response y = u + c u (1 - u) of the edge spread u; a power law of exponent g over levels a to b has about
+    c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. A lopsided blur looks the same on one edge;
+    either way the modulus of the transform is not what it would be at low contrast. First order in c and in every
+    parameter of the blur but its phases, which are left at the camera's known filter.
     """
-    bends = [posterior[name] for name in ("phase_0", "phase_1")]
-    sizes = [(abs(float(np.mean(bend))), float(np.std(bend))) for bend in bends]
-    lopsided = any(size > SIGNIFICANT * error and size > PHASE_MATTERS_RAD for size, error in sizes)
-    return ("gamma",) if lopsided else ()
+    model, evidence = fit.model, fit.model.evidence
+    centre = fit.point.copy()
+    centre[3 + KNOTS.size : PARAMETERS] = 0.0
+    free = np.concatenate([np.arange(3 + KNOTS.size), np.arange(PARAMETERS, centre.size)])
+    step = 0.1 * np.sqrt(np.diag(fit.covariance))[free]
+    moved = np.concatenate([centre + np.eye(centre.size)[free] * step[:, None] * sign for sign in (1.0, -1.0)])
+    bounds = model.bounds
+    moved = np.clip(moved, bounds[:, 0], bounds[:, 1])
+    transfers = model.transfer(np.concatenate([centre[None], moved]))
+    spreads = transfers.real @ evidence.even.T + transfers.imag @ evidence.odd.T
+    tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) / 2.0
+    level = np.clip(spreads[0] + 0.5, 0.0, 1.0)
+    design = np.concatenate(
+        [spreads[:1].T, (level * (1.0 - level))[:, None], tangents.T * abs(fit.profile[1][0]), evidence.nuisance],
+        axis=1,
+    )
+    white = evidence.precision_root @ design
+    prior = np.zeros(design.shape[1])
+    # A parameter of the blur may move by its posterior deviation times a few; its step was a tenth of one.
+    prior[2 : 2 + free.size] = (0.1 / 5.0) ** 2
+    prior[2 + free.size :] = 1.0 / np.maximum(evidence.nuisance_sd, 1e-300) ** 2
+    normal = white.T @ white + np.diag(prior)
+    found = np.linalg.solve(normal, white.T @ (evidence.precision_root @ evidence.value))
+    error = np.sqrt(np.linalg.inv(normal)[1, 1])
+    return float(found[1] / found[0]), float(error / abs(found[0]))
