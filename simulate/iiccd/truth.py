@@ -58,10 +58,9 @@ def mtf(sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "
     camera = IntensifiedCamera(sensor)
     frequency = np.asarray(frequency_cy_per_px, float)
     fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
-    product = _video(camera).low_pass.transfer(fx)
-    for blur in (*_before_gain(camera), *_after_gain(camera)):
-        product = product * blur.transfer(fx / camera.cells.pitch_x_mm, fy / camera.cells.pitch_x_mm)
-    return np.abs(product)
+    pitch_mm = camera.cells.pitch_x_mm
+    optical = product((*_before_gain(camera), *_after_gain(camera)), fx / pitch_mm, fy / pitch_mm)
+    return np.abs(optical * _video(camera).low_pass.transfer(fx))
 
 
 def frequency_at(sensor: Sensor, level: float, direction: Direction = "horizontal") -> float:

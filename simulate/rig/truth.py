@@ -1,5 +1,6 @@
 """The specimen behind the virtual bench: a camera of the sheet's type whose numbers nobody was told."""
 
+import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -52,11 +53,15 @@ def draw_truth(sensor: Sensor, seed: int) -> Sensor:
     what the sheet calls possible would be another camera.
     """
     known = sensor.parameters()
-    rng = np.random.default_rng([seed, 7])
-    drawn = {path: _within(known[path], rng) for path in VARIED}
+    drawn = {path: _within(known[path], _stream(seed, path)) for path in VARIED}
     specimen = sensor.with_values({path: value for path, value in drawn.items() if value is not None})
     note = f"A specimen drawn within the ranges of {sensor.name} with the seed {seed}."
     return replace(specimen, name=f"{sensor.name}, specimen {seed}", notes=(*sensor.notes, note))
+
+
+def _stream(seed: int, path: str) -> np.random.Generator:
+    """A parameter's own random numbers: to vary one more moves none of the others."""
+    return np.random.default_rng([seed, zlib.crc32(path.encode())])
 
 
 def _within(parameter: Parameter, rng: np.random.Generator) -> float | None:
