@@ -1,6 +1,6 @@
 """What is believed of a point source and its camera before the pixels are looked at."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,9 @@ UNITS = ("px", "px", "ln(cy/px)", "1", "px", "1", "1", "1", "px", "1")
 # Standard deviations by which a camera may differ from its description: tubes' cut-offs, exponents, and how far from
 # round their blur is.
 CUT_OFF_SD, EXPONENT_SD, STRETCH_SD = 0.12, 0.08, 0.03
+ANY_STRETCH_SD = 0.15
 TWO_SIDED_95 = 1.959964
+NO_HALO = (-30.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,12 +96,14 @@ def prior_of(context: Context, *, halo_seen: bool) -> Prior:
     halo_seen
         Whether the region is wide enough for the halo.
     """
-    return _of_camera(context) if context.sensor is None else _of_sensor(context, halo_seen)
+    return _of_camera() if context.sensor is None else _of_sensor(context, halo_seen)
 
 
-def _of_camera(context: Context) -> Prior:
-    """Any camera: a blur of half a pixel to several, no halo, no filter."""
-    return _prior(NAMES[:6], (np.log(0.4), 1.5, 0.3), (1.0, 0.4, 1.0), (0.0, 1.0), None, (-30.0, 0.0, 0.0))
+def _of_camera() -> Prior:
+    """Any camera: exp(-(f/fc)^n) alone, of which n = 2 is a Gaussian; no halo, no filter."""
+    free = (*NAMES[:4], "stretch")
+    prior = _prior(free, (np.log(0.4), 1.6, 0.0), (1.0, 0.6, 1.0), (1e-3, 1.0), None, NO_HALO)
+    return replace(prior, spread=np.where(np.array(NAMES) == "stretch", ANY_STRETCH_SD, prior.spread))
 
 
 def _of_sensor(context: Context, halo_seen: bool) -> Prior:
@@ -115,7 +119,7 @@ def _of_sensor(context: Context, halo_seen: bool) -> Prior:
     blur = float(np.sqrt(lens**2 + fibres**2 + faces**2))
     share = sensor.photocathode.halo_fraction
     halo = halo_diameters_px(context, transposed=False) if halo_seen else None
-    bend = _bend(float(share), share.low, share.high) if halo_seen else (-30.0, 0.0, 0.0)
+    bend = _bend(float(share), share.low, share.high) if halo_seen else NO_HALO
     gap = sensor.photocathode.gap_mm
     diameter = (4e3 * float(gap) / (pitch_um * demagnification), 0.12)
     video = 0.04 if float(sensor.video.bandwidth_mhz) > 0 else 0.0
