@@ -13,9 +13,11 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Flat priors of diameter (px, up to 0.85 of the profile's width), elastic share and width; normal ones of the core's
+# Flat priors of diameter (px, up to 0.85 of the profile's width), elastic share and spread; normal ones of the core's
 # cut-off and exponent: those of the sensor, else of image tubes at large.
-WIDTH_PX = (0.2, 4.0)
+SPREAD_PX2 = (0.0, 16.0)
+# Beyond 0..1 by a little: a wall at 0 would push the diameter of a halo without rim to one side.
+ELASTIC_SHARE = (-0.15, 1.15)
 CUT_OFF_CY_PER_PX = (0.45, 0.15)
 EXPONENT = (1.3, 0.2)
 LEAST_DIAMETER_PX = 12.0
@@ -139,7 +141,7 @@ def problem_of(profiles: list[Profile], reach_px: int, *, context: Context) -> P
         used=tuple(profile.used for profile in profiles),
         white=tuple(white),
         data=tuple(data),
-        bounds=np.array([[LEAST_DIAMETER_PX, 1.7 * reach_px], [0.0, 1.0], [0.05, 3.0], [0.7, 2.5], WIDTH_PX]),
+        bounds=np.array([[LEAST_DIAMETER_PX, 1.7 * reach_px], ELASTIC_SHARE, [0.1, 3.0], [0.7, 2.5], SPREAD_PX2]),
         centre=np.array([0.0, 0.0, cut_off[0], exponent[0], 0.0]),
         spread=np.array([np.inf, np.inf, cut_off[1], exponent[1], np.inf]),
     )
@@ -199,7 +201,7 @@ def _best(problem: Problem, first_diameter_px: float) -> tuple[Array, Array]:
     """Climb from several diameters, for the edge of a disc makes many small peaks."""
     low, high = problem.bounds[0]
     diameters = np.concatenate([[first_diameter_px], np.linspace(low + 2, high - 2, 40)])
-    starts = np.array([[d, w, problem.centre[2], problem.centre[3], 0.8] for d in diameters for w in (0.3, 0.8)])
+    starts = np.array([[d, w, problem.centre[2], problem.centre[3], 0.7] for d in diameters for w in (0.3, 0.8)])
     starts[:, 0] = np.clip(starts[:, 0], low + 1, high - 1)
     values = problem.log_probability(starts)
     best = starts[np.argsort(values)[::-1][:3]]

@@ -22,6 +22,8 @@ METHOD = "halo-profile"
 OUTER = 1.6
 # A level serves where at least so many rings inside the halo are not saturated.
 RINGS_INSIDE = 4
+# Elastic share below which the halo has no rim and fades out towards its edge, so that the edge is a guess.
+LEAST_RIM = 0.02
 # Share by which a round halo may seem wider in one direction than in the other.
 ROUND_SHARE = 0.02
 # Profiles kept for the report.
@@ -32,7 +34,7 @@ SHOWN = 3
     "bloom",
     METHOD,
     quantities=("halo_diameter", "bloom_diameter", "streak_length"),
-    scope="A point source whose halo rises above the noise in one level at least; the source far from the border.",
+    scope="A point source whose halo has a rim and rises above the noise in one level at least, far from the border.",
 )
 def halo_profile(session: Session, *, context: Context) -> Result:
     """Measure halo diameter, bloom diameters and streaks.
@@ -108,7 +110,7 @@ def _notes(context: Context) -> tuple[str, ...]:
 
 
 def _flags(found: HaloFit, reach: int) -> tuple[str, ...]:
-    """What the fit says against its number; the elastic share may well lie on its bound, and harms nothing there."""
+    """What the fit says against its number; bounds of nuisance parameters harm nothing, a missing rim does."""
     from scipy.stats import chi2
 
     flags = tuple(flag for flag in found.posterior.flags if flag != "prior-bound")
@@ -116,6 +118,8 @@ def _flags(found: HaloFit, reach: int) -> tuple[str, ...]:
         flags += ("model-misfit",)
     if found.point[0] > 1.7 * reach:
         flags += ("window-too-small",)
+    if np.quantile(found.posterior["elastic_share"], 0.16) < LEAST_RIM:
+        flags += ("prior-bound",)
     own = np.isfinite(found.diameters)
     if own.sum() > 1:
         pull = (found.diameters[own] - found.point[0]) / np.maximum(found.diameter_sd[own], 0.05)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-NAMES = ("halo_diameter", "elastic_share", "core_frequency", "core_exponent", "core_width")
-UNITS = ("px", "1", "cy/px", "1", "px")
+NAMES = ("halo_diameter", "elastic_share", "core_frequency", "core_exponent", "core_spread")
+UNITS = ("px", "1", "cy/px", "1", "px2")
 HIGHEST_CY_PER_PX = 0.8
 STEPS = 256
 # Radii inside a ring one pixel wide at which the profile is taken and averaged.
@@ -62,15 +62,15 @@ def halo_transfer(frequency: Array, diameter: Array, elastic: Array) -> Array:
     return elastic[:, None] * np.sinc(u / np.pi) + (1.0 - elastic[:, None]) * spread
 
 
-def core_transfer(frequency: Array, cut_off: Array, exponent: Array, width: Array) -> Array:
-    """Return exp(-(f/fc)^n - 2 (pi f s)^2), tube and apertures, shape (draw, frequency)."""
+def core_transfer(frequency: Array, cut_off: Array, exponent: Array, spread: Array) -> Array:
+    """Return exp(-(f/fc)^n - 2 pi^2 f^2 s^2), tube and apertures, shape (draw, frequency); `spread` is s^2."""
     tube = (frequency / cut_off[:, None]) ** exponent[:, None]
-    return np.exp(-tube - 2.0 * (np.pi * frequency * width[:, None]) ** 2)
+    return np.exp(-tube - 2.0 * np.pi**2 * spread[:, None] * frequency**2)
 
 
 def shapes(parameters: Array, optics: Optics) -> tuple[Array, Array]:
     """Return core and blurred halo, both of unit volume, shape (draw, ring)."""
-    diameter, elastic, cut_off, exponent, width = parameters.T
-    core = core_transfer(optics.frequency, cut_off, exponent, width)
+    diameter, elastic, cut_off, exponent, spread = parameters.T
+    core = core_transfer(optics.frequency, cut_off, exponent, spread)
     halo = core * halo_transfer(optics.frequency, diameter, elastic)
     return core @ optics.to_rings, halo @ optics.to_rings

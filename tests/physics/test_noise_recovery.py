@@ -1,0 +1,69 @@
+"""Gain and blur of simulated specimens are found again; the simulator and the analysis share no formula."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact import noise
+from charact.method import Context
+from labdata.conditions import Conditions
+from labdata.frames import FrameStack
+from labdata.sensors import load_sensor
+from labdata.session import Session, StackEntry
+from labdata.target import Target
+from simulate.iiccd import truth
+from simulate.lab import LabBench
+from simulate.rig.truth import draw_truth
+
+# A part of the chip: what is tested is independent of its size.
+ROWS, COLUMNS = 246, 384
+SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7)
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldStack(StackEntry):
+    """A stack that lies in memory."""
+
+    held: FrameStack
+
+    def read(self) -> FrameStack:
+        return self.held
+
+
+def specimen(seed: int):
+    """A camera drawn within the sheet's ranges, on a smaller chip."""
+    drawn = draw_truth(load_sensor("pulnix-ag5745ef3"), seed)
+    return replace(drawn, ccd=replace(drawn.ccd, rows=ROWS, columns=COLUMNS))
+
+
+def flats(sensor, seed: int) -> Session:
+    bench = LabBench(sensor)
+    stacks = []
+    for index, lux in enumerate((0.0, 3e-5, 8e-5, 1.6e-4, 2.4e-4)):
+        conditions = replace(SETTINGS, illuminance_lux=lux, illuminance_relative_sd=0.03)
+        kind = "flat" if lux else "dark"
+        held = bench.expose(kind, Target(), conditions, frames=12, seed=seed + index)
+        stacks.append(
+            HeldStack(label=f"{kind}-{index}", kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
+        )
+    return Session(folder=Path("."), name="simulated", stacks=tuple(stacks), interlaced=True)
+
+
+@pytest.mark.parametrize("offset", [0, 1])
+def test_covariance_gain_and_blur_factor_of_a_specimen_are_found_again(seed, offset):
+    sensor = specimen(seed + offset)
+    context = Context(seed=1, quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0)
+    result = noise.measure(flats(sensor, 10 * seed + offset), method="covariance-sum", context=context)
+    known = truth.quantities(sensor, SETTINGS)
+    for quantity in ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor"):
+        (found,) = result.find(quantity)
+        low, high = found.interval68
+        assert found.status == "ok", found
+        assert abs(found.value - known[quantity]) < 4.5 * 0.5 * (high - low), (found, known[quantity])
+    (gain,) = result.find("covariance_gain")
+    assert (gain.interval68[1] - gain.interval68[0]) / 2 < 0.05 * gain.value
+    # The screen glows on: section 8, truth 20, has a correlation of .36 from field to field at the sheet's decay.
+    lags = result.evidence["autocorrelation"]["lag_correlation"]
+    assert 0.2 < lags[0] < 0.55 and np.all(np.diff(lags[:4]) < 0)
