@@ -1,7 +1,6 @@
 """The intensified camera: a sensor description turned into a chain of stages, and the chain run field by field."""
 
 import zlib
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -272,13 +271,15 @@ class IntensifiedCamera:
         screen = self._screen(conditions)
         screen = Chain((self._plate(conditions).under_load(at_plate, parts=2), *screen.stages[1:]))
         halves = coarse.with_values(np.repeat(0.5 * coarse.values[None], 2, axis=0))
-        recent: deque[NDArray[np.float32]] = deque(maxlen=glow.memory + self.fields_per_frame)
+        remembered = glow.memory + self.fields_per_frame
+        recent = np.empty((remembered, 2, *self.shape), np.float32)
         field = self.fields_per_frame * first_frame - glow.memory
         for frame in count(first_frame):
             while field < self.fields_per_frame * (frame + 1):
-                recent.append(screen.draw(halves, _field_rng(seed, field)).values)
+                recent[field % remembered] = screen.draw(halves, _field_rng(seed, field)).values
                 field += 1
-            shown = lingering(recent, glow.halves) + finer
+            order = np.arange(field - remembered, field) % remembered
+            shown = lingering(recent, glow.halves, order) + finer
             yield readout.draw(Light(values=shown), np.random.default_rng([seed, 1, frame])).values[0]
 
     def _screen(self, conditions: Conditions) -> Chain:

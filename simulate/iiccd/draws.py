@@ -175,8 +175,15 @@ def pulse_sums(rng: np.random.Generator, mean: NDArray[np.float32], shape: float
 
 def poisson_charge(rng: np.random.Generator, mean: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return Poisson numbers of the means given, of their shape; normal and rounded above `NORMAL_ABOVE`."""
+    many = mean > NORMAL_ABOVE
     charge = np.empty(mean.shape, np.float32)
-    _charge(state_from(rng), np.ascontiguousarray(mean, np.float32).ravel(), charge.reshape(-1))
+    if many.any():
+        np.rint(mean + np.sqrt(np.maximum(mean, 0.0)) * rng.standard_normal(mean.shape, np.float32), out=charge)
+    if not many.all():
+        few = np.ascontiguousarray(mean[~many], np.float32)
+        counts = np.empty_like(few)
+        _charge(state_from(rng), few, counts)
+        charge[~many] = counts
     return charge
 
 
@@ -191,7 +198,5 @@ def _charge(s, mean, out):
             if abs(expected - last) > 1e-6 * expected:
                 last, none = expected, np.exp(-expected)
             out[i] = _small_poisson(s, expected, none)
-        elif expected < NORMAL_ABOVE:
-            out[i] = _large_poisson(s, expected)
         else:
-            out[i] = np.floor(expected + np.sqrt(expected) * _normal(s) + 0.5)
+            out[i] = _large_poisson(s, expected)

@@ -1,6 +1,5 @@
 """The screen: electrons become light, spread sideways and linger over the following fields."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -155,28 +154,33 @@ class Afterglow:
         return self.mean(light)
 
 
-def lingering(fields: Sequence[NDArray] | NDArray, shares: NDArray[np.float64]) -> NDArray:
+def lingering(fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.integer] | None = None) -> NDArray:
     """Return what every field that has all its predecessors shows, shape (shown, row, col).
 
     Parameters
     ----------
     fields
-        Fields in their order, each (row, col), or (half, row, col) with shares of each half.
+        Fields, shape (field, row, col), or (field, half, row, col) with shares of each half.
     shares
         Share of a field's light in field j after it, shape (m,) or (half, m).
+    order
+        Indices of the fields in the order of time, shape (field,); as they stand if None.
 
     Notes
     -----
     sum_j shares[j] fields[n - j], summed over halves.
     """
-    by_half = np.atleast_2d(shares).astype(np.float32)
-    memory = by_half.shape[1] - 1
+    from simulate.iiccd.weighing import weighted_sum
+
+    by_half = np.atleast_2d(shares)
+    halves, fields_seen = by_half.shape
+    slots = np.arange(len(fields)) if order is None else order
+    images = fields.reshape(-1, *fields.shape[-2:])
+    # Latest field first, its halves side by side, as the images lie in memory.
+    weights = by_half.T.ravel()
     shown = []
-    for n in range(memory, len(fields)):
-        total = np.zeros(np.shape(fields[n])[-2:], np.float32)
-        for j in range(memory + 1):
-            halves = fields[n - j] if shares.ndim == 2 else fields[n - j][None]
-            for share, half in zip(by_half[:, j], halves, strict=True):
-                total += share * half
-        shown.append(total)
+    for n in range(fields_seen - 1, len(fields)):
+        latest_first = slots[n - fields_seen + 1 : n + 1][::-1]
+        which = (latest_first[:, None] * halves + np.arange(halves)).ravel()
+        shown.append(weighted_sum(images, which, weights))
     return np.stack(shown)
