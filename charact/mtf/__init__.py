@@ -1,6 +1,6 @@
 """MTF of edges, bars and points: importing this package registers its methods."""
 
-from charact.mtf import bars_contrast, bars_forward, edge_forward, edge_slanted, point_forward
+from charact.mtf import bars_contrast, bars_forward, edge_forward, edge_slanted, point_forward, point_spread
 from charact.mtf.measuring import measure
 
-__all__ = ["bars_contrast", "bars_forward", "edge_forward", "edge_slanted", "measure", "point_forward"]
+__all__ = ["bars_contrast", "bars_forward", "edge_forward", "edge_slanted", "measure", "point_forward", "point_spread"]

@@ -86,6 +86,9 @@ def point_forward(
                             "window-too-small")  # fmt: skip
     source = point_source.find(used.data, context.pitch_ratio)
     if isinstance(source, str):
+        full = context.full_scale_dn or used.full_scale_dn
+        if full is not None and used.data.max() >= full and np.median(used.data, axis=0).max() >= full:
+            return task.nothing("the source is too bright: pixels stay at full scale and nothing is dark", "saturated")
         return task.nothing(source, "no-target")
     window = _window(used, source, context)
     kept = _kept(window)

@@ -1,0 +1,57 @@
+"""The MTF of the simulated intensified camera comes back from its picture of a pinhole, with honest intervals."""
+
+import numpy as np
+import pytest
+
+from charact.method import Context
+from charact.mtf.point_forward import point_forward
+from labdata.conditions import Conditions
+from labdata.sensors import load_sensor
+from labdata.target import Target
+from simulate.iiccd import truth
+from simulate.lab import LabBench
+from simulate.rig.truth import draw_truth
+
+FAINT_LUX, BRIGHT_LUX, OPEN_GATE_NS = 3e-3, 0.03, 1.6e7
+
+
+@pytest.fixture(scope="module")
+def specimen(seed):
+    return draw_truth(load_sensor("pulnix-ag5745ef3"), seed)
+
+
+@pytest.fixture(scope="module")
+def bench(specimen):
+    return LabBench(specimen)
+
+
+def measured(bench, seed, illuminance_lux):
+    conditions = Conditions(mcp_v=800.0, gate_ns=OPEN_GATE_NS, illuminance_lux=illuminance_lux)
+    frames = bench.expose("point", Target(pinhole_px=1.0), conditions, frames=8, seed=seed)
+    # The description of the type, not of the specimen: only the sheet is known.
+    context = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0)
+    return point_forward(frames, region=(166, 304, 160, 160), pinhole_px=1.0, context=context)
+
+
+def test_mtf_of_a_pinhole_is_the_camera_s_in_both_directions(bench, specimen, seed):
+    result = measured(bench, seed, FAINT_LUX)
+    for angle in (0.0, 90.0):
+        for quantity, share in (("mtf50", 0.5), ("mtf10", 0.1)):
+            (found,) = result.find(quantity, orientation_deg=angle)
+            expected = truth.frequency_at(specimen, share, angle)
+            error = (found.interval95[1] - found.interval95[0]) / 3.92
+            assert abs(found.value - expected) < 4.5 * error
+            assert found.value == pytest.approx(expected, rel=0.3 if share == 0.5 else 0.1)
+
+
+def test_curves_of_a_pinhole_hold_the_true_mtf(bench, specimen, seed):
+    result = measured(bench, seed, FAINT_LUX)
+    for name, direction in (("mtf", "horizontal"), ("mtf_vertical", "vertical")):
+        curve = result.curves[name]
+        expected = truth.mtf(specimen, curve.frequency_cy_per_px, direction)
+        half = np.maximum((curve.interval95[1] - curve.interval95[0]) / 2, 1e-3)
+        assert np.all(np.abs(curve.value - expected) < 2.5 * half)
+
+
+def test_a_source_far_too_bright_is_never_ok(bench, seed):
+    assert all(m.status != "ok" for m in measured(bench, seed, BRIGHT_LUX).measurements)
