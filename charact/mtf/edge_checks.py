@@ -98,7 +98,7 @@ def fit_flags(picture: Picture, profile: Profile, fit: EdgeFit, half_frequency: 
         flags.append("gradient")
     if step < LEAST_STEP_SD * noise:
         flags.append("low-signal")
-    if picture.whole_codes and step < 12.0 and noise < 0.4:
+    if picture.whole_codes and step < 12.0 and noise * np.sqrt(picture.frames) < 0.45:
         flags.append("quantised")
     if profile.gathered.half_width_px < 1.6 / half_frequency:
         flags.append("window-too-small")
@@ -120,10 +120,19 @@ def _other_steps(profile: Profile, fit: EdgeFit) -> bool:
     return bool(np.any((np.abs(means) > 0.1 * abs(amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
 
 
-def response_flags(fit: EdgeFit) -> tuple[str, ...]:
-    """Return `gamma` where the profile is lopsided beyond what the camera's known filter makes it."""
+def response_flags(profile: Profile, fit: EdgeFit) -> tuple[str, ...]:
+    """Return `gamma` where the response looks curved: a lopsided profile, or noise that falls towards the light.
+
+    A profile is lopsided beyond what the camera's known filter makes it. Light brings noise, and only a response that
+    flattens takes it away again. A Gaussian edge through a power law above 1 stays symmetric and shows neither.
+    """
     curvature, error = response_curvature(fit)
-    return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
+    lopsided = abs(curvature) > max(CURVATURE, CURVATURE_SD * error)
+    grain = profile.grain
+    pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
+    scatter = 2.0 * np.sqrt(2.0 / max(pixels, 1.0))
+    falling = grain.dark_variance > grain.bright_variance * (1.15 + SIGNIFICANT * scatter)
+    return ("gamma",) if lopsided or falling else ()
 
 
 def response_curvature(fit: EdgeFit) -> tuple[float, float]:

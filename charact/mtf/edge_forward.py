@@ -135,7 +135,7 @@ def _result(
         *edge_checks.picture_flags(used.data, full_scale),
         *edge_checks.line_flags(found.picture, found.rows),
         *edge_checks.fit_flags(found.picture, found.profile, found.fit, half if half > 0 else 0.01),
-        *edge_checks.response_flags(found.fit),
+        *edge_checks.response_flags(found.profile, found.fit),
         *(flag for flag in posterior.flags if flag != "prior-bound" or context.sensor is None),
     )
     common = {

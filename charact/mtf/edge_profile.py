@@ -127,9 +127,22 @@ def _residual(picture: Picture, gathered: Gathered) -> tuple[Array, Array]:
     dark, bright = _levels(mean, count, gathered)
     level = (mean - dark) / (bright - dark if bright != dark else 1.0)
     lost = np.sqrt(count / np.maximum(count - 1.0, 0.5))
-    value = (picture.value - mean[gathered.bin_index]) * lost[gathered.bin_index]
+    value = (picture.value - _at_pixels(mean, count, gathered)) * lost[gathered.bin_index]
     value = np.where(gathered.used, value, 0.0)
     return _without_slope(value, gathered, level[gathered.bin_index]), level[gathered.bin_index]
+
+
+def _at_pixels(mean: Array, count: Array, gathered: Gathered) -> Array:
+    """Return the profile at every pixel: its bin's mean, and its slope for the place within the bin."""
+    filled = count > 0
+    distance, _ = gathered.means(gathered.distance)
+    rise = np.zeros_like(mean)
+    if np.count_nonzero(filled) > 8:
+        smooth = np.convolve(mean[filled], np.ones(3) / 3.0, "same")
+        rise[filled] = np.gradient(smooth, distance[filled])
+        rise[:4] = rise[-4:] = 0.0
+    index = gathered.bin_index
+    return mean[index] + rise[index] * (gathered.distance - distance[index])
 
 
 def _without_slope(value: Array, gathered: Gathered, level: Array) -> Array:

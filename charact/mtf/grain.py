@@ -160,11 +160,11 @@ def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array,
 
 def _positive(covariance: Array) -> Array:
     """Return the covariance, its eigenvalues raised to a small share of those of independent pixels where negative."""
-    scale = np.sqrt(np.diag(covariance).clip(1e-300))
+    # A bin of one pixel whose noise the correlation estimate makes nothing of is as noisy as its neighbours.
+    diagonal = np.diag(covariance)
+    scale = np.sqrt(np.maximum(diagonal, 1e-3 * np.median(diagonal[diagonal > 0])))
     correlation = covariance / np.outer(scale, scale)
-    try:
-        np.linalg.cholesky(correlation - 1e-3 * np.eye(len(scale)))
+    values, vectors = np.linalg.eigh(correlation)
+    if values[0] > 1e-3:
         return covariance
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(correlation)
-        return (vectors * np.maximum(values, 0.02)) @ vectors.T * np.outer(scale, scale)
+    return (vectors * np.maximum(values, 0.02)) @ vectors.T * np.outer(scale, scale)
