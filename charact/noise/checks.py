@@ -26,6 +26,8 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
     found: list[Finding] = []
     if series.reference != "dark":
         found.append(("no-darks", f"no dark frames: levels are counted from the {series.reference}"))
+    if series.left_out:
+        found.append((None, f"left out, at another gain or of a single frame: {', '.join(series.left_out)}"))
     found += _steadiness(series)
     found += _light(series)
     found += _codes(series)

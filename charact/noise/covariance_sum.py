@@ -9,7 +9,7 @@ import numpy as np
 from charact.method import Context, register
 from charact.noise import model, standard
 from charact.noise.calibrated import calibrated_quantities
-from charact.noise.checks import flags_of, notes_of, series_findings
+from charact.noise.checks import Finding, flags_of, notes_of, series_findings
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
 from charact.noise.level import Level
 from charact.noise.provenance import provenance
@@ -21,9 +21,11 @@ from labdata.measurement import Measurement, Posterior, Result, from_draws, refu
 from labdata.session import Session
 
 METHOD = "covariance-sum"
-# Levels whose covariance over signal departs by more than this share and this many standard errors are no one line.
+# Levels whose covariance over signal departs by more than this share and this many standard errors lie on no line.
 LEVEL_SHARE = 0.06
 LEVEL_ERRORS = 5.0
+# Bins of spatial frequency that the blur's five parameters need.
+LEAST_BINS = 24
 
 
 @register(
@@ -50,12 +52,28 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=True)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    series = series_of(flats, darks) if flats else None
+    small = too_small([*darks, *flats])
+    if small is not None:
+        out = [refused(name, unit, small, **fields) for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))]
+        out += dark_quantities(tuple(darks), flags=(), **fields) if darks else []
+        return Result(measurements=timed(out, began))
+    series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
         out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
         alone = _blur_of_darks(darks, context, fields) if darks else Result()
         return Result(measurements=timed([*out, *alone.measurements], began), evidence=alone.evidence)
     return _of_series(series, context, fields, began)
+
+
+def too_small(levels: list[Level]) -> str | None:
+    """Why images hold too few low frequencies to sum a covariance, or None."""
+    least = min(levels, key=lambda level: len(level.bins.modes), default=None)
+    if least is None or len(least.bins.modes) >= LEAST_BINS:
+        return None
+    return (
+        f"images of {least.pixels} px hold too few low spatial frequencies for a covariance sum, some 64 x 64 px "
+        "are needed at least; the method variance works on any size"
+    )
 
 
 def _of_series(series: Series, context: Context, fields: dict[str, Any], began: float) -> Result:
@@ -67,7 +85,8 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
     white = not correlated(lit(series))
     if not white:
         fit = replace(fit, posterior=_at_low_signal(fit.posterior, series, levels, spread, context))
-    findings = series_findings(series, context=context) + _model_findings(summary, fit, levels, spread, context)
+    findings = series_findings(series, context=context) + _model_findings(summary, fit, context)
+    findings += _departures(series, levels, spread)
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
     out = [
@@ -161,9 +180,9 @@ def level_gains(series: Series, summary: Summary, fit: model.Fit):
     return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor
 
 
-def _model_findings(summary: Summary, fit: model.Fit, levels, spread, context: Context):
+def _model_findings(summary: Summary, fit: model.Fit, context: Context) -> list[Finding]:
     """What the fit itself says against or about its numbers."""
-    found: list[tuple[str | None, str]] = []
+    found: list[Finding] = []
     if fit.chance < 1e-4:
         found.append(("model-misfit", f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"))
     blur = float(np.median(fit.posterior["blur_factor"]))
@@ -175,6 +194,20 @@ def _model_findings(summary: Summary, fit: model.Fit, levels, spread, context: C
         found.append(("too-few-frames", "too few frames to look for light of earlier exposures"))
     found += [(flag, "see the posterior") for flag in fit.posterior.flags]
     return found
+
+
+def _departures(series: Series, levels, spread) -> list[Finding]:
+    """Levels whose covariance over signal is far from that of the others."""
+    chosen = np.flatnonzero(series.fitted)
+    middle = float(np.median(levels[chosen]))
+    return [
+        (
+            "model-misfit",
+            f"covariance over signal of {series.flats[i].label} is {levels[i]:.3g} DN, not {middle:.3g} DN",
+        )
+        for i in chosen
+        if abs(levels[i] - middle) > max(LEVEL_SHARE * middle, LEVEL_ERRORS * spread[i])
+    ]
 
 
 def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any]) -> Result:

@@ -61,10 +61,12 @@ def fluctuations(shots: Exposures) -> NDArray[np.float32]:
     """Return what changes in time: each pixel's mean over the exposures and each exposure's own level taken away.
 
     The fixed pattern goes with the pixel's mean, so that unequal pixels do not pass for noise; the level of the
-    light goes with the exposure's mean, so that its flicker does not pass for correlation.
+    light goes with the exposure's mean, so that its flicker does not pass for correlation. The share 1/N of white
+    noise that goes with the mean of N pixels is put back.
     """
+    pixels = shots.image[0].size
     change = shots.image - shots.image.mean(axis=(1, 2), keepdims=True, dtype=np.float64).astype(np.float32)
     for parity in np.unique(shots.parity):
         same = shots.parity == parity
         change[same] -= change[same].mean(axis=0, keepdims=True)
-    return change
+    return change * np.float32(np.sqrt(pixels / max(pixels - 1, 1)))

@@ -40,7 +40,9 @@ def neighbours(change: NDArray[np.float32]) -> tuple[float, float]:
     beside = _block_means(np.einsum("trc,trc->rc", change[..., :-1], change[..., 1:]))
     ratio = beside / np.maximum(power, 1e-12)
     error = ratio.std(ddof=1) / np.sqrt(power.size) if power.size > 1 else 1.0
-    return float(beside.mean() / max(float(power.mean()), 1e-12)), float(error)
+    # Taking the mean of N pixels away makes white noise anticorrelated by 1/(N - 1).
+    own = 1.0 / max(change[0].size - 1, 1)
+    return float(beside.mean() / max(float(power.mean()), 1e-12)) + own, float(error)
 
 
 def _block_means(image: NDArray) -> Array:

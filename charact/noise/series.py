@@ -37,7 +37,9 @@ class Series:
     peak
         Index of the flat where the variance peaks, or None while it still rises.
     reference
-        "dark", "black level" or "lowest flat": what the signal is counted from.
+        "dark" or "lowest flat": what the signal is counted from.
+    left_out
+        Stacks that took no part: flats at another gain, and single frames.
     """
 
     flats: tuple[Level, ...]
@@ -49,6 +51,7 @@ class Series:
     fitted: NDArray[np.bool_]
     peak: int | None
     reference: str
+    left_out: tuple[str, ...] = ()
 
 
 def read_levels(session: Session, *, context: Context, spectra: bool) -> tuple[list[Level], list[Level], list[str]]:
@@ -85,9 +88,11 @@ def longest_series(flats: list[Level]) -> list[Level]:
     return sorted(chosen, key=lambda level: level.mean_dn)
 
 
-def series_of(flats: list[Level], darks: list[Level]) -> Series:
+def series_of(flats: list[Level], darks: list[Level], single: list[str] | tuple[str, ...] = ()) -> Series:
     """Set the flats of one gain against their darks and find the range where a gain may be fitted."""
     chosen = longest_series(flats)
+    here = {flat.label for flat in chosen}
+    left_out = (*(flat.label for flat in flats if flat.label not in here), *single)
     reference = "dark"
     if not darks and len(chosen) > 1:
         reference = "lowest flat"
@@ -103,7 +108,7 @@ def series_of(flats: list[Level], darks: list[Level]) -> Series:
         fitted &= signal <= FIT_SHARE * signal[peak]
     return Series(flats=tuple(chosen), darks=matched, all_darks=tuple(darks) if reference == "dark" else (),
                   signal_dn=signal, variance_dn2=variance, variance_sd_dn2=sd, fitted=fitted, peak=peak,
-                  reference=reference)  # fmt: skip
+                  reference=reference, left_out=left_out)  # fmt: skip
 
 
 def _dark_of(flat: Level, darks: list[Level]) -> Level:

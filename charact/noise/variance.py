@@ -39,7 +39,7 @@ def variance(session: Session, *, context: Context) -> Result:
     began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=False)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    series = series_of(flats, darks) if flats else None
+    series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
         return Result(measurements=timed(without_flats(darks, series, single, **fields), began))
     findings = series_findings(series, context=context)

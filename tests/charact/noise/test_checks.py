@@ -144,3 +144,39 @@ def test_darks_alone_give_read_noise_and_blur_factor(in_memory, seed):
         low, high = factor.interval68
         assert abs(factor.value - blur) < 4.5 * 0.5 * (high - low)
         assert result.find("covariance_gain")[0].status == "refused"
+
+
+def test_a_level_of_another_gain_stands_out(pulses, series, in_memory, seed):
+    rng = np.random.default_rng(seed)
+    session = series(pulses(), rng, LEVELS, frames=6)
+    other = pulses(gain_dn=60.0).frames(rng, 8.0, 6)
+    stacks = [(s.label, s.kind, s.read(), Conditions()) for s in session.stacks]
+    odd = in_memory([*stacks, ("odd", "flat", other, Conditions())])
+    assert "model-misfit" in gain_of(noise.measure(odd, context=QUICK)).flags
+
+
+def test_images_too_small_for_a_covariance_are_refused_one_and_still_have_a_variance(in_memory, seed):
+    """Nine pixels: the mean of the frame takes a ninth of the noise along, which is put back."""
+    rng = np.random.default_rng(seed)
+    gain = 0.5
+    stacks = [
+        ("dark" if not level else f"flat-{level}", "flat" if level else "dark",
+         FrameStack(data=(100 + gain * rng.poisson(400 + level, (4000, 3, 3))).astype(np.float32)), Conditions())
+        for level in (0, 3000, 6000, 9000)
+    ]  # fmt: skip
+    session = in_memory(stacks)
+    assert gain_of(noise.measure(session, method="covariance-sum", context=QUICK)).status == "refused"
+    found = gain_of(noise.measure(session, method="variance", context=QUICK))
+    low, high = found.interval68
+    assert found.status == "ok"
+    assert abs(found.value - gain) < 4.5 * 0.5 * (high - low)
+
+
+def test_stacks_that_take_no_part_are_named(pulses, series, in_memory, seed):
+    rng = np.random.default_rng(seed)
+    session = series(pulses(), rng, LEVELS, frames=4)
+    stacks = [(s.label, s.kind, s.read(), replace(s.conditions, mcp_v=800.0)) for s in session.stacks]
+    other = ("other-gain", "flat", pulses(gain_dn=40.0).frames(rng, 9.0, 4), Conditions(mcp_v=850.0))
+    lone = ("lone", "flat", pulses().frames(rng, 9.0, 1), Conditions(mcp_v=800.0))
+    gain = gain_of(noise.measure(in_memory([*stacks, other, lone]), context=QUICK))
+    assert any("other-gain, lone" in note for note in gain.notes)
