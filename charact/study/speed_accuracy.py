@@ -45,7 +45,7 @@ class Chart:
             "quantity": self.quantity,
             "methods": [asdict(row) for row in self.summaries],
             "error_percent_means": "95th percentile of |value - truth| / truth; a refusal counts as 100",
-            "seconds_means": "median over the cases, one process",
+            "seconds_means": "median over the cases of the smaller of wall and processor time",
             "provenance": {"charact": charact.__version__, "seed": self.seed, "quick": self.quick},
         }
 
