@@ -71,7 +71,7 @@ def too_small(levels: list[Level]) -> str | None:
     if least is None or len(least.bins.modes) >= LEAST_BINS:
         return None
     return (
-        f"images of {least.pixels} px hold too few low spatial frequencies for a covariance sum, some 64 x 64 px "
+        f"images of {least.pixels} px hold too few low spatial frequencies for a covariance sum, some 100 x 100 px "
         "are needed at least; the method variance works on any size"
     )
 

@@ -40,8 +40,8 @@ def test_frames_of_pure_noise_are_never_ok(in_memory, seed, method):
 @pytest.mark.parametrize("method", METHODS)
 def test_frames_that_never_change_are_refused(in_memory, method):
     stacks = [
-        ("dark", "dark", FrameStack(data=np.full((4, 64, 64), 10, np.uint8)), Conditions()),
-        ("flat", "flat", FrameStack(data=np.full((4, 64, 64), 90, np.uint8)), Conditions()),
+        ("dark", "dark", FrameStack(data=np.full((4, 96, 128), 10, np.uint8)), Conditions()),
+        ("flat", "flat", FrameStack(data=np.full((4, 96, 128), 90, np.uint8)), Conditions()),
     ]
     gain = gain_of(noise.measure(in_memory(stacks), method=method, context=QUICK))
     assert gain.status == "refused" and "noisier" in gain.reason
@@ -149,7 +149,7 @@ def test_darks_alone_give_read_noise_and_blur_factor(in_memory, seed):
 def test_a_level_of_another_gain_stands_out(pulses, series, in_memory, seed):
     rng = np.random.default_rng(seed)
     session = series(pulses(), rng, LEVELS, frames=6)
-    other = pulses(gain_dn=60.0).frames(rng, 8.0, 6)
+    other = pulses(gain_dn=60.0).frames(rng, 13.0, 6)
     stacks = [(s.label, s.kind, s.read(), Conditions()) for s in session.stacks]
     odd = in_memory([*stacks, ("odd", "flat", other, Conditions())])
     assert "model-misfit" in gain_of(noise.measure(odd, context=QUICK)).flags
