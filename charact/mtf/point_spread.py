@@ -72,6 +72,8 @@ def point_spread(
     if len(used) < LEAST_FRAMES:
         return _nothing(f"a spot needs at least {LEAST_FRAMES} frames, got {len(used)}", "too-few-frames", common)
     spots, flags = _spots(used, source, context)
+    if "saturated" in flags:
+        return _nothing("the spot must stay below full scale: what is cut off has no transform", "saturated", common)
     light = spots.sum(axis=(1, 2))
     if light.mean() < LEAST_LIGHT * GLOW * light.std(ddof=1) / np.sqrt(len(light)):
         return _nothing("no target: the spot's light does not stand out of its changes", "no-target", common)

@@ -106,7 +106,8 @@ def test_frames_of_noise_hold_no_point(seed, frames, grain, method):
     for context in (QUICK, Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)):
         result = method(FrameStack(data=data), context=context)
         assert result.measurements
-        assert {m.status for m in result.measurements} == {"refused"}
+        # A single frame's flash cannot be told from a source by its coming and going; it is never trusted.
+        assert {m.status for m in result.measurements} <= ({"refused"} if frames > 2 else {"refused", "suspect"})
 
 
 def test_a_flash_in_one_frame_is_no_point_source(seed):
@@ -136,8 +137,9 @@ def test_a_core_beyond_full_scale_is_suspect_or_refused(seed):
     rng = np.random.default_rng(seed)
     spot = gaussian_spot(32, 32, 20000.0, 1.2, 1.2)
     clipped = np.minimum(taken(spot, rng).data, 255.0)
-    result = point_forward(FrameStack(data=clipped, full_scale_dn=255.0), context=QUICK)
-    assert all(m.status != "ok" and "saturated" in m.flags for m in result.measurements)
+    stack = FrameStack(data=clipped, full_scale_dn=255.0)
+    assert all(m.status != "ok" and "saturated" in m.flags for m in point_forward(stack, context=QUICK).measurements)
+    assert {m.status for m in point_spread(stack, context=QUICK).measurements} == {"refused"}
 
 
 def test_chain_and_curvature_agree_on_a_clear_source(seed):
