@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 # Share of the pixels at one extreme code that makes it a pile-up, and how much it must exceed the code beside it.
 PILE_UP_SHARE = 0.002
 PILE_UP_RATIO = 3.0
+FLOORS = (0, 16)
 
 
 def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
@@ -33,9 +34,10 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
         clipped |= bool(share[-1] > PILE_UP_SHARE)
     top = share[-1] > 2 * PILE_UP_SHARE and counts[-1] > PILE_UP_RATIO * counts[-2]
     bottom = share[0] > 2 * PILE_UP_SHARE and counts[0] > PILE_UP_RATIO * counts[1]
-    # Two plateaus of still codes pile up at both ends and mean nothing; noise at the other end makes it real.
-    lively = max(share[1], share[-2]) > 1e-4 and values.size > 12
-    clipped |= bool(top != bottom) and lively
+    # Black clips at the converter's or the video range's floor; a quiet plateau above it is just quiet. At the top,
+    # where light brings noise, a plateau quieter than the dark one is clipped, wherever it lies.
+    clipped |= bool(bottom and values[0] in FLOORS and values.size > 12)
+    clipped |= bool(top and not bottom and share[-2] > 1e-4 and values.size > 12)
     return ("clipped",) if clipped else ()
 
 

@@ -12,6 +12,7 @@ from charact.mtf import edge_checks, line
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.edge_fit import EdgeFit, fit, refit
 from charact.mtf.edge_profile import Profile, centred, profile_of, refined
+from charact.mtf.extent import LEAST_ROWS, extent
 from charact.mtf.geometry import orientation_deg
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.picture import Picture, mean_picture
@@ -63,8 +64,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     aperture x video x exp(-ln 2 (f/f2)^n) x departure x halo. Levels, step and slopes are marginalised in closed form.
     """
     began = time.perf_counter()
-    used = stack if region is None else stack.region(*region)
-    where = region or (0, 0, *used.shape[1:])
+    used, where, crowded = only_edge(stack, region, context)
     if min(used.shape[1:]) < 8:
         return _nothing(
             f"an edge needs a region of at least 8 x 8 px, got {where[2]} x {where[3]}", where, context, began
@@ -73,7 +73,26 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     if isinstance(found, str):
         return _nothing(found, where, context, began)
     posterior = _posterior(found.fit, context)
-    return _result(found, posterior, used, where, context, began)
+    result = _result(found, posterior, used, where, context, began)
+    if not crowded:
+        return result
+    flags = ("several-targets",) if region is not None else ()
+    notes = ("The frame shows more than this edge; the region is the part that was used.",)
+    measurements = tuple(m.with_(flags=flags, notes=(*m.notes, *notes)) for m in result.measurements)
+    return Result(measurements=measurements, curves=result.curves, evidence=result.evidence)
+
+
+def only_edge(stack: FrameStack, region: Region | None, context: Context) -> tuple[FrameStack, Region, bool]:
+    """Return the frames cut to one edge and its plateaus, where that is, and whether there was more to see."""
+    used = stack if region is None else stack.region(*region)
+    row, col, height, width = region or (0, 0, *used.shape[1:])
+    if min(height, width) < 2 * LEAST_ROWS:
+        return used, (row, col, height, width), False
+    picture, coarse = line.find(mean_picture(used.data, context.pitch_ratio))
+    part = extent(picture, coarse)
+    if part is None:
+        return used, (row, col, height, width), False
+    return used.region(*part), (row + part[0], col + part[1], part[2], part[3]), True
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,7 +70,7 @@ class Evidence:
         white = self.precision_root @ design
         prior = np.concatenate([[0.0], 1.0 / np.maximum(self.nuisance_sd, 1e-300) ** 2])
         amplitude = np.linalg.solve(white.T @ white + np.diag(prior), white.T @ (self.precision_root @ self.value))
-        return design @ amplitude, amplitude
+        return design @ amplitude, np.asarray(amplitude, float)
 
 
 def evidence_of(
@@ -92,7 +92,7 @@ def evidence_of(
     nuisance_sd
         Standard deviation of their Gaussian priors, DN; infinite for a free one.
     """
-    precision_root = np.linalg.inv(np.linalg.cholesky(covariance))
+    precision_root = np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), float)
     white = precision_root @ np.concatenate([even, odd, nuisance, value[:, None]], axis=1)
     nodes = 2 * even.shape[1]
     weights, shapes, data = white[:, :nodes], white[:, nodes:-1], white[:, -1]

@@ -105,7 +105,7 @@ def _smoothed(field: Array) -> Array:
     """Return the 3 x 3 running mean."""
     padded = np.pad(field, 1)
     rows, cols = field.shape
-    return sum(padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)) / 9.0
+    return np.mean([padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)], axis=0)
 
 
 def _taper(lag: NDArray, reach: int) -> Array:

@@ -66,7 +66,8 @@ def _profile(value: Array, slope: float, step: float = 1.0) -> tuple[Array, Arra
     across = np.arange(value.shape[1])[None, :] - slope * row
     first = float(across.min())
     cell = np.rint((across - first) / step).astype(np.int64).ravel()
-    return np.bincount(cell, weights=value.ravel()), np.bincount(cell).astype(float), first
+    sums = np.bincount(cell, weights=value.ravel())
+    return np.asarray(sums, float), np.bincount(cell).astype(float), first
 
 
 def _best_step(value: Array, slope: float) -> tuple[float, float]:

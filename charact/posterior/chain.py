@@ -6,6 +6,7 @@ it is not the other moves do the work. All keep the posterior invariant.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -229,7 +230,7 @@ class _Runner:
 
         self._sampler = emcee.EnsembleSampler(len(first), first.shape[1], log_probability, moves=moves, vectorize=True)
         state = np.random.RandomState(seed).get_state()
-        self._state = emcee.State(first, random_state=state)
+        self._state: Any = emcee.State(first, random_state=state)
 
     @classmethod
     def started(
@@ -251,7 +252,8 @@ class _Runner:
         """Go on from here with other moves, forgetting the steps so far."""
         import emcee
 
-        self._sampler = emcee.EnsembleSampler(*self._state.coords.shape, log_probability, moves=moves, vectorize=True)
+        walkers, parameters = np.shape(self._state.coords)
+        self._sampler = emcee.EnsembleSampler(walkers, parameters, log_probability, moves=moves, vectorize=True)
 
     def advance(self, steps: int) -> None:
         """Take steps."""
