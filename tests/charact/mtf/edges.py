@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+
 from labdata.frames import FrameStack
 
 _ERF = np.vectorize(math.erf)
