@@ -9,9 +9,8 @@ from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
 from charact.bloom.edge import STEP_SEEN, first_radius
 from charact.bloom.fit import HaloFit, fit, own_diameter, problem_of
 from charact.bloom.model import optics_of, shapes
-from charact.bloom.profile import Profile, profile_of
+from charact.bloom.profile import Profile, profile_of, reach_of
 from charact.bloom.spot import DETECTED, Spot, read_spots
-from charact.bloom.threshold import reach_of
 from charact.method import Context, register
 from labdata.measurement import Measurement, Result, from_draws, refused
 from labdata.sensor import Sensor
@@ -26,8 +25,6 @@ RINGS_INSIDE = 4
 LEAST_RIM = 0.02
 # Share by which a round halo may seem wider in one direction than in the other.
 ROUND_SHARE = 0.02
-# Profiles kept for the report.
-SHOWN = 3
 
 
 @register(
@@ -140,33 +137,29 @@ def _roundness(spot: Spot, found: HaloFit, reach: int, context: Context) -> tupl
 
 
 def _profile_evidence(profiles: list[Profile], found: HaloFit | None, radius: float) -> dict[str, Any]:
-    """The profiles that show the halo best, with the fit where there is one."""
-    score = found.significance if found is not None else np.arange(len(profiles))
-    shown = sorted(np.argsort(score)[::-1][:SHOWN].tolist())
-    return {f"point-profile:{profiles[i].label}": _one_profile(profiles[i], found, i, radius) for i in shown}
-
-
-def _one_profile(profile: Profile, found: HaloFit | None, one: int, radius: float) -> dict[str, Any]:
-    """Rings that are not saturated, and what the fit makes of them."""
-    used = profile.used
+    """Radial profiles of the levels with their joint fit."""
     data: dict[str, Any] = {
         "figure": "point-profile",
-        "label": profile.label,
-        "radius_px": profile.radius_px[used].tolist(),
-        "value_dn": profile.mean_dn[used].tolist(),
-        "sd_dn": profile.sd_dn[used].tolist(),
-        "saturated_rings": int(np.argmax(used)),
-        "steepest_radius_px": radius,
+        "label": [profile.label for profile in profiles],
+        "radius_px": [profile.radius_px.tolist() for profile in profiles],
+        "mean_dn": [profile.mean_dn.tolist() for profile in profiles],
+        "sd_dn": [profile.sd_dn.tolist() for profile in profiles],
+        "used": [profile.used.tolist() for profile in profiles],
+        "steepest_radius_px": None if np.isnan(radius) else radius,
     }
     if found is None:
-        return data
-    core, pedestal, halo = found.amplitudes[one].tolist()
-    return data | {
-        "model_dn": _model(profile, found, one)[used].tolist(),
-        "pedestal_dn": pedestal,
-        "halo_share": halo / (core + halo) if core + halo > 0 else None,
-        "halo_significance": float(found.significance[one]),
+        return {"point-profile": data}
+    core, pedestal, halo = found.amplitudes.T
+    fitted = {
+        "halo_diameter_px": float(np.median(found.posterior["halo_diameter"])),
+        "elastic_share": float(np.median(found.posterior["elastic_share"])),
+        "model_dn": [_model(profile, found, one).tolist() for one, profile in enumerate(profiles)],
+        "pedestal_dn": pedestal.tolist(),
+        "halo_share": np.where(core + halo > 0, halo / np.where(core + halo > 0, core + halo, 1.0), 0.0).tolist(),
+        "chi2": found.chi2,
+        "freedom": found.freedom,
     }
+    return {"point-profile": data | fitted}
 
 
 def _constancy(found: HaloFit, labels: tuple[str, ...]) -> dict[str, Any]:
@@ -179,8 +172,7 @@ def _constancy(found: HaloFit, labels: tuple[str, ...]) -> dict[str, Any]:
         "figure": "halo-constancy",
         "label": [label for label, one in zip(labels, seen, strict=True) if one],
         "halo_diameter_px": own.tolist(),
-        "interval95_low_px": (own - 1.96 * sd).tolist(),
-        "interval95_high_px": (own + 1.96 * sd).tolist(),
+        "interval95_px": np.stack([own - 1.96 * sd, own + 1.96 * sd], axis=1).tolist(),
         "significance": found.significance[seen].tolist(),
         "joint_px": float(np.median(found.posterior["halo_diameter"])),
         "joint_elastic_share": float(np.median(found.posterior["elastic_share"])),

@@ -20,6 +20,8 @@ STREAK_FROM_PX = 6.0
 # Rings inside which the source's own light spoils its neighbours, beyond the last saturated one.
 MARGIN_PX = 2
 RINGS_CORRELATED = 6
+# Farthest ring looked at, px.
+REACH_PX = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +62,12 @@ class Profile:
         lifted = (vectors * np.maximum(values, 0.05)) @ vectors.T
         sd = self.sd_dn[self.used]
         return lifted * np.outer(sd, sd) + 1e-9 * np.eye(count)
+
+
+def reach_of(spot: Spot, most_px: int = REACH_PX) -> int:
+    """Return how many rings fit into the frame around the source, at most `most_px`."""
+    rows, cols = spot.image.shape
+    return int(max(8, min(most_px, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
 
 
 def profile_of(spot: Spot, reach_px: int, *, context: Context, along: Along = "all") -> Profile:

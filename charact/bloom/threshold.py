@@ -7,14 +7,13 @@ import numpy as np
 
 from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
 from charact.bloom.edge import STEP_SEEN, edge_radius
-from charact.bloom.profile import profile_of
+from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.spot import DETECTED, read_spots
 from charact.method import Context, register
 from labdata.measurement import Measurement, Result, from_sd, refused
 from labdata.session import Session
 
 METHOD = "threshold"
-REACH_PX = 60
 # The steepest step of a blurred rim lies within about half a pixel of its edge.
 RADIUS_SD_PX = 0.5
 
@@ -46,12 +45,6 @@ def threshold(session: Session, *, context: Context) -> Result:
     seconds = perf_counter() - began
     return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
                   evidence={"bloom-series": series_evidence(spots)})  # fmt: skip
-
-
-def reach_of(spot, most_px: int = REACH_PX) -> int:
-    """Rings that fit into the frame around the source, at most `most_px`."""
-    rows, cols = spot.image.shape
-    return int(max(8, min(most_px, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
 
 
 def _halo(seen: list[tuple[float, float]], *, no_darks: bool, **fields: Any) -> Measurement:

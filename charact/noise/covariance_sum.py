@@ -99,10 +99,14 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
     out.append(saturation(series, flags=common, **fields))
     out += dark_quantities(series.all_darks, flags=common, **fields) if series.all_darks else []
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=common, **fields)
+    spectra = "many" if summary.lag.seen else "few"
     evidence = {
         "photon-transfer": transfer_evidence(
             series,
             gain=None if gain is None else float(np.median(gain.slope)),
+            # Frames that share light vary less about their own mean: the variance with that undone.
+            variance_dn2=[getattr(flat, spectra).variance_dn2 for flat in series.flats],
+            dark_variance_dn2=[getattr(dark, spectra).variance_dn2 for dark in series.darks],
             covariance_dn2=(levels * series.signal_dn).tolist(),
             covariance_sd_dn2=(spread * series.signal_dn).tolist(),
             covariance_gain_dn=float(np.median(fit.posterior["covariance_gain"])),

@@ -56,7 +56,5 @@ def test_the_halo_is_four_gaps_wide_over_two_decades_of_light(seed):
     assert 0.5 * (high - low) < 0.02 * known
     levels = result.evidence["halo-constancy"]
     assert {"point-1", "point-3"} <= set(levels["label"])
-    for own, below, above in zip(
-        levels["halo_diameter_px"], levels["interval95_low_px"], levels["interval95_high_px"], strict=True
-    ):
+    for own, (below, above) in zip(levels["halo_diameter_px"], levels["interval95_px"], strict=True):
         assert abs(own - known) < 4.5 * (above - below) / 3.92

@@ -79,3 +79,9 @@ def test_a_single_image_is_enough_for_an_extent(point, in_memory, seed):
     result = bloom.measure(session, context=QUICK)
     (found,) = result.find("bloom_diameter")
     assert found.value > 5.0 and found.interval95[0] < found.value < found.interval95[1]
+
+
+def test_the_forward_model_is_the_method_taken_where_nothing_else_is_known():
+    from charact.method.registry import of_kind
+
+    assert next(iter(of_kind("bloom"))) == "halo-profile"

@@ -50,9 +50,7 @@ def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
     result = bloom.measure(session, method="halo-profile", context=QUICK)
     levels = result.evidence["halo-constancy"]
     assert len(levels["halo_diameter_px"]) >= 2
-    for own, low, high in zip(
-        levels["halo_diameter_px"], levels["interval95_low_px"], levels["interval95_high_px"], strict=True
-    ):
+    for own, (low, high) in zip(levels["halo_diameter_px"], levels["interval95_px"], strict=True):
         assert abs(own - levels["joint_px"]) < 4.5 * (high - low) / 3.92
 
 

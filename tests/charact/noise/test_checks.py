@@ -180,3 +180,9 @@ def test_stacks_that_take_no_part_are_named(pulses, series, in_memory, seed):
     lone = ("lone", "flat", pulses().frames(rng, 9.0, 1), Conditions(mcp_v=800.0))
     gain = gain_of(noise.measure(in_memory([*stacks, other, lone]), context=QUICK))
     assert any("other-gain, lone" in note for note in gain.notes)
+
+
+def test_the_covariance_sum_is_the_method_taken_where_nothing_else_is_known():
+    from charact.method.registry import of_kind
+
+    assert next(iter(of_kind("flats"))) == "covariance-sum"
