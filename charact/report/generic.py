@@ -1,6 +1,6 @@
 """Lines and points with their intervals: what most figures of evidence are made of."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -37,21 +37,3 @@ def dots(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = None, **o
         return
     horizontal, vertical, arm = thinned(x, y, sd, most=MOST_DOTS)
     axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)
-
-
-def named(data: Mapping[str, Any], key: str, fallback: str) -> str:
-    """Axis label of a list: what the evidence calls it."""
-    labels = data.get("labels")
-    return str(labels[key]) if isinstance(labels, Mapping) and key in labels else fallback
-
-
-def lists(data: Mapping[str, Any]) -> dict[str, NDArray[np.float64]]:
-    """All one-dimensional lists of numbers among the evidence, by name."""
-    found = {}
-    for key, value in data.items():
-        if isinstance(value, Sequence) and not isinstance(value, str) and len(value) > 1 and np.ndim(value[0]) == 0:
-            try:
-                found[key] = np.asarray(value, float)
-            except (TypeError, ValueError):
-                continue
-    return found
