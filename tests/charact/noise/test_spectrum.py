@@ -1,0 +1,32 @@
+"""The noise spectrum is normalised to the variance, and rows of both parities are laid on one picture."""
+
+import numpy as np
+import pytest
+
+from charact.noise.spectrum import bins_of, cross_spectra
+
+
+def test_white_noise_has_its_variance_in_every_bin(seed):
+    rng = np.random.default_rng(seed)
+    change = 3.0 * rng.standard_normal((60, 96, 128), dtype=np.float32)
+    bins = bins_of(96, 128, 1.0)
+    power = np.einsum("bii->bi", cross_spectra(change, np.zeros(60, int), bins))
+    error = 9.0 / np.sqrt(60 * bins.modes * bins.efficiency)
+    assert np.all(np.abs(power.mean(axis=1) - 9.0) < 4.5 * error)
+    # The modes counted are as many as are independent: that is what every interval here rests on.
+    scatter = power.var(axis=1, ddof=1) * bins.modes * bins.efficiency / 81.0
+    assert scatter.mean() == pytest.approx(1.0, abs=0.15)
+
+
+def test_both_fields_of_one_picture_agree_at_low_frequency(seed):
+    """Odd rows see a smooth picture half a field row further down: turned back, they correlate fully."""
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((256, 160))
+    along, across = np.fft.fftfreq(256)[:, None], np.fft.rfftfreq(160)[None, :]
+    smooth = np.fft.irfft2(np.fft.rfft2(noise) * np.exp(-2 * np.pi**2 * 9.0 * (along**2 + across**2)), s=noise.shape)
+    fields = np.stack([smooth[0::2], smooth[1::2]]).astype(np.float32)
+    bins = bins_of(128, 160, 2.0)
+    spectra = cross_spectra(fields, np.array([0, 1]), bins)
+    own = 0.5 * (spectra[:, 0, 0] + spectra[:, 1, 1])
+    low = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px) < 0.1
+    assert spectra[low, 0, 1] / own[low] == pytest.approx(1.0, abs=0.01)
