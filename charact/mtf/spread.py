@@ -64,11 +64,19 @@ def edge_weights(grid: Array, distance: Array, spread_px: Array) -> tuple[Array,
     With the line spread l(d) = int H(f) exp(2 pi i f d) df the edge spread is
     1/2 + int [Re H sin(2 pi f d) + Im H cos(2 pi f d)] / (pi f) df over f > 0.
     """
+    return _kept_weights(grid.tobytes(), distance.tobytes(), spread_px.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _kept_weights(grid_bytes: bytes, distance_bytes: bytes, spread_bytes: bytes) -> tuple[Array, Array]:
+    """Return the weights of `edge_weights`, kept because one edge asks for them several times."""
+    grid, distance, spread_px = (np.frombuffer(part) for part in (grid_bytes, distance_bytes, spread_bytes))
     even, odd = np.empty((2, distance.size, grid.size))
     near = np.abs(distance) <= NEAR_PX
     for part, step, top in ((near, 0.002, 4.0), (~near, 0.0005, 0.75)):
         if part.any():
             even[part], odd[part] = _integrated(grid, distance[part], spread_px[part], step, top)
+    even.flags.writeable = odd.flags.writeable = False
     return even, odd
 
 
