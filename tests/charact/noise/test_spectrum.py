@@ -13,9 +13,9 @@ def test_white_noise_has_its_variance_in_every_bin(seed):
     power = np.einsum("bii->bi", cross_spectra(change, np.zeros(60, int), bins))
     error = 9.0 / np.sqrt(60 * bins.modes * bins.efficiency)
     assert np.all(np.abs(power.mean(axis=1) - 9.0) < 4.5 * error)
-    # The modes counted are as many as are independent: that is what every interval here rests on.
+    # No more modes are counted than are independent, and few less: that is what every interval here rests on.
     scatter = power.var(axis=1, ddof=1) * bins.modes * bins.efficiency / 81.0
-    assert scatter.mean() == pytest.approx(1.0, abs=0.15)
+    assert 0.75 < scatter.mean() < 1.0
 
 
 def test_both_fields_of_one_picture_agree_at_low_frequency(seed):
