@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 # What the formula leaves out of a level, relative (uneven tube) and in DN.
 LEVEL_MODEL_SD = 0.003
 LEVEL_MODEL_SD_DN = 0.03
+# The halo's edge is found on pixels.
+HALO_MODEL_SD_PX = 0.1
 # Where the noise is small against a DN, the mean leans towards whole numbers.
 LEANING_SD_DN = 0.1
 
@@ -26,12 +28,19 @@ LEANING_SD_DN = 0.1
 def observations(session: Session, sensor: Sensor, result: Result, levels: tuple[Level, ...]) -> tuple[Observed, ...]:
     """Return what the fit compares its model with, in the order transfer, noise, halo, levels.
 
-    A measurement that is suspect is used only where no sound one of its kind is there; a refused one never.
+    A mildly suspect measurement is used only where no sound one of its kind is there; one that is refused, or suspected
+    of more, never.
     """
     reference_v = float(sensor.microchannel_plate.reference_v)
     found = transfers(session, sensor, result) + noises(session, sensor, result, levels)
     found += [
-        one("halo_diameter", m.value or 0.0, sd_of(m), forward.halo_diameter_px, ("photocathode.gap_mm",))
+        one(
+            "halo_diameter",
+            m.value or 0.0,
+            float(np.hypot(sd_of(m), HALO_MODEL_SD_PX)),
+            forward.halo_diameter_px,
+            ("photocathode.gap_mm",),
+        )
         for m in trusted(result, "halo_diameter")
     ]
     found += [_levels(levels, reference_v)] if levels else []

@@ -1,7 +1,7 @@
 """Prior and likelihood of a sensor's parameters, their most probable point and their posterior draws."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,8 @@ from labdata.sensor import Sensor
 Array = NDArray[np.float64]
 
 KEPT_DRAWS = 400
+# Chance of a misfit that is none.
+CHANCE = 1e-4
 # The pilot that shapes the chain's proposal.
 PILOT_ROUNDS, PILOT_POINTS, PILOT_FREEDOM = 4, 6000, 8.0
 
@@ -44,9 +46,17 @@ class Model:
 
     def misfit(self, coordinates: Array) -> Array:
         """Return chi-squared of all observations for coordinates (n, parameter), shape (n,)."""
-        asked = dict(zip(self.prior.names, self.prior.parameters(coordinates).T, strict=True))
-        values = {**self._fixed, **asked}
+        values = self.values(coordinates)
         return np.sum([observed.chi_squared(values) for observed in self.observed], axis=0)
+
+    def part(self, observed: Observed, coordinates: Array) -> Array:
+        """Return one observation's share of chi-squared for coordinates (n, parameter), shape (n,)."""
+        return observed.chi_squared(self.values(coordinates))
+
+    def values(self, coordinates: Array) -> Values:
+        """Return every parameter's value: (n,) for those drawn, at coordinates (n, parameter), else (1,)."""
+        drawn = dict(zip(self.prior.names, self.prior.parameters(coordinates).T, strict=True))
+        return {**self._fixed, **drawn}
 
     @cached_property
     def _fixed(self) -> Values:
@@ -86,6 +96,30 @@ def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
     found = start.copy()
     found[free], _ = maximum(conditional, start[free], model.prior.bounds[free])
     return found
+
+
+def doubted(model: Model) -> tuple[Model, str | None]:
+    """Return the model with errors wide enough for what it cannot explain, and the sentence that says so.
+
+    Notes
+    -----
+    Chi-squared that its numbers would exceed by chance once in `CHANCE` is a misfit: all errors are then scaled by the
+    root of chi-squared per number (Birge's ratio), so that ranges do not promise what the model does not hold.
+    """
+    from scipy.stats import chi2
+
+    best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
+    parts = {one.name: float(model.part(one, best[None])[0]) for one in model.observed}
+    numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
+    if total <= chi2.isf(CHANCE, numbers):
+        return model, None
+    factor = float(np.sqrt(total / numbers))
+    worst = max(parts, key=lambda name: parts[name])
+    said = (
+        f"model-misfit: chi-squared {total:.0f} for {numbers} numbers, {parts[worst]:.0f} of it from {worst}; "
+        f"all errors were taken {factor:.1f} times as large"
+    )
+    return replace(model, observed=tuple(one.doubted(factor) for one in model.observed)), said
 
 
 def posterior_of(model: Model, *, seed: int) -> Posterior:

@@ -1,7 +1,7 @@
 """What the fit compares its camera model with: measured numbers, their covariance, and what the model says of them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -41,6 +41,10 @@ class Observed:
         """Return the squared distance of each draw's prediction in units of the errors, shape (n,)."""
         away = (self.predict(values) - self.value) @ self._whitening
         return np.sum(away**2, axis=1)
+
+    def doubted(self, factor: float) -> "Observed":
+        """Return the same numbers with all errors larger by a factor."""
+        return replace(self, covariance=self.covariance * factor**2)
 
     @cached_property
     def _whitening(self) -> Array:

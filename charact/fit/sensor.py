@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.fit.gather import observations
 from charact.fit.levels import levels_of
-from charact.fit.model import Model, model_of, most_probable, posterior_of
+from charact.fit.model import Model, doubted, model_of, most_probable, posterior_of
 from charact.fit.product import shared_out
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
@@ -69,11 +69,13 @@ def fit_sensor(
     observed = observations(session, session.sensor, result, levels_of(session))
     if not observed:
         raise BadInput(f"a fit needs at least one measurement that was not refused, got none in {session.name!r}")
-    model = model_of(session.sensor, observed)
+    model, doubt = doubted(model_of(session.sensor, observed))
     progress("posterior of the sensor", 0.2)
     posterior = posterior_of(model, seed=seed)
     progress("choosing what the data identify", 0.9)
     fitted = described(model, posterior, illuminance_relative_sd=_illuminance_sd(session), seed=seed)
+    if doubt:
+        fitted = replace(fitted, notes=(*fitted.notes, doubt))
     progress("fitted", 1.0)
     return fitted
 

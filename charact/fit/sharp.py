@@ -33,12 +33,11 @@ def _of_bars(session: Session, result: Result) -> list[Measurement]:
 
 
 def _trusted_curves(result: Result) -> list[tuple[str, Curve]]:
-    """Return the MTF curves whose own MTF50 is sound, or all that have intervals where none is."""
+    """Return the MTF curves whose own MTF50 is sound, or the mildly suspect ones where none is."""
     curves = [(n, c) for n, c in result.curves.items() if n.split(":")[0] in ("mtf", "mtf_vertical")]
     curves = [(n, c) for n, c in curves if c.interval68 is not None]
-    sound_stacks = {m.stack for m in result.find("mtf50", status="ok")}
-    sound = [(n, c) for n, c in curves if _stack_of(n, c) in sound_stacks]
-    return sound or curves
+    stacks = {m.stack for m in trusted(result, "mtf50")}
+    return [(n, c) for n, c in curves if _stack_of(n, c) in stacks]
 
 
 def _stack_of(name: str, line: Curve) -> str | None:

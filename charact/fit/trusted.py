@@ -31,11 +31,19 @@ LEVEL = (
 )
 
 
+# Suspicions that widen a number rather than bend it; any other keeps a measurement out of the fit.
+MILD = {"defects", "drift", "flicker", "gradient", "low-signal", "not-converged", "prior-bound", "too-few-frames"}
+
+
+def usable(m: Measurement) -> bool:
+    """Whether a measurement is sound, or suspected of nothing that would bend it."""
+    return m.status != "refused" and m.interval68 is not None and set(m.flags) <= MILD
+
+
 def trusted(result: Result, quantity: str, unit: str | None = None) -> list[Measurement]:
-    """Return the sound measurements of a quantity, or the suspect ones where there is no sound one."""
-    carrying = [m for m in result.find(quantity) if m.status != "refused" and m.interval68 and unit in (None, m.unit)]
-    sound = [m for m in carrying if m.status == "ok"]
-    return sound or carrying
+    """Return the sound measurements of a quantity, or the mildly suspect ones where there is no sound one."""
+    found = [m for m in result.find(quantity) if usable(m) and unit in (None, m.unit)]
+    return [m for m in found if m.status == "ok"] or found
 
 
 def sd_of(m: Measurement) -> float:
