@@ -19,6 +19,8 @@ from charact.posterior.diagnostics import (
     leans_on_bound,
     split_r_hat,
 )
+from charact.posterior.open_space import OpenSpace
+from charact.posterior.proposal import mixed_moves
 from labdata.measurement import Posterior
 
 STEPS_PER_TAU = 50
@@ -26,7 +28,6 @@ TAU_CHANGE = 0.1
 R_HAT = 1.01
 # Single walkers have only some tens of autocorrelation times each: this bound tells those that never leave a peak.
 WALKER_R_HAT = 1.15
-STUDENT_T_FREEDOM = 5.0
 # Climbs in search of other peaks, shared out over the parameters: a climb costs as their square.
 CLIMBS = 30
 # Two rounds of learning, steps.
@@ -90,7 +91,7 @@ def sample(
     walls = walls_of(bounds, len(spread))
     places = _peaks(log_probability, np.atleast_2d(np.asarray(start, float)), spread, walls, seed)
     count = walkers or max(32, 4 * places.shape[1])
-    open_space = _OpenSpace(walls)
+    open_space = OpenSpace(walls)
 
     def unbounded(points: NDArray) -> NDArray:
         return log_probability(open_space.inside(points)) + open_space.log_volume(points)
@@ -138,7 +139,7 @@ def _learn(runners: list["_Runner"], log_probability: Vectorised) -> None:
         seen = seen.reshape(-1, seen.shape[-1])
         covariance = np.atleast_2d(np.cov(seen.T)) + 1e-12 * np.diag(seen.var(axis=0))
         for runner in runners:
-            runner.restarted(log_probability, _moves(seen.mean(axis=0)[None], covariance))
+            runner.restarted(log_probability, mixed_moves(seen.mean(axis=0)[None], covariance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,39 +190,6 @@ def _thinned(chains: NDArray[np.float64], draws: int) -> NDArray[np.float64]:
     return flat[np.linspace(0, len(flat) - 1, min(draws, len(flat))).round().astype(int)]
 
 
-class _OpenSpace:
-    """Coordinates in which no parameter has walls: z = ln((x - low)/(high - x)) where both bounds are finite.
-
-    A density that is cut off at a wall is awkward to propose for; in z it has a tail like any other.
-    """
-
-    def __init__(self, walls: NDArray) -> None:
-        self.walls = walls
-        self._bounded = np.isfinite(walls).all(axis=1)
-        self._low = np.where(self._bounded, walls[:, 0], 0.0)
-        self._range = np.where(self._bounded, walls[:, 1] - walls[:, 0], 1.0)
-
-    def outside(self, points: NDArray) -> NDArray[np.float64]:
-        """Return x carried to z; points on a wall are taken a millionth of the range off it."""
-        share = np.clip((points - self._low) / self._range, 1e-6, 1.0 - 1e-6)
-        return np.where(self._bounded, np.log(share / (1.0 - share)), points)
-
-    def inside(self, points: NDArray) -> NDArray[np.float64]:
-        """Return z carried to x."""
-        share = 0.5 * (1.0 + np.tanh(0.5 * points))
-        return np.where(self._bounded, self._low + self._range * share, points)
-
-    def log_volume(self, points: NDArray) -> NDArray[np.float64]:
-        """Return ln |dx/dz| of each point, up to a constant."""
-        size = np.abs(points)
-        return np.sum(np.where(self._bounded, -size - 2.0 * np.log1p(np.exp(-size)), 0.0), axis=-1)
-
-    def stretch(self, point: NDArray) -> NDArray[np.float64]:
-        """Return dz/dx at a point."""
-        share = np.clip((point - self._low) / self._range, 1e-3, 1.0 - 1e-3)
-        return np.where(self._bounded, 1.0 / (self._range * share * (1.0 - share)), 1.0)
-
-
 class _Runner:
     """One ensemble: its sampler and where it stands."""
 
@@ -234,7 +202,7 @@ class _Runner:
 
     @classmethod
     def started(
-        cls, log_probability: Vectorised, unbounded: Vectorised, open_space: "_OpenSpace", places: NDArray,
+        cls, log_probability: Vectorised, unbounded: Vectorised, open_space: "OpenSpace", places: NDArray,
         covariance: NDArray, walkers: int, seed: np.random.SeedSequence,
     ) -> "_Runner":  # fmt: skip
         """Start an ensemble around its places, in coordinates without walls."""
@@ -242,10 +210,10 @@ class _Runner:
         first = open_space.outside(_first(log_probability, places, covariance, open_space.walls, walkers, rng))
         if len(places) == 1:
             near = open_space.outside(gaussian_within(rng, places[0], covariance, open_space.walls, 500))
-            moves = _moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)))
+            moves = mixed_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)))
         else:
             stretch = open_space.stretch(places[0])
-            moves = _moves(open_space.outside(places), covariance * np.outer(stretch, stretch))
+            moves = mixed_moves(open_space.outside(places), covariance * np.outer(stretch, stretch))
         return cls(unbounded, moves, first, int(rng.integers(2**31)))
 
     def restarted(self, log_probability: Vectorised, moves: list) -> None:
@@ -308,37 +276,3 @@ def _first(
             return first
         first[lost] = gaussian_within(rng, places[0], shrink * covariance, walls, int(lost.sum()))
     raise ValueError(f"no point near the start {places[0].tolist()} has a finite log-probability")
-
-
-def _moves(places: NDArray, covariance: NDArray) -> list:
-    """Return the moves with their weights."""
-    from emcee import moves
-
-    proposal = _StudentT(places, covariance)
-    return [
-        (moves.DEMove(), 0.25),
-        (moves.DESnookerMove(), 0.05),
-        (moves.MHMove(proposal, ndim=places.shape[1]), 0.7),
-    ]
-
-
-class _StudentT:
-    """Independence proposal: a mixture of Student t densities of the covariance, one at each place."""
-
-    def __init__(self, places: NDArray, covariance: NDArray) -> None:
-        self._places = places
-        self._root = root_of(covariance)
-        self._inverse = np.linalg.pinv(self._root)
-
-    def __call__(self, coords: NDArray, rng: np.random.RandomState) -> tuple[NDArray, NDArray]:
-        """Return new points and the log-ratio of the proposal's densities, old over new."""
-        normal = rng.standard_normal(coords.shape)
-        stretch = np.sqrt(STUDENT_T_FREEDOM / rng.chisquare(STUDENT_T_FREEDOM, len(coords)))
-        centre = self._places[rng.randint(len(self._places), size=len(coords))]
-        fresh = centre + (normal * stretch[:, None]) @ self._root.T
-        return fresh, self._log_density(coords) - self._log_density(fresh)
-
-    def _log_density(self, points: NDArray) -> NDArray:
-        z = (points[:, None, :] - self._places) @ self._inverse.T
-        exponent = -0.5 * (STUDENT_T_FREEDOM + points.shape[1])
-        return np.logaddexp.reduce(exponent * np.log1p((z**2).sum(-1) / STUDENT_T_FREEDOM), axis=1)

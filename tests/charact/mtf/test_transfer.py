@@ -32,7 +32,8 @@ def test_edge_spread_of_the_halo_is_its_ramp(weights):
         blurred = transfer.halo(grid, np.array(diameter), np.array(share)) * np.exp(-2 * (np.pi * grid * 1.0) ** 2)
         expected = transfer.halo_edge(DISTANCE, diameter, share) - 0.5
         away = (np.abs(DISTANCE) > 5) & (np.abs(np.abs(DISTANCE) - diameter / 2) > 4)
-        assert np.abs(even @ blurred - expected)[away].max() < 1e-3
+        # Uniform energies bend the ramp everywhere a little; the blur of the test feels that.
+        assert np.abs(even @ blurred - expected)[away].max() < 5e-4 + 3e-3 * (1 - share)
 
 
 def test_halo_transfer_at_low_frequency_follows_its_second_moment():
