@@ -10,7 +10,7 @@ from charact.fit.levels import Level
 from charact.fit.observed import Observed, one
 from charact.fit.sharp import transfers
 from charact.fit.trusted import LEVEL, sd_of, trusted
-from labdata.measurement import Result
+from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
 from labdata.session import Session
 
@@ -33,18 +33,15 @@ def observations(session: Session, sensor: Sensor, result: Result, levels: tuple
     """
     reference_v = float(sensor.microchannel_plate.reference_v)
     found = transfers(session, sensor, result) + noises(session, sensor, result, levels)
-    found += [
-        one(
-            "halo_diameter",
-            m.value or 0.0,
-            float(np.hypot(sd_of(m), HALO_MODEL_SD_PX)),
-            forward.halo_diameter_px,
-            ("photocathode.gap_mm",),
-        )
-        for m in trusted(result, "halo_diameter")
-    ]
+    found += [_halo(m) for m in trusted(result, "halo_diameter")]
     found += [_levels(levels, reference_v)] if levels else []
     return tuple(found)
+
+
+def _halo(m: Measurement) -> Observed:
+    sd = float(np.hypot(sd_of(m), HALO_MODEL_SD_PX))
+    speaks_of = ("photocathode.gap_mm", "taper.demagnification")
+    return one("halo diameter", m.value or 0.0, sd, forward.halo_diameter_px, speaks_of)
 
 
 def _levels(levels: tuple[Level, ...], reference_v: float) -> Observed:

@@ -103,13 +103,15 @@ def doubted(model: Model) -> tuple[Model, str | None]:
 
     Notes
     -----
-    Chi-squared that its numbers would exceed by chance once in `CHANCE` is a misfit: all errors are then scaled by the
-    root of chi-squared per number (Birge's ratio), so that ranges do not promise what the model does not hold.
+    At the most probable point chi-squared of data and prior together has as many degrees of freedom as there are data.
+    One that chance would exceed with the probability `CHANCE` is a misfit: all errors are then scaled by the root of
+    chi-squared per number (Birge's ratio), so that ranges do not promise what the model does not hold.
     """
     from scipy.stats import chi2
 
     best = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
     parts = {one.name: float(model.part(one, best[None])[0]) for one in model.observed}
+    parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
     numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
     if total <= chi2.isf(CHANCE, numbers):
         return model, None
@@ -127,7 +129,7 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
     from charact.posterior import maximum, sample
 
     point, covariance = maximum(model.log_probability, model.prior.centre, model.prior.bounds)
-    mean, covariance = _moments(model.log_probability, point, covariance, np.random.default_rng(seed))
+    mean, covariance = moments(model.log_probability, point, covariance, np.random.default_rng(seed))
     return sample(
         model.log_probability,
         names=model.prior.names,
@@ -141,7 +143,7 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
     )
 
 
-def _moments(
+def moments(
     log_probability: Callable[[Array], Array], point: Array, covariance: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
     """Return mean and covariance of a posterior whose peak stands at the kink of a lopsided prior.
@@ -161,5 +163,5 @@ def _moments(
         weight = np.exp(weight - weight.max())
         weight = np.minimum(weight, weight.mean() * np.sqrt(PILOT_POINTS))
         point = np.average(points, axis=0, weights=weight)
-        covariance = np.cov(points.T, aweights=weight)
+        covariance = np.atleast_2d(np.cov(points.T, aweights=weight))
     return point, covariance

@@ -1,0 +1,175 @@
+"""The fit finds a known truth as often as it promises, and claims nothing that the data do not know."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact.fit import fit_sensor, forward
+from charact.fit.gather import observations
+from charact.fit.model import KEPT_DRAWS, doubted, model_of, moments, most_probable, posterior_of
+from charact.fit.prior import fixed_values, prior_of
+from charact.fit.sensor import IDENTIFIED_SHARE, described
+from labdata.errors import BadInput
+from labdata.measurement import Posterior, Result, from_sd
+from labdata.sensor import Sensor
+from labdata.sensors import load_sensor, save_sensor
+from labdata.session import Session
+
+SPECIMENS = 8
+
+
+def _quick_posterior(told, seed: int) -> Posterior:
+    """Draws of the Gaussian that shapes the chain's proposal: the same posterior to first order, at once."""
+    model = told.model
+    start = most_probable(model, model.prior.centre, np.ones(model.prior.centre.size, bool))
+    from charact.posterior import maximum
+
+    point, covariance = maximum(model.log_probability, start, model.prior.bounds)
+    rng = np.random.default_rng(seed)
+    mean, covariance = moments(model.log_probability, point, covariance, rng)
+    draws = rng.multivariate_normal(mean, covariance, size=20 * KEPT_DRAWS)
+    draws = draws[np.isfinite(model.prior.log_density(draws))][:KEPT_DRAWS]
+    names = model.prior.names
+    return Posterior(names=names, units=("1",) * len(names), draws=draws, sampler="laplace")
+
+
+@pytest.fixture(scope="module")
+def fits(told_of: Callable, seed: int):
+    out = []
+    for number in range(SPECIMENS):
+        told = told_of(seed + number)
+        posterior = _quick_posterior(told, seed + number)
+        out.append((told, posterior, described(told.model, posterior, illuminance_relative_sd=0.0, seed=seed)))
+    return out
+
+
+def test_truth_is_inside_the_ranges_as_often_as_promised(fits) -> None:
+    inside, away = [], []
+    for told, _, sensor in fits:
+        table = np.array(sensor.draws.values)
+        for name, column in zip(sensor.draws.names, table.T, strict=True):
+            low, high = np.quantile(column, (0.025, 0.975))
+            inside.append(low <= told.truth[name] <= high)
+            away.append((told.truth[name] - np.median(column)) / column.std())
+    # Some 160 intervals, of which each specimen's go together: 95 % with a standard error of about 3 %.
+    assert np.mean(inside) > 0.82
+    assert np.max(np.abs(away)) < 5.5
+
+
+def test_light_and_noise_narrow_what_they_speak_of(fits) -> None:
+    for _, _, sensor in fits:
+        standing = {path: parameter.standing for path, parameter in sensor.parameters().items()}
+        assert standing["photocathode.gap_mm"] == "fitted"
+        assert standing["tube.luminous_gain"] == "fitted"
+        assert standing["tube.post_gain_share"] == "fitted"
+        assert standing["video.black_level_dn"] == "fitted"
+
+
+def test_what_is_not_identified_keeps_value_and_range_of_its_prior(fits, sheet: Sensor) -> None:
+    before = sheet.parameters()
+    for told, posterior, sensor in fits:
+        left = dict(zip(posterior.names, posterior.draws.std(axis=0, ddof=1) / told.model.prior.sd, strict=True))
+        after = sensor.parameters()
+        for path, parameter in after.items():
+            if path not in sensor.draws.names:
+                assert parameter == before[path]
+            elif parameter.standing == "prior":
+                assert (parameter.value, parameter.low, parameter.high) == (
+                    before[path].value,
+                    before[path].low,
+                    before[path].high,
+                )
+                assert "not identified" in parameter.source or "product" in parameter.source
+                assert left.get(path, 1.0) >= IDENTIFIED_SHARE
+        assert after["taper.transmission"].standing == "prior"
+
+
+def test_the_description_at_its_values_gives_back_what_was_measured(fits) -> None:
+    for told, _, sensor in fits:
+        values = fixed_values(sensor)
+        gain = forward.photoelectron_gain(values, 800.0, 800.0)
+        measured = told.result.find("covariance_gain")[0].value
+        assert forward.covariance_gain(values, gain)[0] == pytest.approx(measured, rel=0.05)
+        bright = told.levels[-1]
+        events = forward.photoelectrons(values, bright.illuminance_lux, bright.gate_s)
+        load = forward.load(values, bright.illuminance_lux, bright.gate_s, 800.0, 800.0)
+        signal = gain * (events + forward.background_rate(values) * bright.gate_s) / (1.0 + load)
+        assert signal[0] + values["video.black_level_dn"][0] == pytest.approx(bright.mean_dn, rel=0.02)
+
+
+def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
+    told, _, sensor = fits[0]
+    rng = np.random.default_rng(0)
+    gains = []
+    for _ in range(100):
+        values = fixed_values(sensor.draw(rng))
+        gains.append(forward.covariance_gain(values, forward.photoelectron_gain(values, 800.0, 800.0))[0])
+    measured = told.result.find("covariance_gain")[0]
+    assert np.std(gains) < 0.03 * measured.value
+    assert np.mean(gains) == pytest.approx(measured.value, rel=0.03)
+
+
+def test_a_fitted_sensor_is_read_back_as_it_was_written(fits, tmp_path: Path) -> None:
+    sensor = fits[0][2]
+    save_sensor(sensor, tmp_path / "fitted.toml")
+    assert load_sensor(tmp_path / "fitted.toml") == sensor
+
+
+def test_the_chain_agrees_with_its_pilot(told_of: Callable, seed: int) -> None:
+    """A halo and a light level alone leave few parameters, which a chain draws at once."""
+    told = told_of(seed)
+    halo = Result(measurements=told.result.find("halo_diameter"))
+    model = model_of(told.session.sensor, observations(told.session, told.session.sensor, halo, ()))
+    posterior = posterior_of(model, seed=seed)
+    assert posterior.sampler == "emcee"
+    sensor = described(model, posterior, illuminance_relative_sd=0.03, seed=seed)
+    assert sensor.photocathode.gap_mm.standing == "fitted"
+    assert {p for p, parameter in sensor.parameters().items() if parameter.standing in ("fitted", "prior")} == {
+        "photocathode.gap_mm",
+        "taper.demagnification",
+    }
+    truth = told.truth["photocathode.gap_mm"]
+    draws = posterior.draws[:, posterior.names.index("photocathode.gap_mm")]
+    assert abs(truth - draws.mean()) < 5.0 * draws.std()
+
+
+def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(told_of: Callable, seed: int) -> None:
+    told = told_of(seed)
+    blur = told.result.find("blur_factor")[0]
+    wrong = from_sd("blur_factor", "1", 2.5 * blur.value, 0.003, method="told")
+    others = tuple(m for m in told.result.measurements if m.quantity != "blur_factor")
+    result = replace(told.result, measurements=(*others, wrong))
+    model = model_of(told.session.sensor, observations(told.session, told.session.sensor, result, told.levels))
+    wider, said = doubted(model)
+    assert said is not None and "model-misfit" in said
+    assert np.all(wider.observed[0].covariance > 1.5 * model.observed[0].covariance - 1e-12)
+    assert doubted(told.model)[1] is None
+
+
+def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:
+    told = told_of(seed)
+    bent = tuple(m.with_(flags=("model-misfit",)) for m in told.result.measurements)
+    result = replace(told.result, measurements=bent)
+    names = [one.name for one in observations(told.session, told.session.sensor, result, told.levels)]
+    assert names == ["levels"]
+
+
+def test_prior_draws_fill_the_ranges_of_the_description(sheet: Sensor, seed: int) -> None:
+    prior = prior_of(sheet, ("tube.luminous_gain", "photocathode.halo_fraction", "ccd.quantum_efficiency"))
+    drawn = prior.parameters(prior.draw(np.random.default_rng(seed), 20000))
+    for name, column in zip(prior.names, drawn.T, strict=True):
+        known = sheet.parameters()[name]
+        share = np.mean((column >= known.low) & (column <= known.high))
+        # 95 % of 20,000 draws, 4.5 standard errors; the cut at zero takes a little of the halo's lower tail.
+        assert share == pytest.approx(0.95, abs=0.017)
+
+
+def test_a_session_without_a_sensor_or_without_numbers_is_refused(sheet: Sensor) -> None:
+    bare = Session(folder=Path(), name="bare", stacks=())
+    with pytest.raises(BadInput, match="needs a sensor"):
+        fit_sensor(bare, Result())
+    with pytest.raises(BadInput, match="at least one measurement"):
+        fit_sensor(replace(bare, sensor=sheet), Result())
