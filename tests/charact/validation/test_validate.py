@@ -1,0 +1,103 @@
+"""Frames of a specimen pass beside its own description and fail beside one whose noise is spread otherwise."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact.validation import frames as cut
+from charact.validation import side_by_side as command
+from charact.validation.side_by_side import validate
+from labdata import open_session
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.sensor import Draws, Sensor
+from labdata.sensors import load_sensor
+from labdata.session import Session
+from labdata.target import Target
+from simulate.lab import LabBench
+from simulate.rig.truth import draw_truth
+
+SHAPE = (96, 128)
+STACKS = (
+    ("dark", "dark", None, Target()),
+    ("low", "flat", 6e-5, Target()),
+    ("high", "flat", 2e-4, Target()),
+    ("edge", "edge", 2.5e-4, Target(angle_deg=5.0)),
+)
+
+
+@pytest.fixture(scope="module")
+def specimen(seed: int) -> Sensor:
+    """A specimen whose draws say that it is known exactly."""
+    truth = draw_truth(load_sensor("pulnix-ag5745ef3"), seed)
+    small = replace(truth, ccd=replace(truth.ccd, rows=SHAPE[0], columns=SHAPE[1]))
+    share = float(small.tube.post_gain_share)
+    return replace(small, draws=Draws(names=("tube.post_gain_share",), values=((share,), (share,))))
+
+
+@pytest.fixture(scope="module")
+def session(specimen: Sensor, seed: int, tmp_path_factory: pytest.TempPathFactory) -> Session:
+    folder = tmp_path_factory.mktemp("session")
+    bench, lines = LabBench(specimen), ['name = "small"', 'sensor = "pulnix-ag5745ef3"', "bit_depth = 8"]
+    for index, (label, kind, lux, target) in enumerate(STACKS):
+        conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=lux)
+        stack = bench.expose(kind, target, conditions, frames=6, seed=seed + index)
+        np.save(folder / f"{label}.npy", stack.data)
+        lines += ["[[stack]]", f'label = "{label}"', f'kind = "{kind}"', f'frames = "{label}.npy"']
+        lines += ["mcp_v = 800.0", "gate_ns = 1.6e7"]
+        lines += [f"illuminance_lux = {lux}"] if lux else []
+        lines += ["target = { angle_deg = 5.0 }"] if target.angle_deg else []
+    (folder / "session.toml").write_text("\n".join(lines) + "\n")
+    return open_session(folder)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cut, "SHAPE", SHAPE)
+    monkeypatch.setattr(cut, "ALONG_EDGE", SHAPE[0])
+    monkeypatch.setattr(command, "DRAWS", 5)
+
+
+def test_the_right_sensor_passes_with_both_controls(session: Session, specimen: Sensor, seed: int) -> None:
+    found = validate(session, specimen, seed=seed)
+    assert {s.name for s in found.statistics} >= {"mean-variance", "autocorrelation", "histogram"}
+    null, negative = found.controls
+    # Chance alone refuses a right sensor at most once in `FAMILY_LEVEL`; what nobody chose must do better than that.
+    assert all(s.p_value > 1e-6 for s in (*found.statistics, *null.statistics))
+    assert negative.held
+    assert min(s.p_value for s in negative.statistics) < 1e-6
+    assert {pair.kind for pair in found.pairs} == {"flat", "edge"}
+    assert all(pair.measured.shape == pair.simulated.shape for pair in found.pairs)
+
+
+def test_a_sensor_that_spreads_its_noise_otherwise_fails(session: Session, specimen: Sensor, seed: int) -> None:
+    share = 0.4 if float(specimen.tube.post_gain_share) > 0.7 else 1.0
+    wrong = replace(specimen, draws=Draws(names=("tube.post_gain_share",), values=((share,),)))
+    found = validate(session, wrong, seed=seed)
+    assert not found.passed
+    assert not next(s for s in found.statistics if s.name == "autocorrelation").passed
+
+
+def test_the_same_seed_gives_the_same_verdict_and_no_truth_is_read(
+    session: Session, specimen: Sensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command, "DRAWS", 2)
+    one, two = (validate(session, specimen, seed=5) for _ in range(2))
+    assert one.statistics == two.statistics
+    # The session's own description is the sheet; the specimen is known to the validation as the sensor given alone.
+    assert session.sensor is not None
+    assert session.sensor.name == load_sensor("pulnix-ag5745ef3").name
+
+
+def test_a_session_without_darks_is_refused(session: Session, specimen: Sensor) -> None:
+    lit = replace(session, stacks=tuple(entry for entry in session.stacks if entry.kind != "dark"))
+    with pytest.raises(BadInput, match="needs a dark"):
+        validate(lit, specimen)
+
+
+def test_an_unlit_session_is_refused(session: Session, specimen: Sensor, tmp_path: Path) -> None:
+    dark = replace(session, stacks=session.of_kind("dark"))
+    with pytest.raises(BadInput, match="needs a flat"):
+        validate(dark, specimen)
