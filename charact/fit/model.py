@@ -1,6 +1,5 @@
 """Prior and likelihood of a sensor's parameters, their most probable point and their posterior draws."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,8 +18,6 @@ Array = NDArray[np.float64]
 KEPT_DRAWS = 400
 # Chance of a misfit that is none.
 CHANCE = 1e-4
-# The pilot that shapes the chain's proposal.
-PILOT_ROUNDS, PILOT_POINTS, PILOT_FREEDOM = 4, 6000, 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,39 +126,13 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
     from charact.posterior import maximum, sample
 
     point, covariance = maximum(model.log_probability, model.prior.centre, model.prior.bounds)
-    mean, covariance = moments(model.log_probability, point, covariance, np.random.default_rng(seed))
     return sample(
         model.log_probability,
         names=model.prior.names,
         units=("1",) * len(model.prior.names),
-        start=mean,
+        start=point,
         covariance=covariance,
         seed=seed,
         bounds=model.prior.bounds,
         draws=KEPT_DRAWS,
-        walkers=2 * len(mean) + 8,
     )
-
-
-def moments(
-    log_probability: Callable[[Array], Array], point: Array, covariance: Array, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return mean and covariance of a posterior whose peak stands at the kink of a lopsided prior.
-
-    Notes
-    -----
-    Importance sampling from a Student t of the present moments, repeated; weights are cut at the square root of
-    their number times their mean (Ionides 2008), which keeps one lucky point from being all.
-    """
-    for _ in range(PILOT_ROUNDS):
-        root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-        normal = rng.standard_normal((PILOT_POINTS, point.size))
-        stretch = np.sqrt(PILOT_FREEDOM / rng.chisquare(PILOT_FREEDOM, PILOT_POINTS))
-        tail = -0.5 * (PILOT_FREEDOM + point.size) * np.log1p((normal**2).sum(1) * stretch**2 / PILOT_FREEDOM)
-        points = point + (normal * stretch[:, None]) @ root.T
-        weight = log_probability(points) - tail
-        weight = np.exp(weight - weight.max())
-        weight = np.minimum(weight, weight.mean() * np.sqrt(PILOT_POINTS))
-        point = np.average(points, axis=0, weights=weight)
-        covariance = np.atleast_2d(np.cov(points.T, aweights=weight))
-    return point, covariance
