@@ -27,7 +27,6 @@ _FACTORS = (
     "photocathode.ebi_lm_per_cm2",
     "microchannel_plate.detection_probability",
     "microchannel_plate.pulse_height_shape",
-    "microchannel_plate.strip_current_ua_per_cm2",
     "tube.luminous_gain",
     "taper.demagnification",
     "taper.transmission",
@@ -35,6 +34,9 @@ _FACTORS = (
     "video.conversion_gain_dn_per_e",
     "ccd.read_noise_e",
 )
+
+# What bends the response as 1 + c / parameter: drawn as -1/parameter, in which the bend is straight.
+_LIMITS = ("microchannel_plate.strip_current_ua_per_cm2",)
 
 # Half of a Gaussian's 95 % interval in standard deviations.
 HALF_WIDTH95_SD = 1.959964
@@ -48,8 +50,8 @@ class Prior:
     ----------
     names
         Paths of the parameters asked.
-    logarithmic
-        Whether a parameter's coordinate is its logarithm, shape (parameter,).
+    power
+        What a parameter's coordinate is, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse.
     centre, sd_below, sd_above
         Coordinate of the value and the two widths, shape (parameter,).
     bounds
@@ -57,7 +59,7 @@ class Prior:
     """
 
     names: tuple[str, ...]
-    logarithmic: NDArray[np.bool_]
+    power: NDArray[np.int64]
     centre: Array
     sd_below: Array
     sd_above: Array
@@ -95,7 +97,10 @@ class Prior:
 
     def parameters(self, coordinates: Array) -> Array:
         """Return the parameters at coordinates, shape (n, parameter)."""
-        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, coordinates, 0.0)), coordinates)
+        logarithmic, inverse = self.power == 0, self.power == -1
+        exponential = np.exp(np.where(logarithmic, coordinates, 0.0))
+        turned = -1.0 / np.where(inverse, coordinates, -1.0)
+        return np.where(logarithmic, exponential, np.where(inverse, turned, coordinates))
 
 
 def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
@@ -113,7 +118,7 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
     numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
     return Prior(
         names=tuple(row[0] for row in rows),
-        logarithmic=numbers[:, 0] > 0,
+        power=numbers[:, 0].astype(int),
         centre=numbers[:, 1],
         sd_below=numbers[:, 2],
         sd_above=numbers[:, 3],
@@ -131,16 +136,17 @@ def _has_range(parameter: Parameter) -> bool:
     return parameter.low is not None and parameter.high is not None and parameter.high > parameter.low
 
 
-def _row(path: str, parameter: Parameter) -> tuple[bool, float, float, float, float, float]:
-    """Return whether the coordinate is a logarithm, its centre, its two widths and its bounds.
+def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, float, float]:
+    """Return the power of the coordinate, its centre, its two widths and its bounds.
 
     A value on an end of its own range takes a little of the other side.
     """
     low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
     floor, ceiling = 0.0 if low == 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
-    logarithmic = path in _FACTORS and low > 0
-    if logarithmic:
-        floor, low, value, high, ceiling = np.log([floor, low, value, high, ceiling]).tolist()
+    power = 0 if path in _FACTORS and low > 0 else -1 if path in _LIMITS and low > 0 else 1
+    if power < 1:
+        ends = np.array([floor, low, value, high, min(ceiling, 1e3 * value)])
+        floor, low, value, high, ceiling = (np.log(ends) if power == 0 else -1.0 / ends).tolist()
     least = 0.1 * (high - low) / HALF_WIDTH95_SD
     below, above = max((value - low) / HALF_WIDTH95_SD, least), max((high - value) / HALF_WIDTH95_SD, least)
-    return logarithmic, value, below, above, floor, ceiling
+    return power, value, below, above, floor, ceiling

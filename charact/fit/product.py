@@ -86,7 +86,7 @@ def shared_out(sensor: Sensor, product: Product, carried: Array, rng: np.random.
     for index, whole in enumerate(carried):
         tried = rng.integers(len(relative), size=CANDIDATES)
         left = (whole / relative[tried])[:, None]
-        weight = own.log_density(np.log(left) if own.logarithmic[0] else left)
+        weight = own.log_density(np.log(left) if own.power[0] == 0 else left)
         weight = np.exp(weight - weight.max())
         pick[index] = tried[rng.choice(CANDIDATES, p=weight / weight.sum())]
     return {product.carrier: carried / relative[pick], **{path: partners[path][pick] for path in prior.names}}
