@@ -28,6 +28,8 @@ _FACTORS = (
     "microchannel_plate.detection_probability",
     "microchannel_plate.pulse_height_shape",
     "tube.luminous_gain",
+    "tube.mtf_frequency_lp_per_mm",
+    "tube.post_gain_share",
     "taper.demagnification",
     "taper.transmission",
     "ccd.quantum_efficiency",
