@@ -8,13 +8,20 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.validation import flats, histogram, sharpness
 from charact.validation.frames import Chosen
-from charact.validation.predictive import Comparison, Features, compare
+from charact.validation.predictive import REPLICATES, Features, compare
 from charact.validation.verdict import Statistic
 
 Array = NDArray[np.float64]
 
 # Probability that a right sensor fails any one of the statistics.
 FAMILY_LEVEL = 0.005
+
+
+TITLES = {
+    "mean-variance": "Variance and covariance sum over signal, at every flat",
+    "autocorrelation": "Correlation of neighbouring pixels, along rows (h) and columns (v)",
+    "mtf": "MTF of the edge up to 0.8 of the sampling limit",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,45 +62,44 @@ def portrait_of(frames: dict[str, NDArray], chosen: Chosen, *, context: Context,
     )
 
 
-def statistics(one: Portrait, many: list[Portrait], chosen: Chosen) -> tuple[Statistic, ...]:
-    """Return the statistics of one portrait against simulated ones, each at its share of the family's level."""
-    with_mtf = one.mtf is not None and all(other.mtf is not None for other in many)
-    level = FAMILY_LEVEL / (4 if with_mtf else 3)
-    out = [
-        _noise(one, many, chosen, level),
-        _of_vector(
-            "autocorrelation",
-            "Correlation of neighbouring pixels, along rows (h) and columns (v)",
-            flats.LAG_NAMES,
-            one.correlation,
-            [other.correlation for other in many],
-            level,
-        ),
-        _histogram(one, many, level),
-    ]
-    if with_mtf:
-        points = tuple(f"{f:.2f} cy/px" for f in sharpness.FREQUENCY_CY_PER_PX)
-        curves = [other.mtf for other in many]
-        title = "MTF of the edge up to 0.8 of the sampling limit"
-        out.append(_of_vector("mtf", title, points, one.mtf, curves, level))  # type: ignore[arg-type]
-    return tuple(out)
+def statistics(
+    one: Portrait, many: list[Portrait], chosen: Chosen, *, rng: np.random.Generator
+) -> tuple[Statistic, ...]:
+    """Return the statistics of one portrait against simulated ones, each at its share of the family's level.
 
-
-def _noise(one: Portrait, many: list[Portrait], chosen: Chosen, level: float) -> Statistic:
-    names = [
+    Parameters
+    ----------
+    one, many
+        The portrait in question and those of the posterior draws.
+    chosen
+        The stacks, for their names.
+    rng
+        Draws of the null distributions.
+    """
+    curves = [other.mtf for other in many if other.mtf is not None]
+    sharp = one.mtf if len(curves) > len(many) // 2 else None
+    level = FAMILY_LEVEL / (3 if sharp is None else 4)
+    noise_names = tuple(
         f"{what} of {shot.label}" for shot in chosen.flats for what in ("ln variance/signal", "ln covariance/signal")
-    ]
-    title = "Variance and covariance sum over signal, at every flat"
-    return _of_vector("mean-variance", title, tuple(names), one.noise, [other.noise for other in many], level)
+    )
+    vectors: dict[str, tuple[tuple[str, ...], Features, list[Features]]] = {
+        "mean-variance": (noise_names, one.noise, [other.noise for other in many]),
+        "autocorrelation": (flats.LAG_NAMES, one.correlation, [other.correlation for other in many]),
+    }
+    if sharp is not None:
+        points = tuple(f"{frequency:.2f} cy/px" for frequency in sharpness.FREQUENCY_CY_PER_PX)
+        vectors["mtf"] = (points, sharp, curves)
+    found = [_of_vector(name, *vector, level, rng) for name, vector in vectors.items()]
+    return (*found[:2], _histogram(one, many, level), *found[2:])
 
 
 def _of_vector(
-    name: str, title: str, labels: tuple[str, ...], one: Features, many: list[Features], level: float
+    name: str, labels: tuple[str, ...], one: Features, many: list[Features], level: float, rng: np.random.Generator
 ) -> Statistic:
-    found: Comparison = compare(one, many)
+    found = compare(one, many, rng=rng)
     return Statistic(
         name=name,
-        title=title,
+        title=TITLES[name],
         distance=found.distance,
         p_value=found.p_value,
         level=level,
@@ -101,7 +107,7 @@ def _of_vector(
         measured=tuple(one.value.tolist()),
         low95=tuple((found.centre - 1.96 * found.sd).tolist()),
         high95=tuple((found.centre + 1.96 * found.sd).tolist()),
-        note="chi-squared with the posterior's and the sampling covariance; distance: its root per number",
+        note=f"{name}: distance is the root of chi-squared per number; p-value from {REPLICATES} repetitions",
     )
 
 
@@ -114,7 +120,7 @@ def _histogram(one: Portrait, many: list[Portrait], level: float) -> Statistic:
         p_value=found.p_value,
         level=level,
         note=(
-            f"Kolmogorov-Smirnov on {one.grey_dn.size} pixels at least {histogram.STRIDE // 2} px and a frame apart; "
-            f"Wasserstein distance {found.wasserstein_sd:.3f} standard deviations"
+            f"histogram: Kolmogorov-Smirnov on {one.grey_dn.size} pixels at least {histogram.STRIDE // 2} px and a frame "
+            f"apart; Wasserstein distance {found.wasserstein_sd:.3f} standard deviations"
         ),
     )

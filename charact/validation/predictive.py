@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+REPLICATES = 4000
+
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
@@ -47,52 +49,76 @@ class Comparison:
     sd: Array
 
 
-def compare(measured: Features, simulated: list[Features]) -> Comparison:
+def compare(
+    measured: Features, simulated: list[Features], *, rng: np.random.Generator, replicates: int = REPLICATES
+) -> Comparison:
     """Compare one measured vector with simulated ones, each of its own posterior draw.
+
+    Parameters
+    ----------
+    measured
+        The vector in question.
+    simulated
+        Vectors of frames simulated from different posterior draws, two at least.
+    rng
+        Draws of the null distribution.
+    replicates
+        Number of those draws: no p-value is below 1/(replicates + 1).
 
     Notes
     -----
-    Simulated vectors t_d scatter with S = W + P: sampling W, and the spread P of the posterior. W is pooled from within
-    the simulated sets, S from between them, and P is what S has over W, where it has. The measured vector has its own
-    sampling error M; its distance from the mean of D draws has the covariance M' + P + (W + P)/D, M' being M pooled
-    with W. Hotelling's T^2 with Welch-Satterthwaite degrees of freedom then allows for few draws.
+    Simulated vectors scatter with S = W + P: sampling W, and the spread P of the posterior. W is pooled from within
+    the sets, S from between them, and P is what S has over W, where it has. The distance of the measured vector from
+    the mean of D draws has the covariance (W + P)(1 + 1/D). W and above all P are uncertain themselves, so that the
+    squared distance in its units has no table: the whole procedure is repeated on vectors drawn with the W and P found,
+    and the p-value is the share of repetitions that lie as far out (a parametric bootstrap; Davison & Hinkley 1997,
+    section 4.2).
     """
-    from scipy.stats import f
-
     values = np.array([one.value for one in simulated])
-    count, size = values.shape
-    centre = values.mean(axis=0)
-    within, freedom_within = _pooled([*simulated, measured])
-    between = np.atleast_2d(np.cov(values.T)) if count > 1 else within
-    spread = _above(between, within)
-    covariance = within + spread + (within + spread) / count
-    root = np.linalg.cholesky(covariance + 1e-12 * np.trace(covariance) / size * np.eye(size))
-    away = np.linalg.solve(root, measured.value - centre)
-    chi_squared = float(away @ away)
-    white = np.linalg.solve(root, np.linalg.solve(root, spread).T)
-    share = float(np.clip(np.trace(white) / size, 0.0, 1.0))
-    freedom = 1.0 / (share**2 / max(count - 1, 1) + (1.0 - share) ** 2 / freedom_within)
-    freedom = max(freedom, size + 1.0)
-    scaled = (freedom - size + 1.0) / (size * freedom) * chi_squared
+    within, freedom = _pooled([*simulated, measured])
+    chi_squared, covariance = _distance(measured.value, values, within)
+    whole = _root(within + _above(np.cov(values.T), within))
+    normal = rng.standard_normal((replicates, len(values) + 1, values.shape[1])) @ whole.T
+    sampled = rng.standard_normal((replicates, freedom, values.shape[1])) @ _root(within).T
+    again = np.einsum("rni,rnj->rij", sampled, sampled, optimize=True) / freedom
+    null, _ = _distance(normal[:, 0], normal[:, 1:], again)
     return Comparison(
-        distance=float(np.sqrt(chi_squared / size)),
-        p_value=float(f.sf(scaled, size, freedom - size + 1.0)),
-        centre=centre,
+        distance=float(np.sqrt(chi_squared / values.shape[1])),
+        p_value=float((1 + np.sum(null >= chi_squared)) / (replicates + 1)),
+        centre=values.mean(axis=0),
         sd=np.sqrt(np.diag(covariance)),
     )
+
+
+def _distance(one: Array, many: Array, within: Array) -> tuple[Array, Array]:
+    """Return the squared distance of vectors (..., k) from ensembles (..., draw, k), and the covariance it is in."""
+    count = many.shape[-2]
+    centre = many.mean(axis=-2)
+    away = many - centre[..., None, :]
+    between = np.swapaxes(away, -1, -2) @ away / (count - 1.0)
+    covariance = (within + _above(between, within)) * (1.0 + 1.0 / count)
+    gap = one - centre
+    return np.einsum("...i,...i->...", gap, np.linalg.solve(covariance, gap[..., None])[..., 0]), covariance
 
 
 def _pooled(sets: list[Features]) -> tuple[Array, int]:
     """Return the sampling covariance pooled over sets, and its degrees of freedom."""
     freedom = sum(one.freedom for one in sets)
     total = np.sum([one.freedom * one.covariance for one in sets], axis=0)
-    return total / freedom, freedom
+    size = len(total)
+    return total / freedom + 1e-12 * np.trace(total) / (freedom * size) * np.eye(size), freedom
 
 
 def _above(between: Array, within: Array) -> Array:
-    """Return the part of a covariance that exceeds another in the directions where it does."""
-    root = np.linalg.cholesky(within + 1e-9 * np.trace(within) / len(within) * np.eye(len(within)))
-    white = np.linalg.solve(root, np.linalg.solve(root, between).T)
-    values, vectors = np.linalg.eigh((white + white.T) / 2.0)
-    extra = (vectors * np.maximum(values - 1.0, 0.0)) @ vectors.T
-    return root @ extra @ root.T
+    """Return the part of covariances (..., k, k) that exceeds others in the directions where it does."""
+    root = _root(within)
+    inverse = np.linalg.inv(root)
+    white = inverse @ between @ np.swapaxes(inverse, -1, -2)
+    values, vectors = np.linalg.eigh((white + np.swapaxes(white, -1, -2)) / 2.0)
+    extra = (vectors * np.maximum(values - 1.0, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return np.asarray(root @ extra @ np.swapaxes(root, -1, -2))
+
+
+def _root(covariance: Array) -> Array:
+    """Return Cholesky roots."""
+    return np.asarray(np.linalg.cholesky(covariance))

@@ -11,7 +11,7 @@ from charact.method import Context
 from charact.validation.frames import Chosen, choose, simulated
 from charact.validation.overlay import overlays, pairs
 from charact.validation.portrait import Portrait, portrait_of, statistics
-from charact.validation.verdict import Control, Validation
+from charact.validation.verdict import Control, Statistic, Validation
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.session import Session
@@ -82,17 +82,17 @@ def validate(
         seed=seed,
         draws=DRAWS,
         seconds=perf_counter() - began,
-        statistics=statistics(measured, many, chosen),
+        statistics=run.statistics(measured, many),
         controls=(
             Control(
                 name="null",
                 title="Frames of one more posterior draw in place of the measured ones: must pass",
-                statistics=statistics(null, many, chosen),
+                statistics=run.statistics(null, many),
             ),
             Control(
                 name="negative",
                 title="Frames of the sensor with the blur behind the gain moved before it: must fail",
-                statistics=statistics(negative, many, chosen),
+                statistics=run.statistics(negative, many),
             ),
         ),
         overlays=overlays(measured, many, chosen),
@@ -127,3 +127,7 @@ class _Run:
     def portrait(self, frames: dict[str, NDArray]) -> Portrait:
         """Return the numbers of frames."""
         return portrait_of(frames, self._chosen, context=self._context, rng=self._rng)
+
+    def statistics(self, one: Portrait, many: list[Portrait]) -> tuple[Statistic, ...]:
+        """Return the statistics of one portrait against many."""
+        return statistics(one, many, self._chosen, rng=self._rng)

@@ -64,10 +64,11 @@ def test_the_right_sensor_passes_with_both_controls(session: Session, specimen: 
     found = validate(session, specimen, seed=seed)
     assert {s.name for s in found.statistics} >= {"mean-variance", "autocorrelation", "histogram"}
     null, negative = found.controls
-    # Chance alone refuses a right sensor at most once in `FAMILY_LEVEL`; what nobody chose must do better than that.
-    assert all(s.p_value > 1e-6 for s in (*found.statistics, *null.statistics))
+    # Chance alone refuses a right sensor once in 200 runs: seeds that nobody chose are held to less than that.
+    assert all(s.distance < 4.0 for s in (*found.statistics, *null.statistics))
+    assert sum(not s.passed for s in (*found.statistics, *null.statistics)) <= 1
     assert negative.held
-    assert min(s.p_value for s in negative.statistics) < 1e-6
+    assert max(s.distance for s in negative.statistics) > 10.0
     assert {pair.kind for pair in found.pairs} == {"flat", "edge"}
     assert all(pair.measured.shape == pair.simulated.shape for pair in found.pairs)
 
