@@ -12,11 +12,10 @@ LAMBDA_PER_FIELD_PX = 10.0
 
 def rows() -> Iterator[Row]:
     """One row: flat frames, interlaced, 768x493."""
-    from simulate.lab import LabBench
-
     from labdata.conditions import Conditions
     from labdata.sensors import load_sensor
     from labdata.target import Target
+    from simulate.lab import LabBench
 
     bench = LabBench(load_sensor("pulnix-ag5745ef3"))
     conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=1e-4)

@@ -5,6 +5,10 @@ from pathlib import Path
 
 import pytest
 
+# One thread a worker, as on the command line; it must be said before numpy is loaded.
+for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(library, "1")
+
 DEFAULT_SEED = 20261121
 
 

@@ -31,6 +31,7 @@ ROUND_SHARE = 0.02
     "bloom",
     METHOD,
     quantities=("halo_diameter", "bloom_diameter", "streak_length"),
+    preferred=True,
     scope="A point source whose halo has a rim and rises above the noise in one level at least, far from the border.",
 )
 def halo_profile(session: Session, *, context: Context) -> Result:

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from charact.cli.options import parsed_kind
 from charact.cli.output import bad_input_ends
 
 app = typer.Typer(no_args_is_help=True, help="Make a session of frames made elsewhere.")
@@ -43,7 +44,9 @@ def frames(
 
         if not sources:
             raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
-        _summarise(import_frames(sources, out, kind=kind, name_pattern=name), out, f"charact measure {out}")
+        _summarise(
+            import_frames(sources, out, kind=parsed_kind(kind), name_pattern=name), out, f"charact measure {out}"
+        )
 
 
 def _summarise(session, out: Path, next_verb: str) -> None:

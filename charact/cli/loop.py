@@ -60,5 +60,6 @@ def simulate(
 
         conditions = Conditions(illuminance_lux=illuminance_lux, mcp_v=mcp_v, gate_ns=gate_ns)
         target = Target(frequency_cy_per_px=frequency)
-        simulated(scene, out, sensor=sensor, kind=kind, target=target, conditions=conditions, frames=frames, seed=seed)
+        shown = options.parsed_kind(kind)
+        simulated(scene, out, sensor=sensor, kind=shown, target=target, conditions=conditions, frames=frames, seed=seed)
         print(f"{out}: {frames} frames\nNext: charact measure {out}")

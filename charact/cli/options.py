@@ -1,11 +1,12 @@
 """Options that several verbs share, each declared once."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
 from labdata.errors import BadInput
+from labdata.session import Kind
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 Events = Annotated[bool, typer.Option("--events", help="Progress and messages as one JSON object a line on stderr.")]
@@ -21,6 +22,14 @@ Units = Annotated[
 ]
 PitchUm = Annotated[float | None, typer.Option("--pitch-um", help="Pixel pitch for lp/mm and cy/mrad, um.")]
 Annotate = Annotated[Path | None, typer.Option(help="Write the image with the regions and their MTF50 drawn in, PNG.")]
+
+
+def parsed_kind(text: str) -> Kind:
+    """Return what a stack shows, as an --kind says; any other word is a BadInput."""
+    for kind in get_args(Kind):
+        if kind == text:
+            return kind
+    raise BadInput(f"--kind must be one of {', '.join(get_args(Kind))}, got {text!r}")
 
 
 def parsed_region(text: str | None) -> tuple[int, int, int, int] | None:

@@ -60,6 +60,8 @@ class Method:
         The quantities it measures; the first is the one it is charted by.
     scope
         One sentence: where it holds, and what breaks it.
+    preferred
+        Whether "auto" takes it as long as no chart was measured.
     function
         The estimator. Its arguments depend on the kind, see the package of that kind.
     """
@@ -68,17 +70,22 @@ class Method:
     name: str
     quantities: tuple[str, ...]
     scope: str
+    preferred: bool
     function: Callable[..., Result]
 
 
 METHODS: dict[tuple[str, str], Method] = {}
 
 
-def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -> Callable[[Any], Any]:
+def register(
+    kind: str, name: str, *, quantities: tuple[str, ...], scope: str, preferred: bool = False
+) -> Callable[[Any], Any]:
     """Register a function as a method of a kind under a name."""
 
     def enter(function: Callable[..., Result]) -> Callable[..., Result]:
-        METHODS[kind, name] = Method(kind=kind, name=name, quantities=quantities, scope=scope, function=function)
+        METHODS[kind, name] = Method(
+            kind=kind, name=name, quantities=quantities, scope=scope, preferred=preferred, function=function
+        )
         return function
 
     return enter
@@ -114,10 +121,14 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
         if name not in methods:
             raise BadInput(f"--method must be auto or one of {', '.join(sorted(methods))}, got {name!r}")
         return methods[name]
-    first = next(iter(methods.values()))
-    rows = [row for row in chart_table(first.quantities[0]) if row["method"] in methods]
+    preferred = next((method for method in methods.values() if method.preferred), None)
+    if preferred is None:
+        raise BadInput(
+            f"the kind of target must be one of {', '.join(sorted({of for of, _ in METHODS}))}, got {kind!r}"
+        )
+    rows = [row for row in chart_table(preferred.quantities[0]) if row["method"] in methods]
     if not rows:
-        return first
+        return preferred
     inside = [row for row in rows if row["error_percent"] <= within_percent]
     best = min(inside, key=lambda row: row["seconds"]) if inside else min(rows, key=lambda row: row["error_percent"])
     return methods[best["method"]]

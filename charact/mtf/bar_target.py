@@ -83,8 +83,9 @@ def find(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> Ba
 
     blank = BarTarget(bars=bars, frequency=frequency, angle_rad=0.0, row=0.0, col=0.0, pitch_ratio=pitch_ratio)
     reach = int(np.ceil(0.5 * np.hypot(blank.width_px, blank.length_px))) + 1
-    size = (next_fast_len(image.shape[0] + 2 * reach, True), next_fast_len(image.shape[1] + 2 * reach, True))
-    spectrum = rfft2(image - np.median(image), s=size)
+    rows, cols = (next_fast_len(side + 2 * reach, True) or side for side in image.shape)
+    size = (rows, cols)
+    spectrum = np.asarray(rfft2(image - np.median(image), s=size))
     best: tuple[float, BarTarget] | None = None
     quiet = np.inf
     for degrees in DIRECTIONS_DEG:
@@ -110,7 +111,7 @@ def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach
     box = (np.abs(across) < target.width_px / 2) & (np.abs(along) < target.length_px / 2)
     wave = np.where(box, np.exp(2j * np.pi * target.frequency * across), 0.0)
     wave[box] -= wave[box].mean()
-    parts = (irfft2(spectrum * rfft2(part, s=size), s=size) for part in (wave.real, wave.imag))
+    parts = (np.asarray(irfft2(spectrum * rfft2(part, s=size), s=size)) for part in (np.real(wave), np.imag(wave)))
     real, imaginary = (part[reach : reach + shape[0], reach : reach + shape[1]] for part in parts)
     return np.hypot(real, imaginary)
 

@@ -63,7 +63,7 @@ def lost_share(context: Context, margin: float) -> tuple[float, float]:
     diameter = 4.0 * _drawn(sensor.photocathode.gap_mm, rng) / pitch_mm
     share = _drawn(sensor.photocathode.halo_fraction, rng)
     elastic = _drawn(sensor.photocathode.halo_elastic_share, rng)
-    f = (np.arange(16384) + 0.5) / 8192.0
+    f = np.asarray((np.arange(16384) + 0.5) / 8192.0, dtype=np.float64)
     kernel = np.sin(2.0 * np.pi * f * margin) / f * (f[1] - f[0])
     core = np.exp(-((f / corner[:, None]) ** exponent[:, None]))
     both = core * (1.0 - share[:, None] + share[:, None] * forms.halo(f, diameter, elastic))

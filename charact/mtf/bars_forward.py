@@ -49,6 +49,7 @@ class Reduced:
     "bars",
     METHOD,
     quantities=("mtf",),
+    preferred=True,
     scope=(
         "Targets of two and more bars, seven times as long as wide, on an even ground, in any direction, the whole "
         "target and its blur inside the region; fundamental over 9 standard errors. Broken by clipping, a curved "

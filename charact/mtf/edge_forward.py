@@ -17,7 +17,7 @@ from charact.mtf.geometry import orientation_deg
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.picture import Picture, mean_picture
 from charact.mtf.region import Region
-from charact.posterior import laplace, sample
+from charact.posterior import has_several_peaks, laplace, sample
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, measured, refused
 
@@ -35,6 +35,7 @@ METHOD = "edge-forward"
     "edge",
     METHOD,
     quantities=QUANTITIES,
+    preferred=True,
     scope=(
         "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
         "30 rows and more; noise may depend on the signal and be correlated. Broken by a curved response, motion "
@@ -155,7 +156,7 @@ def _result(
         *edge_checks.line_flags(found.picture, found.rows),
         *edge_checks.fit_flags(found.picture, found.profile, found.fit, half if half > 0 else 0.01),
         *edge_checks.response_flags(found.profile, found.fit),
-        *(flag for flag in posterior.flags if flag != "prior-bound" or context.sensor is None),
+        *_posterior_flags(posterior, context),
     )
     common = {
         "method": METHOD,
@@ -193,12 +194,27 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
             f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
         )
         return refused(quantity, "cy/px", reason, **rest, flags=common["flags"])
-    return from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)
+    kept = draws[np.isfinite(draws)]
+    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_with_peaks(common, kept))
 
 
 def _pinned(frequency: float, draws: Array, common: dict) -> Measurement:
     """Return the MTF at one frequency."""
-    return from_draws("mtf", "1", draws[:, 0], frequency_cy_per_px=float(frequency), **common)
+    one = draws[:, 0]
+    return from_draws("mtf", "1", one, frequency_cy_per_px=float(frequency), **_with_peaks(common, one))
+
+
+def _posterior_flags(posterior: Posterior, context: Context) -> tuple[str, ...]:
+    """Return what of the posterior's distrust reaches what is measured: peaks count where the quantity has them."""
+    known = {"several-modes", *(() if context.sensor is None else ("prior-bound",))}
+    return tuple(flag for flag in posterior.flags if flag not in known)
+
+
+def _with_peaks(common: dict, draws: Array) -> dict:
+    """Return what measurements share, flagged where the draws of this one have several peaks."""
+    if not has_several_peaks(draws[:, None]):
+        return common
+    return {**common, "flags": (*common["flags"], "several-modes")}
 
 
 def _angle(found: Found, common: dict) -> Measurement:

@@ -36,6 +36,7 @@ MAX_STEPS = 1200
     "point",
     METHOD,
     quantities=QUANTITIES,
+    preferred=True,
     scope=(
         "Single point sources whose core stays below full scale, light over 6 standard errors, pixels of an "
         "intensifier or of an ordinary camera. A core beyond full scale is left out and flagged; broken by motion, "

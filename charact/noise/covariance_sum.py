@@ -32,6 +32,7 @@ LEAST_BINS = 24
     "flats",
     METHOD,
     quantities=("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain"),
+    preferred=True,
     scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more.",
 )
 def covariance_sum(session: Session, *, context: Context) -> Result:

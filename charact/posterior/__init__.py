@@ -2,5 +2,6 @@
 
 from charact.posterior.chain import sample
 from charact.posterior.curvature import laplace, maximum
+from charact.posterior.diagnostics import has_several_peaks
 
-__all__ = ["laplace", "maximum", "sample"]
+__all__ = ["has_several_peaks", "laplace", "maximum", "sample"]

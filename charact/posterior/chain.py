@@ -100,8 +100,7 @@ def sample(
         _Runner.started(log_probability, unbounded, open_space, places, spread, count + count % 2, child)
         for child in np.random.SeedSequence(seed).spawn(max(2, ensembles))
     ]
-    if len(places) == 1:
-        _learn(runners, unbounded)
+    _learn(runners, unbounded)
     chains, trust = _run(runners, max_steps)
     chains = open_space.inside(chains)
     several = has_several_peaks(_thinned(chains, 4000))

@@ -120,7 +120,7 @@ def _histogram(one: Portrait, many: list[Portrait], level: float) -> Statistic:
         p_value=found.p_value,
         level=level,
         note=(
-            f"histogram: Kolmogorov-Smirnov on {one.grey_dn.size} pixels at least {histogram.STRIDE // 2} px and a frame "
-            f"apart; Wasserstein distance {found.wasserstein_sd:.3f} standard deviations"
+            f"histogram: Kolmogorov-Smirnov on {one.grey_dn.size} pixels at least {histogram.STRIDE // 2} px and "
+            f"a frame apart; Wasserstein distance {found.wasserstein_sd:.3f} standard deviations"
         ),
     )

@@ -121,4 +121,4 @@ def _above(between: Array, within: Array) -> Array:
 
 def _root(covariance: Array) -> Array:
     """Return Cholesky roots."""
-    return np.asarray(np.linalg.cholesky(covariance))
+    return np.linalg.cholesky(covariance).astype(np.float64)

@@ -27,7 +27,7 @@ def _case(truth: float | None = TRUTH, **changes) -> Case:
 
 
 def _method(name: str, function) -> Method:
-    return Method(kind="edge", name=name, quantities=("mtf50",), scope="none", function=function)
+    return Method(kind="edge", name=name, quantities=("mtf50",), scope="none", preferred=False, function=function)
 
 
 def _answering(value: float, sd: float, flags: tuple[str, ...] = (), seconds: float = 0.0):
