@@ -103,10 +103,14 @@ def _best_point(session: Session, context: Context, within_percent: float) -> Re
     """The MTF of the brightest point source that no method distrusts, else of the one with the fewest flags."""
     from charact import mtf
 
-    found = [
-        labelled(mtf.measure("point", entry.read(), within_percent=within_percent, context=context), entry.label)
-        for entry in session.of_kind("point")
-    ]
+    found = []
+    for entry in session.of_kind("point"):
+        target = entry.target
+        one = mtf.measure(
+            "point", entry.read(), region=target.region, within_percent=within_percent, context=context,
+            pinhole_px=target.pinhole_px,
+        )  # fmt: skip
+        found.append(labelled(one, entry.label))
     return min(found, key=lambda result: _distrust(result.measurements))
 
 

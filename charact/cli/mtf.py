@@ -65,6 +65,9 @@ def bars(
 @app.command()
 def point(
     file: File,
+    pinhole_px: Annotated[
+        float | None, typer.Option(help="Diameter of the pinhole's image, column pitches; else taken as a point.")
+    ] = None,
     roi: options.Roi = None,
     method: options.MethodName = "auto",
     within: options.Within = 2.0,
@@ -80,7 +83,7 @@ def point(
 ) -> None:
     """MTF of a point source.
 
-    Example: charact mtf point pinhole.tif --roi 200,300,96,96
+    Example: charact mtf point pinhole.tif --pinhole-px 1.0 --roi 200,300,96,96
     """
     _measure("point", **locals())
 

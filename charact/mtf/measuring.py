@@ -38,7 +38,8 @@ def measure(
     context
         Seed, speed and camera.
     target
-        For bars: `bars`, their number, and `frequency_cy_per_px`.
+        For bars: `bars`, their number, and `frequency_cy_per_px`; for a point, if known, its diameter `pinhole_px` in
+        column pitches.
 
     Raises
     ------

@@ -12,7 +12,6 @@ import serial
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.outputs import read_outputs
 from simulate.rig.process import VirtualInstruments
-from simulate.rig.pseudo_terminal import PseudoTerminal
 
 pytestmark = pytest.mark.wires
 
@@ -97,7 +96,6 @@ def test_instruments_outlive_a_killed_bench_only_until_their_lines_are_quiet(tmp
         import os, signal, sys
         sys.path.insert(0, {os.getcwd()!r})
         from simulate.rig.process import VirtualInstruments
-from simulate.rig.pseudo_terminal import PseudoTerminal
         virtual = VirtualInstruments({str(tmp_path / "bench")!r})
         virtual.__enter__()
         os.kill(os.getpid(), signal.SIGKILL)
