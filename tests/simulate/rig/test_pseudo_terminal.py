@@ -12,6 +12,7 @@ import serial
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.outputs import read_outputs
 from simulate.rig.process import VirtualInstruments
+from simulate.rig.pseudo_terminal import PseudoTerminal
 
 pytestmark = pytest.mark.wires
 
