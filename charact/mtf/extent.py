@@ -24,7 +24,7 @@ def extent(picture: Picture, line: Line) -> Region | None:
     across = line.across((rows, cols))
     size = max(4, rows // 64)
     step, error = _steps(picture.value, across, size)
-    reference = float(np.nanmedian(step[step > 0.5 * np.nanmax(step)])) if np.isfinite(step).any() else np.nan
+    reference = _reference(step)
     if not reference > 0:
         return None
     missing = ~np.isfinite(step) | (step < 0.5 * reference - 3.0 * error)
@@ -43,6 +43,14 @@ def extent(picture: Picture, line: Line) -> Region | None:
     if (top, bottom, low, high) == (0, rows, 0, cols):
         return None
     return original(picture, (top, low, bottom - top, high - low))
+
+
+def _reference(step: Array) -> float:
+    """Return the usual step of the blocks that hold the edge; 0 where no block brightens."""
+    finite = step[np.isfinite(step)]
+    if not finite.size or not finite.max() > 0:
+        return 0.0
+    return float(np.median(finite[finite > 0.5 * finite.max()]))
 
 
 def original(picture: Picture, region: Region) -> Region:

@@ -26,8 +26,8 @@ def _case(truth: float | None = TRUTH, **changes) -> Case:
     return Case(**{**given, **changes})
 
 
-def _method(name: str, function) -> Method:
-    return Method(kind="edge", name=name, quantities=("mtf50",), scope="none", preferred=False, function=function)
+def _method(name: str, function, *, preferred: bool = False) -> Method:
+    return Method(kind="edge", name=name, quantities=("mtf50",), scope="none", preferred=preferred, function=function)
 
 
 def _answering(value: float, sd: float, flags: tuple[str, ...] = (), seconds: float = 0.0):
@@ -110,7 +110,7 @@ def test_a_refusal_costs_the_chart_a_hundred_percent():
 
 def test_auto_takes_the_cheaper_method_within_tolerance(tmp_path, monkeypatch):
     methods = (
-        _method("edge-good", _exact(0.001, 0.02)),
+        _method("edge-good", _exact(0.001, 0.02), preferred=True),
         _method("edge-cheap", _exact(0.015, 0.0)),
         _method("edge-poor", _exact(0.2, 0.0)),
     )
