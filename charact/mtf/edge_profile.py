@@ -19,6 +19,8 @@ EVEN_PER_PX, UNEVEN_PER_PX = 4e-5, 2e-3
 PLATEAU_FROM_PX = 10.0
 SHADING_LENGTH_PX = 10.0
 DEFECT_SD = 8.0
+# Share of the pixels beyond 5 standard deviations that are defects, not the tail of the noise, if any are.
+HEAVY_TAIL = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +95,8 @@ def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
     masked = np.zeros(picture.value.shape, bool)
     gathered = gather(picture, line, half_width_px, masked)
     residual, level = _residual(picture, gathered)
-    masked = _defective(residual, gathered.used, 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0)
+    rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
+    masked = _defective(residual, level, gathered.used, rounding_sd)
     defects = int(masked.sum())
     if defects:
         gathered = gather(picture, line, half_width_px, masked)
@@ -164,12 +167,19 @@ def _levels(mean: Array, count: Array, gathered: Gathered) -> tuple[float, float
     return float(np.median(mean[filled & left])), float(np.median(mean[filled & right]))
 
 
-def _defective(residual: Array, used: NDArray[np.bool_], rounding_sd: float) -> NDArray[np.bool_]:
-    """Tell which pixels the noise cannot explain; in heavy-tailed noise, where many are nearly as far, none."""
+def _defective(residual: Array, level: Array, used: NDArray[np.bool_], rounding_sd: float) -> NDArray[np.bool_]:
+    """Tell which pixels the noise of their level cannot explain; none in heavy-tailed noise, where many nearly are."""
     size = np.where(used, np.abs(residual), 0.0)
-    sd = max(1.4826 * float(np.median(size[used])), rounding_sd)
+    sides = [used & (level < 0.25), used & (level > 0.75)]
+    dark, bright = (_robust_sd(size[side if side.any() else used], rounding_sd) for side in sides)
+    sd = np.sqrt(dark**2 + np.clip(level, 0.0, 1.0) * (bright**2 - dark**2))
     far, near = size > DEFECT_SD * sd, np.count_nonzero(size > 5.0 * sd)
-    return far if sd > 0 and np.count_nonzero(far) > 0.2 * near else np.zeros_like(used)
+    return far & (sd > 0) if np.count_nonzero(far) > HEAVY_TAIL * near else np.zeros_like(used)
+
+
+def _robust_sd(size: Array, rounding_sd: float) -> float:
+    """Return the standard deviation of normal noise whose absolute values have this median."""
+    return max(1.4826 * float(np.median(size)), rounding_sd)
 
 
 def _assembled(
