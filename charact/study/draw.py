@@ -36,40 +36,51 @@ def _save(figure: Any, path: Path) -> Path:
 
 
 def draw_chart(result: Chart, path: Path) -> Path:
-    """Draw relative error (95th percentile as a mark, every case as a dot) against time, both logarithmic."""
-    figure, axes = _pyplot().subplots(figsize=(7.5, 4.6), layout="constrained")
-    for colour, one in zip(_cycled(len(result.summaries)), result.summaries, strict=True):
+    """Draw relative error (95th percentile as a mark, every case as a dot) against time, a panel for each kind."""
+    kinds = list(dict.fromkeys(row.kind for row in result.rows))
+    figure, grid = _pyplot().subplots(
+        1, len(kinds), figsize=(2.0 + 5.5 * len(kinds), 4.6), layout="constrained", squeeze=False, sharey=True
+    )
+    for axes, kind in zip(grid.flat, kinds, strict=True):
+        _draw_kind(axes, result, kind)
+    grid[0, 0].set_ylabel(f"error of {result.quantity} (% of the truth)")
+    figure.suptitle(QUANTITIES[result.quantity].title, fontsize=11)
+    return _save(figure, path)
+
+
+def _draw_kind(axes: Any, result: Chart, kind: str) -> None:
+    """One panel: the methods of one kind of target."""
+    methods = {row.method for row in result.rows if row.kind == kind}
+    summaries = [one for one in result.summaries if one.method in methods]
+    for colour, one in zip(_cycled(len(summaries)), summaries, strict=True):
         own = [row for row in result.rows if row.method == one.method and row.error_percent is not None]
         errors = [max(row.error_percent or 0.0, 1e-3) for row in own]
         axes.scatter([row.seconds for row in own], errors, s=9, color=colour, alpha=0.35, linewidths=0)
         label = f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, {one.ok_fraction:.0%} ok"
         axes.scatter([one.seconds], [one.error_percent], s=90, color=colour, edgecolor="black", label=label, zorder=3)
     axes.set(xscale="log", yscale="log", xlabel="time for one stack (s)")
-    axes.set_ylabel(f"error of {result.quantity} (% of the truth)")
-    cases = result.summaries[0].cases if result.summaries else 0
-    title = f"{QUANTITIES[result.quantity].title}\nlarge: median time, 95th percentile of {cases} cases"
-    axes.set_title(title, fontsize=10)
+    axes.set_title(f"{kind}, {summaries[0].cases} cases; large: median time, 95th percentile", fontsize=9)
     axes.legend(frameon=False, fontsize=8)
-    return _save(figure, path)
 
 
 def _cycled(count: int) -> list[str]:
     return [COLOURS[number % len(COLOURS)] for number in range(count)]
 
 
-def draw_stability(result: Stability, path: Path) -> Path:
-    """Draw value over truth along every axis with its 95 % interval, verdict as the mark, lies in red."""
-    names = axes_of(result.rows)
+def draw_stability(result: Stability, kind: str, path: Path) -> Path:
+    """Draw value over truth along every axis of a kind with its 95 % interval, verdict as the mark, lies in red."""
+    rows = [row for row in result.rows if row.kind == kind]
+    names, methods = axes_of(rows), tuple(dict.fromkeys(row.method for row in rows))
     columns = 3
     lines = -(-len(names) // columns)
     figure, grid = _pyplot().subplots(
         lines, columns, figsize=(13, 2.9 * lines + 0.5), layout="constrained", squeeze=False, sharey=True
     )
     for panel, name in zip(grid.flat, names, strict=False):
-        _draw_axis(panel, [row for row in result.rows if row.axis == name], result.methods, result.quantity)
+        _draw_axis(panel, [row for row in rows if row.axis == name], methods, result.quantity)
     for panel in grid.flat[len(names) :]:
         panel.set_visible(False)
-    figure.legend(handles=_legend(result.methods), loc="outside upper center", ncols=4, frameon=False)
+    figure.legend(handles=_legend(methods), loc="outside upper center", ncols=4, frameon=False)
     return _save(figure, path)
 
 

@@ -1,12 +1,14 @@
 """Edges of exactly known MTF: the frame of a blurred step by numerical transform, and its noise, from no simulator."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.study.noise import correlated
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
@@ -43,20 +45,30 @@ class Blur:
         """
         f = np.asarray(frequency_cy_per_px, float)
         angle = np.deg2rad(angle_deg)
-        pixel = np.sinc(f * np.cos(angle)) * np.sinc(f * np.sin(angle))
+        return self.transfer(f * np.cos(angle), f * np.sin(angle))
+
+    def transfer(self, fx: NDArray[np.floating] | float, fy: NDArray[np.floating] | float) -> NDArray[np.floating]:
+        """MTF at frequencies along rows and columns, cycles per pixel, pixel included."""
+        pixel = np.sinc(fx) * np.sinc(fy)
+        f = np.hypot(fx, fy)
         if self.form == "gaussian":
             return np.exp(-2 * (np.pi * f * self.sigma_px) ** 2) * pixel
         return np.exp(-((f / self.frequency_cy_per_px) ** self.exponent)) * pixel
 
     def mtf50(self, angle_deg: float, level: float = 0.5) -> float:
-        """Lowest frequency at which the MTF falls to a level, cycles per pixel along the normal, by bisection."""
-        grid = np.linspace(0, 2, 4001)
-        below = int(np.argmax(self.mtf(grid, angle_deg) < level))
-        low, high = grid[below - 1], grid[below]
-        for _ in range(50):
-            middle = (low + high) / 2
-            low, high = (middle, high) if self.mtf(middle, angle_deg) > level else (low, middle)
-        return float((low + high) / 2)
+        """Lowest frequency at which the MTF falls to a level, cycles per pixel along the normal."""
+        return level_crossing(lambda f: self.mtf(f, angle_deg), level)
+
+
+def level_crossing(mtf: Callable[[Any], Any], level: float) -> float:
+    """Lowest frequency at which a function of frequency falls to a level, cycles per pixel, by bisection."""
+    grid = np.linspace(0, 2, 4001)
+    below = int(np.argmax(mtf(grid) < level))
+    low, high = grid[below - 1], grid[below]
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if mtf(middle) > level else (low, middle)
+    return float((low + high) / 2)
 
 
 @lru_cache(maxsize=64)
@@ -185,22 +197,10 @@ class EdgeScene:
         shot = np.sqrt(self.shot_share * sd**2 * np.maximum(mean - self.black_dn, 0) / half_way)
         read = np.sqrt(1 - self.shot_share) * sd
         shape = (self.frames, self.rows, self.cols)
-        drawn = mean + _correlated(shot * rng.standard_normal(shape), self.noise_blur_px)
+        drawn = mean + correlated(shot * rng.standard_normal(shape), self.noise_blur_px)
         drawn = drawn + read * rng.standard_normal(shape)
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         drawn = np.where(stuck, self.full_scale_dn, drawn)
         kind = np.uint8 if self.full_scale_dn < 256 else np.uint16
         codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(kind)
         return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)
-
-
-def _correlated(white: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
-    """Blur white noise (frame, row, col) with a Gaussian of unit sum of squares: the variance stays."""
-    if sigma_px <= 0:
-        return white
-    from scipy.ndimage import convolve1d
-
-    reach = int(np.ceil(4 * sigma_px))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma_px) ** 2)
-    kernel = kernel / np.sqrt(np.sum(kernel**2))
-    return convolve1d(convolve1d(white, kernel, axis=1, mode="wrap"), kernel, axis=2, mode="wrap")

@@ -62,6 +62,7 @@ def _seeds(seed: int) -> Iterator[int]:
 
 def _case(axis: str, position: float, unit: str, scene: EdgeScene, in_scope: bool, seed: int) -> Case:
     return Case(
+        kind="edge",
         name=f"{axis} {position:g} {unit}".strip(),
         axis=axis,
         position=float(position),
@@ -105,6 +106,7 @@ def _noise_case(kind: str, seed: int) -> Case:
     """A frame without an edge: nothing to measure."""
     flat = EdgeScene(dark_dn=100.0, bright_dn=100.0001, snr=1e-5, noise_blur_px=1.0 if kind == "correlated" else 0.0)
     return Case(
+        kind="edge",
         name=f"noise alone, {kind}",
         axis="noise alone",
         position=float(kind == "correlated"),

@@ -13,7 +13,7 @@ from pathlib import Path
 import charact
 from charact.method import Context, Method
 from charact.study.harness import Case, Progress, Row, Summary, attempt, summary
-from charact.study.quantities import STUDIES, methods_of
+from charact.study.quantities import Study, methods_of, studies_of
 from charact.study.speed_accuracy import write_json
 
 
@@ -49,7 +49,7 @@ class Stability:
 
     def overall(self, method: str) -> tuple[Summary, Summary | None]:
         """Summary of all cases of a method, and of those inside the scope."""
-        inside = [row for row in self.rows if row.in_scope]
+        inside = [row for row in self.rows if row.in_scope and row.method == method]
         return summary(self.rows, method), summary(inside, method) if inside else None
 
     def text(self) -> str:
@@ -62,7 +62,8 @@ class Stability:
                 f"{method}: {every.cases} cases, {every.silent} silent, {every.crashed} crashed, "
                 f"{every.missed_fraction:.0%} of ok intervals miss{scope}"
             )
-            lines += [f"  {axis:<28}{self._verdicts(method, axis)}" for axis in axes_of(self.rows)]
+            own = [row for row in self.rows if row.method == method]
+            lines += [f"  {axis:<28}{self._verdicts(method, axis)}" for axis in axes_of(own)]
         return "\n".join([*lines, *(_sentence(row) for row in self.silent)])
 
     def _verdicts(self, method: str, axis: str) -> str:
@@ -90,8 +91,8 @@ def _sentence(row: Row) -> str:
 
 
 def _attempt_all(case: Case, methods: tuple[Method, ...], chains: bool) -> list[Row]:
-    """One case through every method, in a process of its own."""
-    return [attempt(method, case, Context(quick=not chains)) for method in methods]
+    """One case through every method of its kind, in a process of its own."""
+    return [attempt(method, case, Context(quick=not chains)) for method in methods if method.kind == case.kind]
 
 
 def stability(
@@ -116,7 +117,8 @@ def stability(
     seed
         Seed of the cases.
     out
-        Folder for `stability-QUANTITY.json` and `.svg`; None: nothing is written.
+        Folder for `stability-QUANTITY.json` and a map `stability-QUANTITY-KIND.svg` of each kind of target; None:
+        nothing is written.
     progress
         Called with a sentence and the share done.
     quick
@@ -138,9 +140,14 @@ def stability(
         If no study of the quantity exists.
     """
     workers = workers or (2 if methods is None else 1)
+    studies = studies_of(quantity)
     methods = methods_of(quantity) if methods is None else methods
-    study = STUDIES[quantity]
-    cases = study.stability_cases(seed, repeats or (1 if quick else study.repeats), axes or study.axes)
+    cases = [
+        case
+        for study in studies
+        if any(method.kind == study.kind for method in methods)
+        for case in _cases(study, seed, repeats or (1 if quick else study.repeats), axes)
+    ]
     cases = ends(cases) if quick else cases
     rows: list[Row] = []
     for number, found in enumerate(_mapped(cases, methods, chains, workers)):
@@ -150,11 +157,17 @@ def stability(
     return result if out is None else replace(result, files=_written(result, Path(out)))
 
 
+def _cases(study: Study, seed: int, repeats: int, axes: tuple[str, ...] | None) -> tuple[Case, ...]:
+    """Cases of one kind of target along those of the axes that it has."""
+    own = study.axes if axes is None else tuple(axis for axis in axes if axis in study.axes)
+    return study.stability_cases(seed, repeats, own) if own else ()
+
+
 def ends(cases: Sequence[Case]) -> tuple[Case, ...]:
     """The cases at the first and the last position of every axis."""
-    of_axis: dict[str, list[Case]] = {}
+    of_axis: dict[tuple[str, str], list[Case]] = {}
     for case in cases:
-        of_axis.setdefault(case.axis, []).append(case)
+        of_axis.setdefault((case.kind, case.axis), []).append(case)
     return tuple(c for own in of_axis.values() for c in own if c.position in (own[0].position, own[-1].position))
 
 
@@ -194,4 +207,5 @@ def _written(result: Stability, out: Path) -> tuple[Path, ...]:
         "provenance": {"charact": charact.__version__, "seed": result.seed, "chains": result.chains},
     }
     written = write_json(out / f"stability-{result.quantity}.json", data)
-    return written, draw_stability(result, out / f"stability-{result.quantity}.svg")
+    kinds = dict.fromkeys(row.kind for row in result.rows)
+    return written, *(draw_stability(result, kind, out / f"stability-{result.quantity}-{kind}.svg") for kind in kinds)

@@ -167,6 +167,7 @@ def flat_case(
     """Return a case of a flat series whose covariance gain or, without an intensifier, system gain is known."""
     truth = scene.truth_covariance_gain if quantity == "covariance_gain" else scene.electron_gain_dn
     return Case(
+        kind="flats",
         name=f"{axis} {position:g} {unit}".strip(),
         axis=axis,
         position=float(position),

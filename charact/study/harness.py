@@ -21,6 +21,8 @@ class Case:
 
     Parameters
     ----------
+    kind
+        Kind of target: which methods it is given to.
     name
         What is special about it, in words.
     axis, position, unit
@@ -41,6 +43,7 @@ class Case:
         Fields of `charact.method.Context` that the case sets.
     """
 
+    kind: str
     name: str
     axis: str
     position: float
@@ -71,6 +74,7 @@ class Row:
     """
 
     method: str
+    kind: str
     case: str
     axis: str
     position: float
@@ -136,7 +140,7 @@ def attempt(method: Method, case: Case, context: Context) -> Row:
 
     A `BadInput` is a refusal. Any other exception, and any warning, is a crash: a user would see it.
     """
-    base = {key: getattr(case, key) for key in ("axis", "position", "unit", "in_scope", "seed", "truth")}
+    base = {key: getattr(case, key) for key in ("kind", "axis", "position", "unit", "in_scope", "seed", "truth")}
     material = case.draw(np.random.default_rng(case.seed))
     context = replace(context, **{"seed": case.seed, **case.context})
     clock = Stopwatch()
@@ -178,7 +182,7 @@ def _row(method: Method, case: Case, base: dict[str, Any], found: Measurement, s
 def run(
     methods: Iterable[Method], cases: Sequence[Case], *, context: Context, progress: Progress = lambda text, share: None
 ) -> tuple[Row, ...]:
-    """Put every method to every case, one after the other so that the times can be compared.
+    """Put every method to every case of its kind, one after the other so that the times can be compared.
 
     Parameters
     ----------
@@ -193,7 +197,7 @@ def run(
     rows: list[Row] = []
     for number, case in enumerate(cases):
         progress(case.name, number / len(cases))
-        rows += [attempt(method, case, context) for method in methods]
+        rows += [attempt(method, case, context) for method in methods if method.kind == case.kind]
     progress("cases done", 1.0)
     return tuple(rows)
 

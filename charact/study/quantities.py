@@ -1,4 +1,4 @@
-"""The quantities that have a study: the kind of method that measures each, and where its cases come from."""
+"""The quantities that have a study: the kinds of target that give each, and where their cases come from."""
 
 import importlib
 from collections.abc import Callable
@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 from charact.method import Method
 from charact.method.registry import of_kind
-from charact.study import edge_cases, flats, white_flats
+from charact.study import bar_cases, edge_cases, flats, point_cases, white_flats
 from charact.study.harness import Case
 from labdata.errors import BadInput
 
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Where the cases of a quantity come from.
+    """Where the cases of a quantity and a kind of target come from.
 
     Parameters
     ----------
@@ -37,43 +37,78 @@ class Study:
     repeats: int
 
 
-STUDIES = {
-    "mtf50": Study(
-        kind="edge",
-        package="charact.mtf",
-        axes=tuple(edge_cases.AXES),
-        chart_cases=edge_cases.chart_cases,
-        stability_cases=edge_cases.stability_cases,
-        chart_count=40,
-        quick_count=6,
-        repeats=2,
-    ),
-    "covariance_gain": Study(
-        kind="flats",
-        package="charact.noise",
-        axes=tuple(flats.AXES),
-        chart_cases=flats.chart_cases,
-        stability_cases=flats.stability_cases,
-        chart_count=8,
-        quick_count=2,
-        repeats=1,
-    ),
-    "system_gain": Study(
-        kind="flats",
-        package="charact.noise",
-        axes=tuple(white_flats.AXES),
-        chart_cases=white_flats.chart_cases,
-        stability_cases=white_flats.stability_cases,
-        chart_count=8,
-        quick_count=2,
-        repeats=1,
-    ),
+# A table holds a quantity's methods of every kind: `auto` compares those of one kind with each other.
+EDGE = Study(
+    kind="edge",
+    package="charact.mtf",
+    axes=tuple(edge_cases.AXES),
+    chart_cases=edge_cases.chart_cases,
+    stability_cases=edge_cases.stability_cases,
+    chart_count=40,
+    quick_count=6,
+    repeats=2,
+)
+POINT = Study(
+    kind="point",
+    package="charact.mtf",
+    axes=tuple(point_cases.AXES),
+    chart_cases=point_cases.chart_cases,
+    stability_cases=point_cases.stability_cases,
+    chart_count=24,
+    quick_count=4,
+    repeats=2,
+)
+BARS = Study(
+    kind="bars",
+    package="charact.mtf",
+    axes=tuple(bar_cases.AXES),
+    chart_cases=bar_cases.chart_cases,
+    stability_cases=bar_cases.stability_cases,
+    chart_count=40,
+    quick_count=6,
+    repeats=2,
+)
+FLATS = Study(
+    kind="flats",
+    package="charact.noise",
+    axes=tuple(flats.AXES),
+    chart_cases=flats.chart_cases,
+    stability_cases=flats.stability_cases,
+    chart_count=8,
+    quick_count=2,
+    repeats=1,
+)
+WHITE_FLATS = Study(
+    kind="flats",
+    package="charact.noise",
+    axes=tuple(white_flats.AXES),
+    chart_cases=white_flats.chart_cases,
+    stability_cases=white_flats.stability_cases,
+    chart_count=8,
+    quick_count=2,
+    repeats=1,
+)
+
+STUDIES: dict[str, tuple[Study, ...]] = {
+    "mtf50": (EDGE, POINT),
+    "mtf": (BARS,),
+    "covariance_gain": (FLATS,),
+    "system_gain": (WHITE_FLATS,),
 }
 
 
-def methods_of(quantity: str) -> tuple[Method, ...]:
-    """All registered methods that measure a quantity; one without a study is a BadInput."""
+def studies_of(quantity: str) -> tuple[Study, ...]:
+    """The studies of a quantity, one for each kind of target; a quantity without one is a BadInput."""
     if quantity not in STUDIES:
         raise BadInput(f"a study must be of one of {', '.join(STUDIES)}, got {quantity!r}")
-    importlib.import_module(STUDIES[quantity].package)
-    return tuple(method for method in of_kind(STUDIES[quantity].kind).values() if quantity in method.quantities)
+    return STUDIES[quantity]
+
+
+def methods_of(quantity: str) -> tuple[Method, ...]:
+    """All registered methods that measure a quantity and have a study of their kind, kind by kind."""
+    studies = studies_of(quantity)
+    for study in studies:
+        importlib.import_module(study.package)
+    return tuple(
+        method for study in studies for method in of_kind(study.kind).values() if quantity in method.quantities
+    )

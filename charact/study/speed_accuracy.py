@@ -8,7 +8,7 @@ from typing import Any
 import charact
 from charact.method import Context, Method
 from charact.study.harness import Progress, Row, Summary, run, summary
-from charact.study.quantities import STUDIES, methods_of
+from charact.study.quantities import methods_of, studies_of
 
 TABLES = Path(__file__).resolve().parents[1] / "method" / "tables"
 
@@ -71,7 +71,7 @@ def chart(
     cases: int | None = None,
     methods: tuple[Method, ...] | None = None,
 ) -> Chart:
-    """Measure error and time of every method of a quantity on the same cases of known truth.
+    """Measure error and time of every method of a quantity on the same cases of known truth, kind by kind.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def chart(
     quick
         A cut for a first look: few cases and no Markov chains.
     cases
-        Number of cases; None: as the study says.
+        Number of cases of each kind of target; None: as the study says.
     methods
         The methods; None: all that are registered for the quantity.
 
@@ -97,12 +97,12 @@ def chart(
     BadInput
         If no study of the quantity exists.
     """
+    studies = studies_of(quantity)
     methods = methods_of(quantity) if methods is None else methods
-    study = STUDIES[quantity]
-    count = cases or (study.quick_count if quick else study.chart_count)
-    drawn = study.chart_cases(seed, count)
-    for method in methods:  # what a method imports or compiles on its first call is not its time on a frame
-        run([method], drawn[:1], context=Context(quick=quick))
+    drawn = [study.chart_cases(seed, cases or (study.quick_count if quick else study.chart_count)) for study in studies]
+    for first in drawn:  # what a method imports or compiles on its first call is not its time on a frame
+        run(methods, first[:1], context=Context(quick=quick))
+    drawn = [case for of_kind in drawn for case in of_kind if case.kind in {method.kind for method in methods}]
     rows = run(methods, drawn, context=Context(quick=quick), progress=progress)
     summaries = sorted((summary(rows, method.name) for method in methods), key=lambda s: s.seconds)
     result = Chart(quantity=quantity, seed=seed, quick=quick, summaries=tuple(summaries), rows=rows)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from charact.method import Context, Method, registry
-from charact.study import STUDIES, chart, run, stability, summary
+from charact.study import STUDIES, bar_cases, chart, edge_cases, point_cases, run, stability, summary
 from charact.study.edge import Blur, EdgeScene
-from charact.study.edge_cases import AXES, chart_cases, stability_cases
+from charact.study.edge_cases import chart_cases, stability_cases
 from charact.study.harness import Case
 from charact.study.quantities import methods_of
 from labdata.errors import BadInput
@@ -20,8 +20,8 @@ TRUTH = Blur().mtf50(5.0)
 
 def _case(truth: float | None = TRUTH, **changes) -> Case:
     given = {
-        "name": "one edge", "axis": "edge SNR", "position": 50.0, "unit": "1", "quantity": "mtf50", "truth": truth,
-        "in_scope": True, "seed": 3, "draw": EdgeScene().frames_drawn,
+        "kind": "edge", "name": "one edge", "axis": "edge SNR", "position": 50.0, "unit": "1", "quantity": "mtf50",
+        "truth": truth, "in_scope": True, "seed": 3, "draw": EdgeScene().frames_drawn,
     }  # fmt: skip
     return Case(**{**given, **changes})
 
@@ -151,7 +151,7 @@ def test_the_map_of_stability_holds_every_axis_and_every_lie(tmp_path):
     found = stability("mtf50", seed=2, out=tmp_path, methods=(lying,), repeats=1, axes=("tilt", "edge SNR"))
     data = json.loads((tmp_path / "stability-mtf50.json").read_text())
     assert len(found.silent) == len(found.rows) == len(data["silent"])
-    svg = (tmp_path / "stability-mtf50.svg").read_text()
+    svg = (tmp_path / "stability-mtf50-edge.svg").read_text()
     assert "tilt (deg)" in svg
     assert "edge SNR (step / noise)" in svg
     assert found.text().count("SILENT edge-lying") == len(found.silent)
@@ -171,8 +171,9 @@ def test_an_honest_method_covers_and_never_lies_on_the_map():
     assert all(row.covers for row in found.rows if row.truth is not None)
 
 
-def test_every_axis_is_swept_past_its_scope_or_lies_wholly_inside():
-    for axis, (_, positions, (low, high)) in AXES.items():
+@pytest.mark.parametrize("cases", [edge_cases, bar_cases, point_cases])
+def test_every_axis_is_swept_past_its_scope_or_lies_wholly_inside(cases):
+    for axis, (_, positions, (low, high)) in cases.AXES.items():
         inside = [low <= position <= high for position in positions]
         assert any(inside), axis
         assert not all(inside) or axis == "frames"
@@ -180,19 +181,23 @@ def test_every_axis_is_swept_past_its_scope_or_lies_wholly_inside():
 
 @pytest.mark.parametrize("quantity", list(STUDIES))
 def test_cases_are_the_same_for_the_same_seed_and_others_for_another(quantity):
-    study = STUDIES[quantity]
-    first, again, other = (study.chart_cases(seed, 3) for seed in (5, 5, 6))
-    assert [(c.truth, c.seed) for c in first] == [(c.truth, c.seed) for c in again]
-    assert {c.seed for c in first}.isdisjoint(c.seed for c in other)
+    for study in STUDIES[quantity]:
+        first, again, other = (study.chart_cases(seed, 3) for seed in (5, 5, 6))
+        assert [(c.truth, c.seed) for c in first] == [(c.truth, c.seed) for c in again]
+        assert {c.seed for c in first}.isdisjoint(c.seed for c in other)
 
 
 def test_a_quantity_without_a_study_is_refused_with_those_that_have_one():
-    with pytest.raises(BadInput, match=r"must be of one of mtf50, covariance_gain, system_gain, got 'prnu'"):
+    with pytest.raises(BadInput, match=r"must be of one of mtf50, mtf, covariance_gain, system_gain, got 'prnu'"):
         chart("prnu")
 
 
-def test_every_registered_edge_method_is_charted_on_the_same_cases():
-    found = chart("mtf50", seed=3, cases=2, quick=True)
-    assert {row.method for row in found.summaries} == {method.name for method in methods_of("mtf50")}
-    assert len({(row.case, row.seed, row.truth) for row in found.rows}) == 2
+@pytest.mark.parametrize("quantity", ["mtf50", "mtf"])
+def test_every_registered_method_is_charted_on_the_same_cases_of_its_kind(quantity):
+    found = chart(quantity, seed=3, cases=2, quick=True)
+    assert {row.method for row in found.summaries} == {method.name for method in methods_of(quantity)}
+    for method in methods_of(quantity):
+        own = {(row.case, row.seed) for row in found.rows if row.method == method.name}
+        assert own == {(row.case, row.seed) for row in found.rows if row.kind == method.kind}
+        assert len(own) == 2
     assert all(row.status != "crashed" for row in found.rows), [row.reason for row in found.rows]
