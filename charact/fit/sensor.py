@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.fit.full_well import PATH as FULL_WELL
+from charact.fit.full_well import fills_the_scale, full_well_draws
 from charact.fit.gather import observations
 from charact.fit.levels import levels_of
 from charact.fit.model import Model, doubted, model_of, most_probable, posterior_of
@@ -73,14 +75,22 @@ def fit_sensor(
     progress("posterior of the sensor", 0.2)
     posterior = posterior_of(model, seed=seed)
     progress("choosing what the data identify", 0.9)
-    fitted = described(model, posterior, illuminance_relative_sd=_illuminance_sd(session), seed=seed)
+    fitted = described(
+        model,
+        posterior,
+        illuminance_relative_sd=_illuminance_sd(session),
+        scale_filled=fills_the_scale(session),
+        seed=seed,
+    )
     if doubt:
         fitted = replace(fitted, notes=(*fitted.notes, doubt))
     progress("fitted", 1.0)
     return fitted
 
 
-def described(model: Model, posterior: Posterior, *, illuminance_relative_sd: float, seed: int) -> Sensor:
+def described(
+    model: Model, posterior: Posterior, *, illuminance_relative_sd: float, seed: int, scale_filled: bool = False
+) -> Sensor:
     """Return the sensor description that a posterior amounts to.
 
     Parameters
@@ -91,6 +101,8 @@ def described(model: Model, posterior: Posterior, *, illuminance_relative_sd: fl
         Relative standard uncertainty of the illuminance; widens the ranges of what is tied to the meter.
     seed
         Seed of what the draws alone do not fix.
+    scale_filled
+        Whether frames reach full scale, which the full well then allows.
     """
     left = dict(zip(posterior.names, posterior.draws.std(axis=0, ddof=1) / model.prior.sd, strict=True))
     point, carriers = _consistent(model, posterior, left)
@@ -109,6 +121,10 @@ def described(model: Model, posterior: Posterior, *, illuminance_relative_sd: fl
         )
         for path, drawn in draws.items()
     }
+    well = full_well_draws(model.sensor, draws, rng) if scale_filled else None
+    if well is not None:
+        draws[FULL_WELL] = well
+        changes[FULL_WELL] = _bounded(before[FULL_WELL], well)
     table = np.stack(list(draws.values()), axis=1)
     return replace(
         model.sensor.with_parameters(changes),
@@ -157,6 +173,13 @@ def _parameter(before: Parameter, value: float | None, draws: Array, left: float
     how = "carries a combination that the session's data know" if carrier else "fitted to the session's data"
     source = f"{how}; value for the unidentified parameters at theirs; {left:.0%} of the prior's width is left"
     return Parameter(value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source)
+
+
+def _bounded(before: Parameter, draws: Array) -> Parameter:
+    """Return the full well of a camera that is known to fill its scale."""
+    low, value, high = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
+    source = f"the prior, cut off below what fills the scale, which frames reach; prior: {before.source}"
+    return Parameter(value=value, low=low, high=high, standing="prior", source=source)
 
 
 def _how(model: Model, posterior: Posterior, point: Array) -> str:
