@@ -50,7 +50,14 @@ def measure(
         progress(sentence, done / len(tasks))
         result += task()
     progress("measured", 1.0)
-    return result
+    return result + _agreement(session, result)
+
+
+def _agreement(session: Session, result: Result) -> Result:
+    """How far apart the targets of a session are in their MTF, where it has several."""
+    from charact.mtf.agreement import agreement
+
+    return agreement(result, {entry.label: entry.kind for entry in session.of_kind("edge", "bars", "point")})
 
 
 def context_of(session: Session, *, quick: bool, seed: int, progress: Progress = unheard) -> Context:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.report.generic import array, dots, has, line
-from charact.report.style import DATA, INK, MODEL, panels
+from charact.report.style import COLOURS, DATA, INK, MODEL, panels
 
 Data = Mapping[str, Any]
 Array = NDArray[np.float64]
@@ -33,6 +33,23 @@ def bars(data: Data) -> Any:
     _profile(grid[0, 0], data, x, measured, np.ones(len(x), bool))
     grid[0, 0].set(ylabel="signal (DN)")
     _residual(grid[1, 0], data, x, measured, "distance across the bars (px)")
+    return figure
+
+
+def agreement(data: Data) -> Any:
+    """Differences between targets at the bars' frequencies with their joint 95 % intervals."""
+    figure, grid = panels(size=(5.6, 3.4))
+    axes = grid[0, 0]
+    frequency, pairs = array(data, "frequency_cy_per_px"), np.array(data["pair"])
+    for number, (colour, pair) in enumerate(zip(COLOURS, dict.fromkeys(data["pair"]), strict=False)):
+        shown = pairs == pair
+        axes.errorbar(
+            frequency[shown] + 0.003 * (number - 1), array(data, "difference")[shown],
+            yerr=array(data, "half_width")[shown], color=colour, linestyle="", marker="o", markersize=4, label=pair,
+        )  # fmt: skip
+    axes.axhline(0, color=INK, linewidth=0.8)
+    axes.set(xlabel="spatial frequency (cy/px)", ylabel="difference of MTFs, joint 95 % (1)")
+    axes.legend()
     return figure
 
 

@@ -14,6 +14,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "edge-spread": ("mtf", edges.edge_spread),
     "bars": ("mtf", edges.bars),
     "point-spread": ("mtf", blooms.point_spread),
+    "agreement": ("mtf", edges.agreement),
     "point-profile": ("bloom", blooms.point_profile),
     "bloom-series": ("bloom", blooms.bloom_series),
     "halo-constancy": ("bloom", blooms.halo_constancy),
