@@ -1,6 +1,6 @@
 """Fitting a point source: pixels of the core and means of rings, weighed by the noise that is in them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ from charact.method import Context
 from charact.mtf.point_data import Window
 from charact.mtf.point_model import Optics, PointModel
 from charact.mtf.point_noise import SHARES, Noise, memory_of, noise_of
-from charact.mtf.point_prior import prior_of
+from charact.mtf.point_prior import NAMES, Prior, priors_of
 from charact.posterior import maximum
 
 Array = NDArray[np.float64]
@@ -89,8 +89,40 @@ class PointFit:
 
 
 def fit(window: Window, context: Context, optics: Optics) -> PointFit | None:
+    """Fit a window and return the more probable of the transfers' kinds; None where none is possible."""
+    first, *others = priors_of(context, halo_seen=window.holds_halo)
+    found = _fit(window, context, optics, first)
+    for prior in others:
+        if found is not None and _evidence(_alike(found, prior)) > _evidence(found):
+            found = _fit(window, context, optics, prior) or found
+    return found
+
+
+def _alike(found: PointFit, prior: Prior) -> PointFit:
+    """Return another kind of transfer at its peak under the weights of a fit, for a fair comparison."""
+    at = {name: float(value[0]) for name, value in found.model.prior.named(found.point[None]).items()}
+    other = replace(found, model=replace(found.model, prior=prior))
+    starts = np.array([
+        [at[name] if name in found.model.prior.free else share * prior.centre[NAMES.index(name)] for name in prior.free]
+        for share in (0.3, 1.0, 2.0)
+    ])  # fmt: skip
+    start = starts[int(np.argmax(other.log_probability(starts)))]
+    point, covariance = maximum(other.log_probability, start, prior.bounds[prior.chosen])
+    return _at(other, point, covariance, found.noise)
+
+
+def _evidence(found: PointFit) -> float:
+    """Return ln of the evidence by Laplace's approximation, up to what fits of the same weights share."""
+    prior = found.model.prior
+    spread = prior.spread[prior.chosen]
+    known = np.isfinite(spread)
+    height = float(found.log_probability(found.point[None])[0])
+    volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * found.covariance)[1])
+    return height + volume - float(np.sum(np.log(np.sqrt(2.0 * np.pi) * spread[known])))
+
+
+def _fit(window: Window, context: Context, optics: Optics, prior: Prior) -> PointFit | None:
     """Fit a window, noise and transfer in turns; None where no transfer is possible."""
-    prior = prior_of(context, halo_seen=window.holds_halo)
     model = PointModel(optics=optics, prior=prior, x=window.x, y=window.y, ring_px=window.ring_px)
     memory = memory_of(context, window.frames)
     point = _first(model, window)

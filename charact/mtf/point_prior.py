@@ -27,6 +27,12 @@ UNITS = ("px", "px", "ln(cy/px)", "1", "px", "1", "1", "1", "px", "1")
 # round their blur is.
 CUT_OFF_SD, EXPONENT_SD, STRETCH_SD = 0.12, 0.08, 0.03
 ANY_STRETCH_SD = 0.15
+# An unknown camera's Gaussian part: most probable width and its spread, px.
+ANY_BLUR_PX = 0.4
+# Exponents of a blur that is all of one form, and of the tails of tubes (physics reference 1.12: 1.1 to 2) beside a
+# Gaussian core. Wider tails than those cannot be told from a background.
+FREE, FREE_SD = 1.6, 0.6
+TAIL, TAIL_SD, LEAST_TAIL = 1.3, 0.25, 1.0
 TWO_SIDED_95 = 1.959964
 NO_HALO = (-30.0, 0.0, 0.0)
 
@@ -88,22 +94,27 @@ class Prior:
         return np.where(inside, normal, -np.inf)
 
 
-def prior_of(context: Context, *, halo_seen: bool) -> Prior:
-    """Return the prior: of the described camera, or of cameras at large.
+def priors_of(context: Context, *, halo_seen: bool) -> tuple[Prior, ...]:
+    """Return the priors that the data choose from: of the described camera, or two kinds of cameras at large.
 
     Parameters
     ----------
     halo_seen
         Whether the region is wide enough for the halo.
     """
-    return _of_camera() if context.sensor is None else _of_sensor(context, halo_seen)
+    if context.sensor is None:
+        return _of_camera(0.0), _of_camera(ANY_BLUR_PX)
+    return (_of_sensor(context, halo_seen),)
 
 
-def _of_camera() -> Prior:
-    """Any camera: exp(-(f/fc)^n) alone, of which n = 2 is a Gaussian; no halo, no filter."""
-    free = (*NAMES[:4], "stretch")
-    prior = _prior(free, (np.log(0.4), 1.6, 0.0), (1.0, 0.6, 1.0), (1e-3, 1.0), None, NO_HALO)
-    return replace(prior, spread=np.where(np.array(NAMES) == "stretch", ANY_STRETCH_SD, prior.spread))
+def _of_camera(blur_px: float) -> Prior:
+    """Any camera: exp(-(f/fc)^n), of which n = 2 is a Gaussian, alone or with a Gaussian core to its wide tails."""
+    free = (*NAMES[:4], *(("blur_px",) if blur_px else ()), "stretch")
+    core, core_sd = (np.log(0.4), TAIL if blur_px else FREE, blur_px), (1.0, TAIL_SD if blur_px else FREE_SD, ANY_BLUR_PX)
+    prior = _prior(free, core, core_sd, (1e-3, 1.0), None, NO_HALO)
+    spread = np.where(np.array(NAMES) == "stretch", ANY_STRETCH_SD, prior.spread)
+    least = np.where(np.array(NAMES) == "exponent", LEAST_TAIL if blur_px else 0.5, prior.bounds[:, 0])
+    return replace(prior, spread=spread, bounds=np.stack([least, prior.bounds[:, 1]], axis=1))
 
 
 def _of_sensor(context: Context, halo_seen: bool) -> Prior:
