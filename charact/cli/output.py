@@ -1,9 +1,12 @@
 """What a verb says: one JSON object, or lines for people; and the exit code that goes with it."""
 
 import json
+import os
 import sys
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import groupby
 from typing import TYPE_CHECKING, NoReturn
 
 import typer
@@ -45,6 +48,10 @@ def bad_input_ends(given: str, *, as_json: bool = False, events: bool = False) -
         yield
     except BadInput as error:
         fail(str(error), given=given, as_json=as_json, events=events)
+    except BrokenPipeError:
+        # Who reads has read enough (`| head`): nothing more may be written, not even when Python tidies up.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(1) from None
     except OSError as error:
         named = f" ({error.filename})" if error.filename else ""
         fail(f"the file system refused: {error.strerror or error}{named}", given=given, as_json=as_json, events=events)
@@ -73,8 +80,7 @@ def show(
 
         print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
     else:
-        for measurement in result.measurements:
-            print("\n".join(lines_of(measurement, frequency)))
+        print("\n".join(lines_of(result.measurements, frequency)))
     if all(m.value is None for m in result.measurements):
         reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
         say(f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events)
@@ -83,27 +89,33 @@ def show(
         print(f"\nNext: {next_verb}")
 
 
-def lines_of(measurement: "Measurement", frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
-    """One line for a measurement, then one for each flag and note."""
-    m = measurement
+def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
+    """One line for each measurement; after those of one stack and method, one for each of their flags and notes."""
+    for _, group in groupby(measurements, key=lambda m: (m.stack, m.method)):
+        members = tuple(group)
+        told = Counter((m.quantity, m.frequency_cy_per_px) for m in members)
+        for m in members:
+            yield _line(m, frequency, directed=told[m.quantity, m.frequency_cy_per_px] > 1)
+        for flag in dict.fromkeys(flag for m in members for flag in m.flags):
+            yield f"    {flag}: {FLAGS[flag]}"
+        for note in dict.fromkeys(note for m in members for note in m.notes):
+            yield f"    note: {note}"
+
+
+def _line(m: "Measurement", frequency: Frequency, *, directed: bool) -> str:
+    """Return one measurement's line; `directed` names its direction."""
     where = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px))
+    where += f" along {m.orientation_deg:.3g} deg" if directed and m.orientation_deg is not None else ""
     where += f" of {m.stack}" if m.stack else ""
     spent = f", {m.seconds:.1f} s" if m.seconds is not None else ""
     if m.value is None:
-        yield f"{m.quantity}{where}: refused: {m.reason} ({m.method}{spent})"
-    else:
-        convert = frequency if m.unit == "cy/px" else lambda value: (value, "" if m.unit == "1" else m.unit)
-        value, unit = convert(m.value)
-        band = (
-            "[{:.4g}, {:.4g}] 95 %".format(*(convert(end)[0] for end in m.interval95))
-            if m.interval95
-            else "no interval"
-        )
-        yield f"{m.quantity}{where} {value:.4g} {unit} {band}, {m.status}, {m.method}{spent}".replace("  ", " ")
-    for flag in m.flags:
-        yield f"    {flag}: {FLAGS[flag]}"
-    for note in m.notes:
-        yield f"    note: {note}"
+        return f"{m.quantity}{where}: refused: {m.reason} ({m.method}{spent})"
+    convert = frequency if m.unit == "cy/px" else lambda value: (value, "" if m.unit == "1" else m.unit)
+    value, unit = convert(m.value)
+    low, high = (convert(end)[0] for end in m.interval95) if m.interval95 else (None, None)
+    band = "no interval" if low is None else f"[{low:.4g}, {high:.4g}] 95 %"
+    verdict = m.status + (f" ({', '.join(m.flags)})" if m.flags else "")
+    return f"{m.quantity}{where} {value:.4g} {unit} {band}, {verdict}, {m.method}{spent}".replace("  ", " ")
 
 
 def frequency_converter(
