@@ -3,8 +3,9 @@
 import numpy as np
 
 from charact.method import Context
+from charact.noise.hidden import Effect
 from charact.noise.level import Level
-from charact.noise.series import CLIPPED_SHARE, Series, gain_of
+from charact.noise.series import CLIPPED_SHARE, Series
 from labdata.conditions import Conditions
 
 Finding = tuple[str | None, str]
@@ -16,9 +17,20 @@ FLICKER_SHARE = 0.01
 # Share of a change of light that the mean must follow at least.
 FOLLOWED = 0.5
 NONLINEAR_SHARE = 0.05
-# EMVA 1288, 6.6: below this variance (0.24 DN^2) the digitiser's steps no longer act as noise.
-QUANTISED_DN2 = 0.24
-LOW_SIGNAL = 5.0
+# Below this variance the digitiser's steps no longer act as noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is
+# still wrong by up to 7 %, as the level lies between two codes or on one; here by 1.5 %.
+QUANTISED_DN2 = 0.32
+# Change of variance over signal along the levels that passes for a straight photon transfer curve: charge that
+# repels charge bends that of any CCD by some percent.
+BENT_SHARE = 0.08
+BENT_ERRORS = 2.5
+# Conditions that a flat shares with its dark: largest difference as a share of the value, and in its unit.
+ALIKE = {
+    "mcp_v": (1e-3, 0.0),
+    "camera_gain_db": (0.0, 0.05),
+    "exposure_s": (0.1, 0.0),
+    "temperature_c": (0.0, 5.0),
+}
 
 
 def series_findings(series: Series, *, context: Context) -> list[Finding]:
@@ -31,13 +43,75 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
     found += _steadiness(series)
     found += _light(series)
     found += _codes(series)
-    alike = {gain_of(dark.conditions) for dark in series.darks} | {gain_of(flat.conditions) for flat in series.flats}
-    if len({gain for gain in alike if None not in gain or gain[0] is not None}) > 1:
-        found.append(("unlike-conditions", "the darks were taken at another gain than the flats"))
+    found += _unlike(series)
     left = int(series.fitted.sum())
     if left < 3:
         word = "level" if left == 1 else "levels"
         found.append(("too-few-frames", f"only {left} {word} inside the linear range: the law cannot be checked"))
+    return found
+
+
+def _unlike(series: Series) -> list[Finding]:
+    """Conditions that set the dark level or the gain and that a flat and its dark do not share."""
+    if series.reference != "dark":
+        return []
+    found: list[Finding] = []
+    for flat, dark in zip(series.flats, series.darks, strict=True):
+        for name, (share, least) in ALIKE.items():
+            here, there = getattr(flat.conditions, name), getattr(dark.conditions, name)
+            if here is None or there is None or abs(here - there) <= max(least, share * abs(here)):
+                continue
+            word = name.rsplit("_", 1)
+            sentence = (
+                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and {there:.4g} {word[1]}"
+            )
+            found.append(("unlike-conditions", sentence))
+    return found
+
+
+def bent(series: Series) -> list[Finding]:
+    """Whether variance over signal changes with the signal, so that no one slope is the gain."""
+    chosen = np.flatnonzero(series.fitted)
+    if len(chosen) < 3:
+        return []
+    signal = series.signal_dn[chosen]
+    gain, sd = series.variance_dn2[chosen] / signal, series.variance_sd_dn2[chosen] / signal
+    weight = 1.0 / np.maximum(sd, 1e-12) ** 2
+    design = np.stack([np.ones_like(signal), signal / signal.max()])
+    covariance = np.linalg.pinv(design * weight @ design.T)
+    first, slope = covariance @ (design * weight @ gain)
+    middle, error = float(weight @ gain / weight.sum()), float(np.sqrt(covariance[1, 1]))
+    if abs(slope) <= BENT_ERRORS * error:
+        return []
+    flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error else None
+    sentence = f"variance over signal goes from {first:.4g} to {first + slope:.4g} DN along the levels"
+    return [(flag, f"{sentence}; the gain is the slope over all of them")]
+
+
+def exposure_findings(exposures: Effect) -> list[Finding]:
+    """What successive exposures share, or may share unseen."""
+    if exposures.seen:
+        share = 100 * exposures.share
+        return [("lag", f"successive exposures hold {share:.3g} % of the noise of one in common")]
+    if exposures.blind:
+        return [("too-few-frames", "too few frames to tell whether light of earlier ones is in them")]
+    return []
+
+
+def exposure_flags(exposures: Effect) -> tuple[str, ...]:
+    """The flags of what successive exposures share."""
+    return flags_of(exposure_findings(exposures))
+
+
+def hidden_findings(neighbours: Effect, exposures: Effect) -> list[Finding]:
+    """What makes a variance read low."""
+    found = exposure_findings(exposures)
+    if neighbours.seen:
+        found.append(
+            ("correlated-noise", f"neighbouring pixels hold {100 * neighbours.share:.3g} % of the noise of one")
+        )
+    elif neighbours.blind:
+        found.append(("too-few-frames", "too few pixels and frames to tell whether neighbours share noise"))
     return found
 
 

@@ -9,11 +9,21 @@ import numpy as np
 from charact.method import Context, register
 from charact.noise import model, standard
 from charact.noise.calibrated import calibrated_quantities
-from charact.noise.checks import Finding, flags_of, notes_of, series_findings
+from charact.noise.checks import (
+    Finding,
+    bent,
+    exposure_findings,
+    exposure_flags,
+    flags_of,
+    hidden_findings,
+    notes_of,
+    series_findings,
+)
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
+from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
 from charact.noise.level import Level
 from charact.noise.provenance import provenance
-from charact.noise.quantities import correlated, dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.series import Series, read_levels, series_of
 from charact.noise.summary import Summary, summarise
 from charact.noise.verdict import lit, problem, timed, without_flats
@@ -24,6 +34,8 @@ METHOD = "covariance-sum"
 # Levels whose covariance over signal departs by more than this share and this many standard errors lie on no line.
 LEVEL_SHARE = 0.06
 LEVEL_ERRORS = 5.0
+# Relative standard error beyond which the posterior is too skewed for its interval to hold what it promises.
+WIDEST_SHARE = 0.35
 # Bins of spatial frequency that the blur's five parameters need.
 LEAST_BINS = 24
 
@@ -83,10 +95,16 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
     summary = summarise(series)
     fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=_exponent(context))
     levels, spread = level_gains(series, summary, fit)
-    white = not correlated(lit(series))
+    neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
+    white = not neighbours.seen
+    if not summary.lag.tested and exposures.allowance:
+        fit = replace(fit, posterior=_allowing(fit.posterior, exposures, context))
     if not white:
         fit = replace(fit, posterior=_at_low_signal(fit.posterior, series, levels, spread, context))
-    findings = series_findings(series, context=context) + _model_findings(summary, fit, context)
+    findings = (
+        series_findings(series, context=context) + _model_findings(summary, fit) + _lag_findings(summary, exposures)
+    )
+    findings += bent(series) if white else []
     findings += _departures(series, levels, spread)
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
@@ -95,11 +113,14 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
         from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
     common = flags_of(series_findings(series, context=context))
-    gain = standard.gain_line(series, context=context) if white else None
-    out += _gain_quantities(series, gain, fit, context, common, fields)
+    hidden = bent(series) + hidden_findings(neighbours, exposures)
+    allowance = float(np.hypot(neighbours.allowance, exposures.allowance))
+    gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
+    out += _gain_quantities(series, gain, fit, context, common if gain is None else common + flags_of(hidden), fields)
     out.append(saturation(series, flags=common, **fields))
     out += dark_quantities(series.all_darks, flags=common, **fields) if series.all_darks else []
-    out += pattern_quantities(series, None if gain is None else gain.slope, flags=common, **fields)
+    out += pattern_quantities(series, None if gain is None else gain.slope, flags=common, gain_flags=flags_of(hidden),
+                              pair_flags=exposure_flags(exposures), **fields)  # fmt: skip
     spectra = "many" if summary.lag.seen else "few"
     evidence = {
         "photon-transfer": transfer_evidence(
@@ -185,7 +206,22 @@ def level_gains(series: Series, summary: Summary, fit: model.Fit):
     return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor
 
 
-def _model_findings(summary: Summary, fit: model.Fit, context: Context) -> list[Finding]:
+def _allowing(posterior: Posterior, exposures: Effect, context: Context) -> Posterior:
+    """Return the posterior with what too few frames cannot exclude of lag."""
+    rng = np.random.default_rng([context.seed, 6])
+    return standard.widened(posterior, "covariance_gain", exposures.allowance, rng)
+
+
+def _lag_findings(summary: Summary, exposures: Effect) -> list[Finding]:
+    """Light of earlier exposures that is there and was not summed to its end."""
+    if summary.lag.seen and summary.lag.open:
+        return [("lag", f"earlier exposures still glow after {summary.lag.lag[-1]} more, where the sum over lags ends")]
+    if summary.lag.seen:
+        return []
+    return exposure_findings(exposures)
+
+
+def _model_findings(summary: Summary, fit: model.Fit) -> list[Finding]:
     """What the fit itself says against or about its numbers."""
     found: list[Finding] = []
     if fit.chance < 1e-4:
@@ -195,8 +231,11 @@ def _model_findings(summary: Summary, fit: model.Fit, context: Context) -> list[
         found.append((None, f"noise is correlated between pixels (blur factor {blur:.3g}) and was treated as such"))
     if summary.lag.seen:
         found.append((None, f"earlier exposures glow on (lag factor {summary.lag.factor:.3g}); all lags were summed"))
-    if not summary.lag.tested and context.sensor is not None:
-        found.append(("too-few-frames", "too few frames to look for light of earlier exposures"))
+    low, middle, high = np.quantile(fit.posterior["covariance_gain"], [0.16, 0.5, 0.84])
+    if 0.5 * (high - low) > WIDEST_SHARE * middle:
+        found.append(
+            ("too-few-frames", "the power at frequency 0 is known to worse than a third: more frames or pixels")
+        )
     found += [(flag, "see the posterior") for flag in fit.posterior.flags]
     return found
 

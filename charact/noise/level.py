@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.fields import Exposures, exposures, fluctuations, runs_of
-from charact.noise.pixels import fixed_pattern, neighbours, products_of, variance_error
+from charact.noise.pattern import Pattern, fixed_pattern
+from charact.noise.pixels import neighbours, products_of, successors, variance_error
 from charact.noise.spectrum import NO_BINS, Bins, bins_of, cross_spectra
 from charact.noise.temporal import autocovariance, usable_lags
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.session import StackEntry
 
@@ -21,6 +23,10 @@ MOST_LAGS = 12
 FEW_LAGS = 2
 # Exposures of an intensified camera this far apart no longer share the glow of the screen to speak of.
 GLOW_EXPOSURES = 8
+# So many values at the largest one are no chance.
+PILED_UP = 16
+# Squares of values beyond this leave the range of single precision.
+LARGEST_DN = 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +59,8 @@ class Level:
     ----------
     label, kind, conditions
         As in the session.
-    frames, pixels
-        Number of frames, and of pixels in each.
+    frames, pixels, size
+        Number of frames, of pixels in each, and its rows and columns.
     mean_dn
         Mean over all pixels and frames.
     frame_mean_dn
@@ -63,8 +69,15 @@ class Level:
         Temporal variance of a pixel, mean over the image, and its standard error.
     neighbour_correlation, neighbour_sd
         Correlation of the fluctuations of pixels next to each other in a row, and its standard error.
+    below_correlation, below_sd
+        The same of pixels next to each other in a column of one exposure.
+    successor_correlation, successor_sd
+        Correlation of exposures next to each other in time beyond that of others, and its standard error; infinite
+        for two frames.
     spatial_variance_dn2, spatial_sd_dn2
         Variance over the image of what does not change in time, and its standard error.
+    settled
+        Whether that variance is free of noise that exposures share for a while.
     low_share, high_share
         Share of pixel values at code 0 and at the highest code.
     few, many
@@ -80,14 +93,20 @@ class Level:
     conditions: Conditions
     frames: int
     pixels: int
+    size: tuple[int, int]
     mean_dn: float
     frame_mean_dn: Array
     variance_dn2: float
     variance_sd_dn2: float
     neighbour_correlation: float
     neighbour_sd: float
+    below_correlation: float
+    below_sd: float
+    successor_correlation: float
+    successor_sd: float
     spatial_variance_dn2: float
     spatial_sd_dn2: float
+    settled: bool
     low_share: float
     high_share: float
     few: Spectrum
@@ -106,15 +125,24 @@ class Run:
     parity: NDArray[np.int64]
     variance: tuple[float, float]
     neighbour: tuple[float, float]
-    pattern: tuple[float, float]
+    below: tuple[float, float]
+    successor: tuple[float, float]
+    pattern: Pattern
     few: Spectrum
     many: Spectrum
     bins: Bins
 
 
 def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> Level | None:
-    """Read one stack and return its statistics; None where it holds a single frame, which shows no change in time."""
+    """Read one stack and return its statistics; None where it holds a single frame, which shows no change in time.
+
+    Raises
+    ------
+    BadInput
+        If two frames have one number, values are beyond all bounds, or a frame is too low for two fields.
+    """
     stack = entry.read()
+    _check(entry.label, stack, context)
     if len(stack) < 2:
         return None
     runs = [_run(stack, first, last, context, spectra) for first, last in runs_of(stack)]
@@ -122,7 +150,9 @@ def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> 
     frame_mean = np.array([frame.mean(dtype=np.float64) for frame in stack.data])
     variance, variance_sd = _pooled([run.variance for run in runs], weight)
     neighbour, neighbour_sd = _pooled([run.neighbour for run in runs], weight)
-    pattern, pattern_sd = _pooled([run.pattern for run in runs], weight)
+    below, below_sd = _pooled([run.below for run in runs], weight)
+    successor, successor_sd = _pooled([run.successor for run in runs], weight)
+    pattern, pattern_sd = _pooled([(run.pattern.variance_dn2, run.pattern.sd_dn2) for run in runs], weight)
     low, high = _at_the_ends(stack, context)
     return Level(
         label=entry.label,
@@ -130,14 +160,20 @@ def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> 
         conditions=entry.conditions,
         frames=len(stack),
         pixels=stack.data[0].size,
+        size=(stack.data.shape[1], stack.data.shape[2]),
         mean_dn=float(frame_mean.mean()),
         frame_mean_dn=frame_mean,
         variance_dn2=variance,
         variance_sd_dn2=variance_sd,
         neighbour_correlation=neighbour,
         neighbour_sd=neighbour_sd,
+        below_correlation=below,
+        below_sd=below_sd,
+        successor_correlation=successor,
+        successor_sd=successor_sd,
         spatial_variance_dn2=pattern,
         spatial_sd_dn2=pattern_sd,
+        settled=all(run.pattern.settled for run in runs),
         low_share=low,
         high_share=high,
         few=_mean_spectrum([run.few for run in runs], weight),
@@ -147,6 +183,18 @@ def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> 
         parity=runs[0].parity,
         bins=runs[0].bins,
     )
+
+
+def _check(label: str, stack: FrameStack, context: Context) -> None:
+    """Refuse frames that no statistic can be made of."""
+    number = stack.frame_number
+    if len(np.unique(number)) < len(number):
+        raise BadInput(f"frames of {label} must have numbers of their own, got {number.tolist()[:8]}")
+    if context.interlaced and stack.data.shape[1] < 2:
+        raise BadInput(f"interlaced frames must have two rows at least, got {stack.data.shape[1]} in {label}")
+    largest = float(np.abs(stack.data[[0, -1]].astype(np.float64)).max())
+    if largest > LARGEST_DN:
+        raise BadInput(f"pixel values of {label} must lie below {LARGEST_DN:.0e} DN, got {largest:.3g}")
 
 
 def _run(stack: FrameStack, first: int, last: int, context: Context, spectra: bool) -> Run:
@@ -166,7 +214,9 @@ def _run(stack: FrameStack, first: int, last: int, context: Context, spectra: bo
         parity=shots.parity,
         variance=(variance, variance_error(change, shots.image, variance)),
         neighbour=neighbours(change),
-        pattern=fixed_pattern(shots, GLOW_EXPOSURES if context.interlaced else 1),
+        below=neighbours(change.swapaxes(1, 2)),
+        successor=successors(change, shots.time, shots.parity),
+        pattern=fixed_pattern(shots, change, GLOW_EXPOSURES if context.interlaced else 1),
         few=few,
         many=many,
         bins=bins,
@@ -203,7 +253,19 @@ def _mean_spectrum(runs: list[Spectrum], weight: Array) -> Spectrum:
 
 
 def _at_the_ends(stack: FrameStack, context: Context) -> tuple[float, float]:
-    """Shares of values at code 0 and at the highest code."""
+    """Shares of values at code 0 and at the highest code, or at the highest value where values pile up there."""
     full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    low = float(np.mean(stack.data == 0)) if stack.data.dtype.kind in "ui" else 0.0
-    return low, 0.0 if full_scale_dn is None else float(np.mean(stack.data >= full_scale_dn))
+    low = float(np.mean(stack.data == 0))
+    told = 0.0 if full_scale_dn is None else float(np.mean(stack.data >= full_scale_dn))
+    return low, max(told, _piled_up(stack.data))
+
+
+def _piled_up(data: NDArray) -> float:
+    """Share of values at the largest one where it is commoner than any tail makes it: the camera stops there.
+
+    The tail of a smooth distribution falls towards its largest value; codes need not be successive whole numbers.
+    """
+    value, count = np.unique(data[[0, -1]], return_counts=True)
+    if len(value) < 2 or count[-1] < PILED_UP or count[-1] < count[-2] + 5.0 * np.sqrt(count[-2]):
+        return 0.0
+    return float(np.mean(data >= value[-1]))

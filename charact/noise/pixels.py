@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.fields import Exposures
-
 Array = NDArray[np.float64]
 
 # Blocks of the image (rows, columns) whose scatter gives the uncertainty of its variance.
@@ -33,9 +31,12 @@ def variance_error(change: NDArray[np.float32], image: NDArray[np.float32], vari
 
 
 def neighbours(change: NDArray[np.float32]) -> tuple[float, float]:
-    """Return the correlation of pixels next to each other in a row, and its standard error."""
+    """Return the correlation of pixels next to each other in a row, and its standard error.
+
+    Nothing, and known to be nothing, where a row has a single pixel.
+    """
     if change.shape[2] < 2:
-        return 0.0, 1.0
+        return 0.0, 0.0
     power = _block_means(np.einsum("trc,trc->rc", change[..., :-1], change[..., :-1]))
     beside = _block_means(np.einsum("trc,trc->rc", change[..., :-1], change[..., 1:]))
     ratio = beside / np.maximum(power, 1e-12)
@@ -45,6 +46,37 @@ def neighbours(change: NDArray[np.float32]) -> tuple[float, float]:
     return float(beside.mean() / max(float(power.mean()), 1e-12)) + own, float(error)
 
 
+def successors(change: NDArray[np.float32], time: NDArray[np.int64], parity: NDArray[np.int64]) -> tuple[float, float]:
+    """Return by how much exposures nearest in time correlate beyond the others, and its standard error.
+
+    Centred exposures add up to nothing, so that what all pairs share follows from the variance: the contrast of near
+    and far pairs needs the near ones alone, and neither centring nor the fixed pattern has a part in it. Two exposures
+    of the same rows have no contrast; their error is infinite.
+    """
+    near, pairs, others = np.zeros(change.shape[1:]), 0, 0
+    for value in np.unique(parity):
+        same = np.flatnonzero(parity == value)
+        first, second = _nearest(time[same])
+        near += np.einsum("trc,trc->rc", change[same[first]], change[same[second]])
+        pairs += len(first)
+        others += len(same) * (len(same) - 1) // 2 - len(first)
+    power = _block_means(np.einsum("trc,trc->rc", change, change))
+    freedom = len(change) - len(np.unique(parity))
+    if not others or power.mean() <= 0 or power.size < 2:
+        return 0.0, np.inf
+    beside = _block_means(near)
+    contrast = (beside / pairs + (0.5 * power + beside) / others) * freedom / power.mean()
+    return float(contrast.mean()), float(contrast.std(ddof=1) / np.sqrt(power.size))
+
+
+def _nearest(time: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Indices of the pairs that lie the least time apart."""
+    distance = np.abs(time[:, None] - time)
+    upper = np.triu(np.ones_like(distance, bool), 1)
+    first, second = np.nonzero(upper & (distance == distance[upper].min()))
+    return first, second
+
+
 def _block_means(image: NDArray) -> Array:
     """Means over the blocks of an image."""
     rows, cols = image.shape
@@ -52,26 +84,3 @@ def _block_means(image: NDArray) -> Array:
     col_cuts = np.linspace(0, cols, min(BLOCKS[1], cols) + 1).astype(int)
     total = np.add.reduceat(np.add.reduceat(image.astype(np.float64), row_cuts[:-1], axis=0), col_cuts[:-1], axis=1)
     return total / np.outer(np.diff(row_cuts), np.diff(col_cuts))
-
-
-def fixed_pattern(shots: Exposures, apart: int) -> tuple[float, float]:
-    """Return the variance over the image of what does not change in time, and its standard error.
-
-    The mean covariance over the image of two exposures of the same rows: their temporal noise is not alike, so none
-    of it has to be known and subtracted. Exposures nearer in time than `apart` may share the glow of the screen.
-    """
-    flat = shots.image.reshape(len(shots.image), -1)
-    flat = flat - flat.mean(axis=1, keepdims=True)
-    size = flat.shape[1]
-    products: list[float] = []
-    square: list[float] = []
-    for parity in np.unique(shots.parity):
-        same = np.flatnonzero(shots.parity == parity)
-        gram = (flat[same] @ flat[same].T).astype(np.float64) / size
-        distance = np.abs(shots.time[same][:, None] - shots.time[same])
-        far = (distance >= min(apart, int(distance.max()))) & (distance > 0)
-        common = float(gram[far].mean())
-        noise = max(float(np.trace(gram)) / len(same) - common, 0.0) / len(same)
-        products.append(common)
-        square.append((4.0 * max(common, 0.0) * noise + 2.0 * noise**2) / size)
-    return float(np.mean(products)), float(np.sqrt(np.sum(square)) / len(square))

@@ -9,23 +9,12 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise import standard
 from charact.noise.checks import QUANTISED_DN2
+from charact.noise.hidden import FEW_FRAMES
 from charact.noise.level import Level
 from charact.noise.series import Series
 from labdata.measurement import Measurement, from_draws, from_sd, refused
 
 Array = NDArray[np.float64]
-
-NEIGHBOURS_SHARE = 0.01
-SIGNIFICANT = 4.5
-
-
-def correlated(levels: tuple[Level, ...]) -> bool:
-    """Whether neighbours share more than 1 % of their noise, beyond its standard error."""
-    value = np.array([level.neighbour_correlation for level in levels])
-    sd = np.maximum([level.neighbour_sd for level in levels], 1e-9)
-    weight = 1.0 / sd**2
-    mean = float(weight @ value / weight.sum())
-    return abs(mean) > NEIGHBOURS_SHARE + SIGNIFICANT / np.sqrt(weight.sum())
 
 
 def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
@@ -56,26 +45,47 @@ def saturation(series: Series, *, flags: tuple[str, ...], **fields: Any) -> Meas
     return from_sd("saturation", "DN", level[series.peak], float(np.ptp(near)) / np.sqrt(24.0), flags=flags, **fields)
 
 
-def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, ...], **fields: Any
+def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, ...],
+                       gain_flags: tuple[str, ...] = (), pair_flags: tuple[str, ...] = (), **fields: Any
                        ) -> list[Measurement]:  # fmt: skip
-    """Non-uniformity of dark signal and of response, from the stacks of most frames."""
+    """Non-uniformity of dark signal and of response, from the stacks of most frames.
+
+    Electrons take the gain's flags, and stacks of few frames those of what successive exposures share.
+    """
     out = []
     dark = max(series.all_darks, key=lambda level: level.frames) if series.all_darks else None
     if dark is not None:
-        unit, scale = ("DN", 1.0) if gain is None else ("e-", float(np.median(gain)))
-        out.append(_root("dsnu", unit, dark.spatial_variance_dn2, dark.spatial_sd_dn2, lambda s: s / scale,
-                         flags=flags, **fields))  # fmt: skip
+        out.append(_dark_pattern(dark, gain, flags=flags + (() if gain is None else gain_flags), **fields))
     chosen = np.flatnonzero(series.fitted)
     if dark is None or not len(chosen):
         return out
-    middle = 0.5 * series.signal_dn[series.peak if series.peak is not None else chosen[-1]]
+    # The standard's half of saturation; where none is in sight, the brightest, where pattern stands out most.
+    middle = series.signal_dn[chosen[-1]] if series.peak is None else 0.5 * series.signal_dn[series.peak]
     best = max(chosen, key=lambda i: (series.flats[i].frames, -abs(series.signal_dn[i] - middle)))
     flat, signal = series.flats[best], float(series.signal_dn[best])
     variance = flat.spatial_variance_dn2 - dark.spatial_variance_dn2
     sd = float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2))
-    out.append(_root("prnu", "%", variance, sd, lambda s: 100.0 * s / signal, flags=flags,
+    out.append(_root("prnu", "%", variance, sd, lambda s: 100.0 * s / signal,
+                     flags=flags + lagging(flat, dark) + pair_flags * (flat.frames <= FEW_FRAMES),
                      notes=("shading of the light and of the lens included",), **fields))  # fmt: skip
     return out
+
+
+def _dark_pattern(dark: Level, gain: Array | None, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
+    """Non-uniformity of the dark signal, in electrons where the gain is known."""
+    flags += lagging(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
+    # A pair of frames cannot tell a pattern from what the two share.
+    flags += ("too-few-frames",) if dark.frames < 3 else ()
+    unit, scale, relative_sd = "DN", 1.0, 0.0
+    if gain is not None:
+        unit, scale, relative_sd = "e-", float(np.median(gain)), float(np.std(gain) / np.median(gain))
+    sd = float(np.hypot(dark.spatial_sd_dn2, 2.0 * relative_sd * dark.spatial_variance_dn2))
+    return _root("dsnu", unit, dark.spatial_variance_dn2, sd, lambda s: s / scale, flags=flags, **fields)
+
+
+def lagging(*levels: Level) -> tuple[str, ...]:
+    """The flag of stacks in which noise that frames share for a while may pass for pattern."""
+    return () if all(level.settled for level in levels) else ("lag",)
 
 
 def _root(quantity: str, unit: str, variance: float, sd: float, scaled: Callable[[float], float], *,

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.level import Level, read_level
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
 from labdata.session import Session
 
 Array = NDArray[np.float64]
@@ -61,6 +62,11 @@ def read_levels(session: Session, *, context: Context, spectra: bool) -> tuple[l
     -------
     darks, flats, single
         Their statistics, and the labels of stacks with a single frame, which have none.
+
+    Raises
+    ------
+    BadInput
+        If the images are not all of one size.
     """
     darks, flats, single = [], [], []
     entries = session.of_kind("dark", "flat")
@@ -71,6 +77,10 @@ def read_levels(session: Session, *, context: Context, spectra: bool) -> tuple[l
             single.append(entry.label)
         else:
             (darks if entry.kind == "dark" else flats).append(level)
+    sizes = {level.size for level in (*darks, *flats)}
+    if len(sizes) > 1:
+        shown = ", ".join(f"{rows} x {cols}" for rows, cols in sorted(sizes))
+        raise BadInput(f"darks and flats must be images of one size, got {shown} rows and columns")
     return darks, flats, single
 
 
@@ -94,9 +104,9 @@ def series_of(flats: list[Level], darks: list[Level], single: list[str] | tuple[
     here = {flat.label for flat in chosen}
     left_out = (*(flat.label for flat in flats if flat.label not in here), *single)
     reference = "dark"
-    if not darks and len(chosen) > 1:
+    if not darks:
         reference = "lowest flat"
-        darks, chosen = [chosen[0]], chosen[1:]
+        darks, chosen = chosen[:1], chosen[1:]
     matched = tuple(_dark_of(flat, darks) for flat in chosen)
     signal = np.array([f.mean_dn - d.mean_dn for f, d in zip(chosen, matched, strict=True)])
     variance = np.array([f.variance_dn2 - d.variance_dn2 for f, d in zip(chosen, matched, strict=True)])

@@ -95,12 +95,26 @@ def one_per_level(x: Array, y: Array, sd: Array) -> tuple[Array, Array, Array]:
             1.0 / np.sqrt(total))  # fmt: skip
 
 
-def gain_line(series: Series, *, context: Context) -> Line:
-    """Return the photon transfer curve's slope: variance over signal, DN per electron where noise is white."""
+def gain_line(series: Series, *, context: Context, allowance: float = 0.0) -> Line:
+    """Return the photon transfer curve's slope: variance over signal, DN per electron where noise is white.
+
+    `allowance` is the relative standard deviation of what may be hidden from the variance.
+    """
     chosen = series.fitted
-    return line(series.signal_dn[chosen], series.variance_dn2[chosen], series.variance_sd_dn2[chosen],
-                names=("system_gain", "departure"), units=("DN/e-", "log DN2"), seed=context.seed,
-                quick=context.quick)  # fmt: skip
+    found = line(series.signal_dn[chosen], series.variance_dn2[chosen], series.variance_sd_dn2[chosen],
+                 names=("system_gain", "departure"), units=("DN/e-", "log DN2"), seed=context.seed,
+                 quick=context.quick)  # fmt: skip
+    if not allowance:
+        return found
+    posterior = widened(found.posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5]))
+    return replace(found, posterior=posterior, slope=posterior["system_gain"])
+
+
+def widened(posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator) -> Posterior:
+    """Return the posterior with one more independent error on a parameter, of a relative standard deviation."""
+    draws = posterior.draws.copy()
+    draws[:, posterior.names.index(name)] *= np.exp(relative_sd * rng.standard_normal(len(draws)))
+    return replace(posterior, draws=draws)
 
 
 def photons_of(series: Series) -> Array | None:

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 # rows alias, and the aliases of odd and even rows have opposite signs.
 ODD_LAG_CY_PER_ROW = 0.08
 SEEN = 4.0
+# Mean correlation at the last lags above which the lag does not end with them.
+OPEN = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +36,8 @@ class Lag:
         Sum of the correlation over all lags, earlier and later, and its standard error: 1 without lag.
     tested
         Whether there were frames enough to look for it.
+    open
+        Whether it goes on beyond the last lag, so that its sum is too small.
     """
 
     lag: NDArray[np.int64]
@@ -43,6 +47,7 @@ class Lag:
     factor: float
     factor_sd: float
     tested: bool
+    open: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +151,7 @@ def _lag(power: Array, lags: NDArray[np.int64], bins: Bins) -> Lag:
     if len(lags) < 2:
         none = np.empty(0)
         return Lag(lag=lags[1:], correlation=none, correlation_sd=none, seen=False, factor=1.0, factor_sd=0.0,
-                   tested=False)  # fmt: skip
+                   tested=False, open=False)  # fmt: skip
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     smooth = smoothed(power[:, 0], radius, bins.modes)
     ratio = power[:, 1:] / smooth[:, None]
@@ -164,7 +169,7 @@ def _lag(power: Array, lags: NDArray[np.int64], bins: Bins) -> Lag:
     return Lag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen,
                factor=float(1.0 + 2.0 * sum(part[0] for part in parts)),
                factor_sd=float(2.0 * np.hypot(np.hypot.reduce([part[1] for part in parts]), left)),
-               tested=True)  # fmt: skip
+               tested=True, open=seen and left > OPEN)  # fmt: skip
 
 
 def _pooled(values: Array, weight: Array) -> tuple[float, float]:

@@ -7,10 +7,11 @@ import numpy as np
 
 from charact.method import Context, register
 from charact.noise import standard
-from charact.noise.checks import flags_of, notes_of, series_findings
+from charact.noise.checks import bent, exposure_flags, flags_of, hidden_findings, notes_of, series_findings
 from charact.noise.evidence import transfer_evidence
+from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
 from charact.noise.provenance import provenance
-from charact.noise.quantities import correlated, dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.series import read_levels, series_of
 from charact.noise.verdict import lit, problem, timed, without_flats
 from labdata.measurement import Result, from_draws
@@ -42,16 +43,20 @@ def variance(session: Session, *, context: Context) -> Result:
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
         return Result(measurements=timed(without_flats(darks, series, single, **fields), began))
+    neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
     findings = series_findings(series, context=context)
     flags = flags_of(findings)
-    white = not correlated(lit(series))
-    gain = standard.gain_line(series, context=context)
-    own = flags + (() if white else ("correlated-noise",)) + gain.posterior.flags
-    notes = notes_of(findings) + (() if white else (CORRELATED,))
+    findings += bent(series) + hidden_findings(neighbours, exposures)
+    gain = standard.gain_line(
+        series, context=context, allowance=float(np.hypot(neighbours.allowance, exposures.allowance))
+    )
+    own = flags_of(findings) + gain.posterior.flags
+    notes = notes_of(findings) + ((CORRELATED,) if neighbours.seen else ())
     out = [from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes, posterior=gain.posterior, **fields)]
     out += dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
     out.append(saturation(series, flags=flags, **fields))
     out += white_quantities(series, gain, context=context, flags=own, **fields)
-    out += pattern_quantities(series, gain.slope, flags=own, **fields)
+    out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
+                              **fields)  # fmt: skip
     evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}
     return Result(measurements=timed(out, began), evidence=evidence)

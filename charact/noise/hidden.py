@@ -1,0 +1,116 @@
+"""What lowers a variance without showing in it: noise shared by neighbours, and light shared by successive exposures.
+
+Either makes the variance over signal read low. A test that could see an effect of 2 % finds it or leaves the gain
+alone; a weaker one leaves what it cannot exclude in the gain's interval.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.level import Level
+from charact.noise.series import Series
+
+Array = NDArray[np.float64]
+
+# An effect on the gain is seen where it is beyond this and so many standard errors.
+LEAST_EFFECT = 0.01
+SIGNIFICANT = 3.0
+# An effect that may be smaller than this and still unseen harms nothing.
+HARMLESS = 0.02
+# Where a test cannot exclude this much, it is no test.
+BLIND = 0.1
+# Flats of fewer frames have too few pairs of frames to set near ones against far ones.
+FEW_FRAMES = 3
+# Levels of such unequal certainty tell no law.
+WORST_CONDITION = 1e12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """A share of the gain that goes missing.
+
+    Parameters
+    ----------
+    share, sd
+        The share and its standard error, dimensionless; infinite where nothing could be compared.
+    """
+
+    share: float
+    sd: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether it is there beyond its noise and large enough to move a number."""
+        return abs(self.share) > LEAST_EFFECT + SIGNIFICANT * self.sd
+
+    @property
+    def blind(self) -> bool:
+        """Whether even a large effect would go unseen."""
+        return not SIGNIFICANT * self.sd < BLIND
+
+    @property
+    def allowance(self) -> float:
+        """Relative standard deviation that the effect adds to the gain: none where 2 % would have been seen."""
+        if LEAST_EFFECT + SIGNIFICANT * self.sd <= HARMLESS:
+            return 0.0
+        return float(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)))
+
+
+def shared_by_neighbours(levels: tuple[Level, ...]) -> Effect:
+    """Return the share of the covariance sum that lies with the eight neighbours of a pixel.
+
+    Separable blur is taken for granted: a diagonal neighbour shares the product of both correlations.
+    """
+    beside, beside_sd = _pooled([(level.neighbour_correlation, level.neighbour_sd) for level in levels])
+    below, below_sd = _pooled([(level.below_correlation, level.below_sd) for level in levels])
+    return Effect(share=2.0 * (beside + below + 2.0 * beside * below), sd=2.0 * float(np.hypot(beside_sd, below_sd)))
+
+
+def shared_by_exposures(series: Series) -> Effect:
+    """Return the share of the variance that successive exposures hold in common, earlier and later ones.
+
+    Near pairs of frames are set against far ones. With three frames and fewer, the covariance of different frames is
+    set against the signal instead: what unequal pixels put there goes with the square of the signal, and what the
+    light of earlier frames puts there with the signal itself.
+    """
+    levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
+    known = [(level.successor_correlation, level.successor_sd) for level in levels]
+    value, sd = _pooled([pair for pair in known if np.isfinite(pair[1])])
+    near = Effect(share=2.0 * value, sd=2.0 * sd)
+    if max(level.frames for level in levels) > FEW_FRAMES:
+        return near
+    common = _common_to_frames(series)
+    return common if near.blind or (common.seen and not near.seen) else near
+
+
+def _pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+    """Weighted mean and its standard error, infinite for none."""
+    if not pairs:
+        return 0.0, np.inf
+    value, sd = np.array(pairs).T
+    weight = 1.0 / np.maximum(sd, 1e-9) ** 2
+    return float(weight @ value / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
+
+
+def _common_to_frames(series: Series) -> Effect:
+    """Linear part of the covariance of different frames over that of the temporal variance."""
+    chosen = np.flatnonzero(series.fitted)
+    signal = series.signal_dn[chosen]
+    if len(np.unique(np.round(np.log(signal) / 0.05))) < 3:
+        return Effect(share=0.0, sd=np.inf)
+    common = np.array([series.flats[i].spatial_variance_dn2 - series.darks[i].spatial_variance_dn2 for i in chosen])
+    sd = np.array([np.hypot(series.flats[i].spatial_sd_dn2, series.darks[i].spatial_sd_dn2) for i in chosen])
+    weight = 1.0 / np.maximum(sd, 1e-12) ** 2
+    design = np.stack([signal, signal**2 / signal.max()])
+    curvature = design * weight @ design.T
+    if np.linalg.cond(curvature) > WORST_CONDITION:
+        return Effect(share=0.0, sd=np.inf)
+    covariance = np.linalg.inv(curvature)
+    linear, square = covariance @ (design * weight @ common)
+    rest = common - linear * design[0] - square * design[1]
+    excess = float(weight @ rest**2) / max(1, len(chosen) - 2)
+    slope = float(series.variance_dn2[chosen] @ signal / (signal @ signal))
+    # The pattern of unequal pixels may be alike in the dark and in the light: a linear part that is no lag.
+    return Effect(share=2.0 * linear / slope, sd=2.0 * np.sqrt(max(1.0, excess) * covariance[0, 0]) / abs(slope))
