@@ -33,6 +33,8 @@ class Amplitudes:
         Phase of the fundamental.
     zeros
         Largest modulus at the two zeros beside the fundamental, over the fundamental.
+    flank
+        Modulus half way to the lower zero, over what as many bars have there by the fundamental: more bars have less.
     fields_apart_px, fields_apart_sd_px
         Distance between the bars in odd and in even rows, and its standard error, px across the bars.
     frame_correlation
@@ -45,6 +47,7 @@ class Amplitudes:
     freedom: float
     phase_rad: float
     zeros: float
+    flank: float
     fields_apart_px: float
     fields_apart_sd_px: float
     frame_correlation: float
@@ -87,6 +90,10 @@ def amplitudes_of(data: NDArray, target: BarTarget, window: NDArray[np.bool_], b
         freedom=freedom,
         phase_rad=phase,
         zeros=max(zeros) / max(abs(turned.mean()), 1e-30),
+        flank=abs(_amplitude(mean, target, window, beyond, target.bars - 0.5))
+        * target.bars
+        * np.sin(0.5 * np.pi / target.bars)
+        / max(abs(turned.mean()), 1e-30),
         fields_apart_px=apart,
         fields_apart_sd_px=apart_sd,
         frame_correlation=lag,
@@ -100,7 +107,7 @@ def _sums(frame: NDArray, window, beyond, wave: NDArray, odd: NDArray) -> tuple[
     return float(values.sum()), np.array([terms[~odd].sum(), terms[odd].sum()])
 
 
-def _amplitude(mean: Array, target: BarTarget, window, beyond, order: int) -> complex:
+def _amplitude(mean: Array, target: BarTarget, window, beyond, order: float) -> complex:
     return amplitude(mean - mean[beyond].mean(), target, target.frequency * order / target.bars, window)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.bar_amplitudes import Amplitudes, amplitudes_of
+from charact.mtf.bar_light import ground_of, lost_light, second_harmonic
 from charact.mtf.bar_target import BarTarget, find, own_frequency
 from charact.mtf.bar_window import fitting_margin, lost_share, margin_px
 from charact.mtf.codes import code_flags
@@ -24,6 +25,8 @@ METHOD = "bars-forward"
 LEAST_SIGNAL = 9.0
 # The zeros beside the fundamental, over it: more than this is another object, or bars of another frequency.
 OTHER_OBJECT, DOUBTFUL = 0.5, 0.15
+# Half way to the lower zero as many bars have at least their fundamental's share of light; twice as many have none.
+LEAST_FLANK = 0.6
 # Significance from which the zeros tell the bars' own frequency better than whoever asked, and a change worth telling.
 TELLS_FREQUENCY, TOLD_FREQUENCY = 30.0, 0.01
 FIELD_OFFSET_PX = 0.04
@@ -31,6 +34,8 @@ SIGNIFICANT = 5.0
 # Sampled frequency from which the alias is near, and the travel of the bars over the rows that averages it away.
 NEAR_NYQUIST, LEAST_TRAVEL_PX = 0.42, 0.8
 LARGEST_MTF = 1.5
+# Second harmonic over the fundamental that bars and gaps a little unequal make, and its noise in standard errors.
+STRAIGHT, STRAIGHT_SD = 0.006, 3.5
 # A window that reaches less far beyond the bars cuts off their core's blur, not only a halo.
 LEAST_CUT_PX = 5.0
 
@@ -43,6 +48,9 @@ class Reduced:
     amplitudes: Amplitudes
     margin_px: float
     cut: bool
+    lost: tuple[float, float]
+    crowded: bool
+    second: float
 
 
 @register(
@@ -52,8 +60,9 @@ class Reduced:
     preferred=True,
     scope=(
         "Targets of two and more bars, seven times as long as wide, on an even ground, in any direction, the whole "
-        "target and its blur inside the region; fundamental over 9 standard errors. Broken by clipping, a curved "
-        "response, motion between fields, and frequencies near the sampling limit untilted."
+        "target and its blur inside the region; fundamental over 9 standard errors. Broken by clipping, motion "
+        "between fields, frequencies near the sampling limit untilted, and a curved response: an exponent within 0.9 "
+        "to 1.1 changes the MTF by up to 8 % and shows only where the fundamental stands over 300 standard errors."
     ),
 )
 def bars_forward(
@@ -91,9 +100,11 @@ def bars_forward(
     found = _reduced(used, int(bars), float(frequency_cy_per_px), context)
     if isinstance(found, str):
         return _nothing(found, where, float(frequency_cy_per_px), context, began)
-    lost = lost_share(context, found.margin_px)
-    posterior = _posterior(found.amplitudes, lost, context)
-    flags = (*_flags(found, used, context), *posterior.flags)
+    posterior = _posterior(found.amplitudes, found.lost, context)
+    # The share lost beyond the window leans on zero without harm.
+    flags = (*_flags(found, used, context), *(flag for flag in posterior.flags if flag != "prior-bound"))
+    if np.quantile(posterior["mtf"], 0.025) > 1.0:
+        flags = (*flags, "model-misfit")
     measurement = from_draws(
         "mtf",
         "1",
@@ -129,10 +140,11 @@ def _reduced(used: FrameStack, bars: int, frequency: float, context: Context) ->
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
         return "no target: the region ends at the bars, and their pedestal cannot be told"
-    amplitudes = amplitudes_of(used.data, target, window, ~window)
+    ground = ground_of(mean, target, margin)
+    amplitudes = amplitudes_of(used.data, target, window, ground.beyond)
     if amplitudes.signal_to_noise > TELLS_FREQUENCY:
         target = replace(target, frequency=own_frequency(mean, target, margin))
-        amplitudes = amplitudes_of(used.data, target, window, ~window)
+        amplitudes = amplitudes_of(used.data, target, window, ground.beyond)
     if not amplitudes.light > 0 or amplitudes.signal_to_noise < LEAST_SIGNAL:
         return (
             f"no target: the fundamental stands {amplitudes.signal_to_noise:.1f} standard errors out of the noise, "
@@ -140,7 +152,15 @@ def _reduced(used: FrameStack, bars: int, frequency: float, context: Context) ->
         )
     if amplitudes.zeros > OTHER_OBJECT:
         return f"no target: the object's spectrum is not that of {bars} bars at {frequency:g} cy/px"
-    return Reduced(target=target, amplitudes=amplitudes, margin_px=margin, cut=cut)
+    if context.sensor is None:
+        lost = lost_light(used.data, target, window, ground.beyond, amplitudes)
+    else:
+        lost = lost_share(context, margin)
+    second = second_harmonic(mean, target, window, float(mean[ground.beyond].mean()), amplitudes)
+    return Reduced(
+        target=target, amplitudes=amplitudes, margin_px=margin, cut=cut, lost=lost, crowded=ground.crowded,
+        second=second,
+    )  # fmt: skip
 
 
 def _posterior(found: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
@@ -187,13 +207,17 @@ def _flags(found: Reduced, used: FrameStack, context: Context) -> tuple[str, ...
     full_scale = context.full_scale_dn or used.full_scale_dn
     flags = list(code_flags(used.data[:, target.box(used.shape[1:], 1.0)], full_scale))
     noise = SIGNIFICANT / amplitudes.signal_to_noise
-    if amplitudes.zeros > DOUBTFUL + noise:
+    if amplitudes.zeros > DOUBTFUL + noise or amplitudes.flank < LEAST_FLANK - noise:
         flags.append("model-misfit")
     apart = abs(amplitudes.fields_apart_px)
     if apart > max(SIGNIFICANT * amplitudes.fields_apart_sd_px, FIELD_OFFSET_PX):
         flags.append("interlace-motion")
     if near_alias(target):
         flags.append("aliased")
+    if abs(found.second) > STRAIGHT + STRAIGHT_SD / amplitudes.signal_to_noise:
+        flags.append("gamma")
+    if found.crowded:
+        flags.append("several-targets")
     if found.cut and found.margin_px < LEAST_CUT_PX:
         flags.append("window-too-small")
     return tuple(flags)

@@ -22,6 +22,8 @@ MISFIT = 1.6
 # Illumination that changes by more than this share over the band is told, though the fit allows for it.
 GRADIENT = 0.2
 LEAST_STEP_SD = 0.8
+# Level over noise beyond which unequal pixels may be the noise.
+QUIETEST = 80.0
 # Curvature of the response from which the modulus is in doubt by a percent, and its significance.
 CURVATURE, CURVATURE_SD = 0.05, 4.0
 
@@ -121,18 +123,31 @@ def _other_steps(profile: Profile, fit: EdgeFit) -> bool:
 
 
 def response_flags(profile: Profile, fit: EdgeFit) -> tuple[str, ...]:
-    """Return `gamma` where the response looks curved: a lopsided profile, or noise that falls towards the light.
+    """Return `gamma` where the profile looks curved: lopsided beyond what the camera's known filter makes it.
 
-    A profile is lopsided beyond what the camera's known filter makes it. Light brings noise, and only a response that
-    flattens takes it away again. A Gaussian edge through a power law above 1 stays symmetric and shows neither.
+    A Gaussian edge through a power law above 1 stays nearly symmetric and shows it in its noise at most.
     """
     curvature, error = response_curvature(fit)
     lopsided = abs(curvature) > max(CURVATURE, CURVATURE_SD * error)
+    return ("gamma",) if lopsided else ()
+
+
+def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None) -> tuple[str, ...]:
+    """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
+
+    Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
+    that the response steepens, unless frames were averaged or pixels are so quiet that their unequal gain is seen.
+    """
     grain = profile.grain
     pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
-    scatter = 2.0 * np.sqrt(2.0 / max(pixels, 1.0))
-    falling = grain.dark_variance > grain.bright_variance * (1.15 + SIGNIFICANT * scatter)
-    return ("gamma",) if lopsided or falling else ()
+    scatter = SIGNIFICANT * 2.0 * np.sqrt(2.0 / max(pixels, 1.0))
+    falling = grain.dark_variance > grain.bright_variance * (1.15 + scatter)
+    if black_level_dn is None or picture.frames > 1 or not profile.dark > black_level_dn:
+        return ("gamma",) if falling else ()
+    bright, dark = profile.bright - black_level_dn, profile.dark - black_level_dn
+    photons = bright < QUIETEST * np.sqrt(grain.bright_variance)
+    rising = grain.bright_variance > grain.dark_variance * bright / dark * (1.2 + scatter)
+    return ("gamma",) if falling or (photons and rising) else ()
 
 
 def response_curvature(fit: EdgeFit) -> tuple[float, float]:

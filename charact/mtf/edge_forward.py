@@ -38,8 +38,10 @@ METHOD = "edge-forward"
     preferred=True,
     scope=(
         "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
-        "30 rows and more; noise may depend on the signal and be correlated. Broken by a curved response, motion "
-        "between fields, clipping, and windows narrower than the blur."
+        "30 rows and more; noise may depend on the signal and be correlated. Broken by motion between fields, "
+        "clipping, windows narrower than the blur, and a curved response: on a Gaussian edge of high contrast a gamma "
+        "of 0.45 to 2.2 moves MTF50 by -3 to +15 % and is told only where tails or the plateaus' noise show it; at "
+        "low contrast it does no harm."
     ),
 )
 def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
@@ -156,6 +158,7 @@ def _result(
         *edge_checks.line_flags(found.picture, found.rows),
         *edge_checks.fit_flags(found.picture, found.profile, found.fit, half if half > 0 else 0.01),
         *edge_checks.response_flags(found.profile, found.fit),
+        *edge_checks.noise_flags(found.profile, found.picture, used.black_level_dn),
         *_posterior_flags(posterior, context),
     )
     common = {

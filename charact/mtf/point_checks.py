@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.point_data import Window
 from charact.mtf.point_fit import PointFit
+from charact.mtf.point_motion import motion_flags
 from charact.mtf.point_source import Source
 
 Array = NDArray[np.float64]
@@ -15,6 +16,8 @@ MISFIT, SIGNIFICANT = 1.8, 5.0
 LOW_LIGHT = 10.0
 # Standard deviations from its description at which a camera's cut-off is no longer that camera's.
 STRANGE = 3.0
+# Power of the light by which noise falls behind its model that only a curved response explains.
+FALLING, LEAST_FRAMES, LEAST_PIXELS = 0.35, 4, 6
 
 
 def flags(found: PointFit, window: Window, source: Source, context: Context) -> tuple[str, ...]:
@@ -34,7 +37,31 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
         out.append("window-too-small")
     if _leans(found, context):
         out.append("prior-bound")
+    if window.keep.all():
+        out += motion_flags(window.frames_above(found.pedestal), *window.centred, window.row_parity)
+        out += ["gamma"] if _noise_falls(found, window) else []
     return tuple(out)
+
+
+def _noise_falls(found: PointFit, window: Window) -> bool:
+    """Tell whether the frames' noise grows less with the light than pulses make it: only a flattened response does.
+
+    The variance over its model is taken to go as the light to some power, found by maximum likelihood.
+    """
+    if found.noise is None or window.frames < LEAST_FRAMES:
+        return False
+    light = found.light * found.model.core(found.point[None])[0].ravel()
+    expected = found.noise.gain * found.light * np.diag(found.noise.pulse) + window.floor
+    clear = (expected > 2.0 * window.floor) & (light > 0.05 * light.max())
+    if np.count_nonzero(clear) < LEAST_PIXELS:
+        return False
+    ratio = np.mean(window.deviations[:, clear] ** 2, axis=0) * window.frames / (window.frames - 1) / expected[clear]
+    design = np.stack([np.ones(ratio.size), np.log(light[clear] / light.max())], axis=1)
+    power = np.zeros(2)
+    for _ in range(20):
+        power = power + np.linalg.lstsq(design, ratio * np.exp(-design @ power) - 1.0, rcond=None)[0]
+    error = np.sqrt(2.0 / (window.frames - 1) * np.linalg.inv(design.T @ design)[1, 1])
+    return bool(power[1] < -max(FALLING, SIGNIFICANT * float(error)))
 
 
 def _leans(found: PointFit, context: Context) -> bool:
@@ -56,6 +83,7 @@ def _core(free: tuple[str, ...]) -> NDArray[np.bool_]:
 def notes(found: PointFit, window: Window, context: Context, pinhole_px: float | None) -> tuple[str, ...]:
     """Return what a reader may want to know and what lowers no trust."""
     out = []
+    out.append("The response is taken as straight: one spot hardly shows a gamma correction.")
     if pinhole_px is None:
         out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
     if found.model.prior.halo_px is None:

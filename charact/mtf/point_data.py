@@ -70,6 +70,21 @@ class Window:
         x, y = (part.ravel() for part in np.broadcast_arrays(self.x, self.y[:, None]))
         return np.hypot(x[:, None] - x, y[:, None] - y)
 
+    def frames_above(self, pedestal: float) -> Array:
+        """Return the frames of the core above a level, shape (frame, row, col), DN."""
+        return self.deviations.reshape(-1, *self.core.shape) + (self.core - pedestal)
+
+    @property
+    def centred(self) -> tuple[Array, Array]:
+        """Places of columns and rows from the centre of light, column pitches."""
+        x, y = self.centre
+        return self.x - x, self.y - y
+
+    @property
+    def row_parity(self) -> NDArray[np.bool_]:
+        """Field of every row of the core."""
+        return self.parity[:: self.x.size]
+
     @property
     def centre(self) -> tuple[float, float]:
         """Centre of light of the brighter half of the core, px."""

@@ -39,8 +39,9 @@ MAX_STEPS = 1200
     preferred=True,
     scope=(
         "Single point sources whose core stays below full scale, light over 6 standard errors, pixels of an "
-        "intensifier or of an ordinary camera. A core beyond full scale is left out and flagged; broken by motion, "
-        "a curved response and neighbours within the halo."
+        "intensifier or of an ordinary camera. A core beyond full scale is left out and flagged; motion and neighbours "
+        "are told. Not told: a second source within 1 px, and a curved response, which on one spot only scales the "
+        "width (a gamma of g moves MTF50 by about the root of g)."
     ),
 )
 def point_forward(

@@ -110,7 +110,10 @@ def priors_of(context: Context, *, halo_seen: bool) -> tuple[Prior, ...]:
 def _of_camera(blur_px: float) -> Prior:
     """Any camera: exp(-(f/fc)^n), of which n = 2 is a Gaussian, alone or with a Gaussian core to its wide tails."""
     free = (*NAMES[:4], *(("blur_px",) if blur_px else ()), "stretch")
-    core, core_sd = (np.log(0.4), TAIL if blur_px else FREE, blur_px), (1.0, TAIL_SD if blur_px else FREE_SD, ANY_BLUR_PX)
+    core, core_sd = (
+        (np.log(0.4), TAIL if blur_px else FREE, blur_px),
+        (1.0, TAIL_SD if blur_px else FREE_SD, ANY_BLUR_PX),
+    )
     prior = _prior(free, core, core_sd, (1e-3, 1.0), None, NO_HALO)
     spread = np.where(np.array(NAMES) == "stretch", ANY_STRETCH_SD, prior.spread)
     least = np.where(np.array(NAMES) == "exponent", LEAST_TAIL if blur_px else 0.5, prior.bounds[:, 0])

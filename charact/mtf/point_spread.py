@@ -10,6 +10,7 @@ import charact
 from charact.method import Context, register
 from charact.mtf import point_source
 from charact.mtf.curve import falls_to
+from charact.mtf.point_motion import motion_flags
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, from_sd, refused
@@ -25,6 +26,14 @@ LEAST_FRAMES = 3
 # Frames of a screen that glows on share light: standard errors over them are wider by about this.
 GLOW = 1.6
 LEAST_LIGHT = 6.0
+# Light between here and the border of the disc, over all light, from which its tail is too wide for the disc.
+BORDER_PX, TAIL = 6.5, 0.005
+# Light missing beyond the disc over that at its border, for tails of tubes, and what it does to a crossing.
+BEYOND, CROSSING = 6.0, 0.7
+# Odd part of the transform at these frequencies, over the light, from which the spot is none of one source.
+LOPSIDED_AT, LOPSIDED, LOPSIDED_SD = (0.06, 0.1), 0.02, 5.0
+# A pinhole that passes less than this leaves nothing to divide by.
+LEAST_PASSED = 0.3
 
 
 @register(
@@ -32,7 +41,8 @@ LEAST_LIGHT = 6.0
     METHOD,
     quantities=("mtf50", "mtf10"),
     scope=(
-        "Single unsaturated point sources with little light beyond 8 px, 3 frames and more; blind to halos, and biased "
+        "Single unsaturated point sources with little light beyond 8 px, 3 frames and more, and a straight response: "
+        "a gamma between 0.6 and 2.2 changes it unseen. Blind to halos and to a second source within 1 px, and biased "
         "upwards where the MTF beyond half a cycle per pixel folds back."
     ),
 )
@@ -71,7 +81,7 @@ def point_spread(
         return _nothing(source, "no-target", common)
     if len(used) < LEAST_FRAMES:
         return _nothing(f"a spot needs at least {LEAST_FRAMES} frames, got {len(used)}", "too-few-frames", common)
-    spots, flags = _spots(used, source, context)
+    spots, flags, missing = _spots(used, source, context)
     if "saturated" in flags:
         return _nothing("the spot must stay below full scale: what is cut off has no transform", "saturated", common)
     light = spots.sum(axis=(1, 2))
@@ -80,7 +90,9 @@ def point_spread(
     places = _places(used.shape[1:], source, context)
     found, curves = [], {}
     for name, angle, place in (("mtf", 0.0, places[1]), ("mtf_vertical", 90.0, places[0])):
-        one, curve = _direction(spots, place, pinhole_px or 0.0, {**common, "flags": flags, "orientation_deg": angle})
+        one, curve = _direction(
+            spots, place, pinhole_px or 0.0, missing, {**common, "flags": flags, "orientation_deg": angle}
+        )
         found += one
         curves[name] = curve
     seconds = time.perf_counter() - began
@@ -93,8 +105,8 @@ def _places(shape: tuple[int, int], source: point_source.Source, context: Contex
     return np.asarray(rows[:, None] * context.pitch_ratio, np.float64), cols[None, :].astype(float)
 
 
-def _spots(used: FrameStack, source: point_source.Source, context: Context) -> tuple[Array, tuple[str, ...]]:
-    """Return the spot of every frame above its ring, shape (frame, row, col), and what is wrong with it."""
+def _spots(used: FrameStack, source: point_source.Source, context: Context) -> tuple[Array, tuple[str, ...], float]:
+    """Return spots of the frames above their rings (frame, row, col), what is wrong, and what light may be missing."""
     y, x = _places(used.shape[1:], source, context)
     radius = np.hypot(x, y)
     inside = radius < HALF_PX
@@ -108,11 +120,47 @@ def _spots(used: FrameStack, source: point_source.Source, context: Context) -> t
     wide = float((mean * radius**2).sum()) > WIDE_PX**2 * float(mean.sum())
     # The halo of an intensifier reaches beyond the disc: its light is then missing from the normalisation.
     beyond = bool(cut) or wide or context.sensor is not None
-    raised = (("saturated", saturated), ("several-targets", source.others), ("window-too-small", beyond))
-    return np.asarray(spots, np.float64), tuple(name for name, seen in raised if seen)
+    tail, tail_sd = _tail(spots, radius)
+    beyond |= tail > max(TAIL, 3.0 * tail_sd)
+    raised = (("saturated", saturated), ("several-targets", source.others), ("window-too-small", beyond),
+              ("model-misfit", _lopsided(spots, x, y)))  # fmt: skip
+    moved = motion_flags(spots, *_centred(mean, x.ravel(), y.ravel()), np.arange(used.shape[1]) % 2 == 1)
+    missing = BEYOND * float(np.hypot(max(tail, 0.0), tail_sd))
+    return np.asarray(spots, np.float64), (*(name for name, seen in raised if seen), *moved), missing
 
 
-def _direction(spots: Array, place: Array, pinhole_px: float, common: dict) -> tuple[list[Measurement], Curve]:
+def _centred(mean: Array, x: Array, y: Array) -> tuple[Array, Array]:
+    """Return places of columns and rows from the centre of light."""
+    light = float(mean.sum())
+    return x - float((mean * x).sum()) / light, y - float((mean * y[:, None]).sum()) / light
+
+
+def _tail(spots: Array, radius: Array) -> tuple[float, float]:
+    """Return the share of light at the disc's border and its standard error: several times as much lies beyond."""
+    share = spots[:, (radius >= BORDER_PX) & (radius < HALF_PX)].sum(axis=1)
+    light = float(spots.sum(axis=(1, 2)).mean())
+    return float(share.mean()) / light, GLOW * float(share.std(ddof=1)) / np.sqrt(len(share)) / light
+
+
+def _lopsided(spots: Array, x: Array, y: Array) -> bool:
+    """Tell whether the transform has a phase that no shift explains: two sources, or one that moved by jumps."""
+    mean = spots.mean(axis=0)
+    across, down = _centred(mean, x.ravel(), y.ravel())
+    for turn in np.deg2rad([0.0, 45.0, 90.0, 135.0]):
+        place = across[None, :] * np.cos(turn) + down[:, None] * np.sin(turn)
+        for frequency in LOPSIDED_AT:
+            # A shift turns the phase at the double frequency twice as far; the rest is no shift.
+            wave = np.sin(4.0 * np.pi * frequency * place) - 2.0 * np.sin(2.0 * np.pi * frequency * place)
+            odd = np.tensordot(spots, wave, axes=2)
+            error = GLOW * float(odd.std(ddof=1)) / np.sqrt(len(odd))
+            if abs(odd.mean()) > max(LOPSIDED_SD * error, LOPSIDED * float(mean.sum())):
+                return True
+    return False
+
+
+def _direction(
+    spots: Array, place: Array, pinhole_px: float, missing: float, common: dict
+) -> tuple[list[Measurement], Curve]:
     """Return levels and curve along one direction, errors by leaving frames out in turn."""
     from charact.mtf.point_model import pinhole
 
@@ -121,9 +169,10 @@ def _direction(spots: Array, place: Array, pinhole_px: float, common: dict) -> t
     mean = lines.mean(axis=0)
     left_out = (lines.sum(axis=0) - lines) / (len(lines) - 1)
     curves = np.abs(np.concatenate([mean[None], left_out]) @ waves.T)
-    curves = curves / curves[:, :1] / pinhole(FREQUENCY, pinhole_px)
+    passed = pinhole(FREQUENCY, pinhole_px)
+    curves = curves / curves[:, :1] / passed
     scale = GLOW * np.sqrt((len(lines) - 1) ** 2 / len(lines))
-    sd = scale * curves[1:].std(axis=0, ddof=1)
+    sd = np.hypot(scale * curves[1:].std(axis=0, ddof=1), missing * curves[0])
     measurements = []
     for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1)):
         crossing = falls_to(FREQUENCY, curves, level)
@@ -131,7 +180,11 @@ def _direction(spots: Array, place: Array, pinhole_px: float, common: dict) -> t
             reason = f"the MTF must fall to {level:g} below {FREQUENCY[-1]:g} cy/px"
             measurements.append(refused(quantity, "cy/px", reason, **common))
             continue
-        error = float(scale * crossing[1:].std(ddof=1))
+        if np.interp(crossing, FREQUENCY, passed).min() < LEAST_PASSED:
+            reason = f"a pinhole of {pinhole_px:g} px must pass {LEAST_PASSED:g} of the contrast at the frequency found"
+            measurements.append(refused(quantity, "cy/px", reason, **common))
+            continue
+        error = float(np.hypot(scale * crossing[1:].std(ddof=1), CROSSING * missing * crossing[0]))
         measurements.append(from_sd(quantity, "cy/px", float(crossing[0]), error, **common))
     half68, half95 = 0.994458 * sd, 1.959964 * sd
     curve = Curve(

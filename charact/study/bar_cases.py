@@ -31,13 +31,15 @@ AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
     "gap to a neighbour": ("px", (4, 8, 12, 20, 30, 40), (40, 40)),
     "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0)),
 }
+# Deep noise clips on eight bits, which is another axis.
+TWELVE_BITS: dict[str, Any] = {"pedestal_dn": 1200.0, "level_dn": 300.0, "full_scale_dn": 4095.0}
 
 
 def _scene(axis: str, position: float, common: dict[str, Any]) -> BarScene:
     """The scene of an axis at a position, all other knobs at harmless values."""
     knob: dict[str, Any] = {
-        "bar SNR": {"snr": position},
-        "one frame, bar SNR": {"snr": position, "frames": 1},
+        "bar SNR": {"snr": position, **TWELVE_BITS},
+        "one frame, bar SNR": {"snr": position, "frames": 1, **TWELVE_BITS},
         "frequency": {"frequency_cy_per_px": position, "rows": 200, "cols": 220},
         "frequency, untilted": {"frequency_cy_per_px": position, "angle_deg": 0.0},
         "tilt": {"angle_deg": position},

@@ -139,25 +139,34 @@ class BarScene:
 
     def mean(self) -> NDArray[np.floating]:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
+        return self._response(self.light())
+
+    def light(self) -> NDArray[np.floating]:
+        """Noiseless light signal over black, DN of a straight response, shape (row, col)."""
         light = self._light(0.0)
         if self.motion_px:
             odd = (np.arange(self.rows) % 2 == 1)[:, None]
             light = np.where(odd, self._light(self.motion_px), light)
         place = (np.arange(self.cols) + 0.5) / self.cols
         light = (self.pedestal_dn - self.black_dn + self.level_dn * light) * (1 + self.gradient * place)
-        room = self.full_scale_dn - self.black_dn
         if self.clip_share > 0:
+            room = self.full_scale_dn - self.black_dn
             light = light * room / (self.pedestal_dn - self.black_dn + (1 - self.clip_share) * self.level_dn)
-        return self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
+        return light
+
+    def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
+        """What the camera makes of light: DN, black included."""
+        room = self.full_scale_dn - self.black_dn
+        return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: noise correlated after the gain, white read noise, digitised and clipped to the codes."""
-        mean = self.mean()
+        """Draw the stack: noise of the light correlated after the gain, the response, white read noise, digitised."""
+        light = self.light()
         sd = self.level_dn / self.snr if np.isfinite(self.snr) else 0.0
         half_way = self.pedestal_dn + 0.5 * self.level_dn - self.black_dn
-        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(mean - self.black_dn, 0) / half_way)
+        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
         shape = (self.frames, self.rows, self.cols)
-        drawn = mean + correlated(shot * rng.standard_normal(shape), self.noise_blur_px)
+        drawn = self._response(light + correlated(shot * rng.standard_normal(shape), self.noise_blur_px))
         drawn = drawn + np.sqrt(1 - self.shot_share) * sd * rng.standard_normal(shape)
         drawn = np.where(rng.random(shape[1:]) < self.hot_share, self.full_scale_dn, drawn)
         codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint8 if self.full_scale_dn < 256 else "u2")

@@ -168,6 +168,10 @@ class EdgeScene:
 
     def mean(self) -> NDArray[np.floating]:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
+        return self._response(self.light())
+
+    def light(self) -> NDArray[np.floating]:
+        """Noiseless light signal over black, DN of a straight response, shape (row, col)."""
         angle = np.deg2rad(self.angle_deg)
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
         col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
@@ -178,26 +182,32 @@ class EdgeScene:
         light = self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
         light = light * (1 + self.gradient * (col / self.cols + 0.5))
         # Clipping is a matter of exposure: the light grows until the share of the step lies above full scale.
-        room = self.full_scale_dn - self.black_dn
         if self.clip_share > 0:
+            room = self.full_scale_dn - self.black_dn
             light = light * room / (self.bright_dn - self.black_dn - self.clip_share * step)
-        return self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
+        return light
+
+    def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
+        """What the camera makes of light: DN, black included."""
+        room = self.full_scale_dn - self.black_dn
+        return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
-        """Draw the stack: noise correlated after the gain, white read noise, digitised and clipped to the codes.
+        """Draw the stack: noise of the light correlated after the gain, the response, white read noise, digitised.
 
         Notes
         -----
         The noise is sqrt(v_s(mean)) w blurred by a kernel h of unit sum of squares, plus white noise: variance
-        v_s + v_r, covariance v_s R_h. The signal's part of the variance is proportional to the mean above black.
+        v_s + v_r, covariance v_s R_h. The signal's part of the variance is proportional to the light; the response
+        bends light and its noise alike.
         """
-        mean = self.mean()
+        light = self.light()
         sd = (self.bright_dn - self.dark_dn) / self.snr if np.isfinite(self.snr) else 0.0
         half_way = (self.bright_dn + self.dark_dn) / 2 - self.black_dn
-        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(mean - self.black_dn, 0) / half_way)
+        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
         read = np.sqrt(1 - self.shot_share) * sd
         shape = (self.frames, self.rows, self.cols)
-        drawn = mean + correlated(shot * rng.standard_normal(shape), self.noise_blur_px)
+        drawn = self._response(light + correlated(shot * rng.standard_normal(shape), self.noise_blur_px))
         drawn = drawn + read * rng.standard_normal(shape)
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         drawn = np.where(stuck, self.full_scale_dn, drawn)
