@@ -45,7 +45,8 @@ LEAST_BINS = 24
     METHOD,
     quantities=("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain"),
     preferred=True,
-    scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more.",
+    scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more. "
+    "Where noise is white the gains are slopes over all levels: a response that bends by up to 2 % goes unflagged.",
 )
 def covariance_sum(session: Session, *, context: Context) -> Result:
     """Measure covariance gain, blur factor and all that follows from darks and flats.
@@ -73,7 +74,8 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
         out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
-        alone = _blur_of_darks(darks, context, fields) if darks else Result()
+        # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
+        alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=timed([*out, *alone.measurements], began), evidence=alone.evidence)
     return _of_series(series, context, fields, began)
 
@@ -101,28 +103,35 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
         fit = replace(fit, posterior=_allowing(fit.posterior, exposures, context))
     if not white:
         fit = replace(fit, posterior=_at_low_signal(fit.posterior, series, levels, spread, context))
-    findings = (
-        series_findings(series, context=context) + _model_findings(summary, fit) + _lag_findings(summary, exposures)
-    )
-    findings += bent(series) if white else []
-    findings += _departures(series, levels, spread)
+    common = series_findings(series, context=context)
+    findings = common + _model_findings(summary, fit) + _lag_findings(summary, exposures)
+    findings += (bent(series) if white else []) + _departures(series, levels, spread)
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
     out = [
         from_draws("covariance_gain", "DN", fit.posterior["covariance_gain"], **own),
         from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
-    common = flags_of(series_findings(series, context=context))
-    hidden = bent(series) + hidden_findings(neighbours, exposures)
+    plain = flags_of(common)
+    hidden = flags_of(bent(series) + hidden_findings(neighbours, exposures))
     allowance = float(np.hypot(neighbours.allowance, exposures.allowance))
     gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
-    out += _gain_quantities(series, gain, fit, context, common if gain is None else common + flags_of(hidden), fields)
-    out.append(saturation(series, flags=common, **fields))
-    out += dark_quantities(series.all_darks, flags=common, **fields) if series.all_darks else []
-    out += pattern_quantities(series, None if gain is None else gain.slope, flags=common, gain_flags=flags_of(hidden),
+    out += _gain_quantities(series, gain, fit, context, plain + (hidden if white else ()), fields)
+    out.append(saturation(series, flags=plain, **fields))
+    out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
+    out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=hidden,
                               pair_flags=exposure_flags(exposures), **fields)  # fmt: skip
+    evidence = _evidence(series, summary, fit, gain, (levels, spread))
+    return Result(measurements=timed(out, began), evidence=evidence)
+
+
+def _evidence(
+    series: Series, summary: Summary, fit: model.Fit, gain: standard.Line | None, per_level
+) -> dict[str, Any]:
+    """What the report draws; `per_level` are the covariances over signal with their errors."""
+    levels, spread = per_level
     spectra = "many" if summary.lag.seen else "few"
-    evidence = {
+    return {
         "photon-transfer": transfer_evidence(
             series,
             gain=None if gain is None else float(np.median(gain.slope)),
@@ -138,7 +147,6 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
         "noise-spectrum": spectrum_evidence(summary, fit),
         "autocorrelation": correlation_evidence(series, summary),
     }
-    return Result(measurements=timed(out, began), evidence=evidence)
 
 
 def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context: Context) -> Posterior:

@@ -78,10 +78,13 @@ def shared_by_exposures(series: Series) -> Effect:
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
     value, sd = _pooled([pair for pair in known if np.isfinite(pair[1])])
-    near = Effect(share=2.0 * value, sd=2.0 * sd)
-    if max(level.frames for level in levels) > FEW_FRAMES:
+    most = max(level.frames for level in levels)
+    # Memory itself takes two correlations from the variance, earlier and later; the mean of few frames takes more.
+    taken = 2.0 + 2.0 / most
+    near = Effect(share=taken * value, sd=taken * sd)
+    if most > FEW_FRAMES:
         return near
-    common = _common_to_frames(series)
+    common = _common_to_frames(series, taken)
     return common if near.blind or (common.seen and not near.seen) else near
 
 
@@ -94,7 +97,7 @@ def _pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:
     return float(weight @ value / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
 
 
-def _common_to_frames(series: Series) -> Effect:
+def _common_to_frames(series: Series, taken: float) -> Effect:
     """Linear part of the covariance of different frames over that of the temporal variance."""
     chosen = np.flatnonzero(series.fitted)
     signal = series.signal_dn[chosen]
@@ -113,4 +116,5 @@ def _common_to_frames(series: Series) -> Effect:
     excess = float(weight @ rest**2) / max(1, len(chosen) - 2)
     slope = float(series.variance_dn2[chosen] @ signal / (signal @ signal))
     # The pattern of unequal pixels may be alike in the dark and in the light: a linear part that is no lag.
-    return Effect(share=2.0 * linear / slope, sd=2.0 * np.sqrt(max(1.0, excess) * covariance[0, 0]) / abs(slope))
+    error = np.sqrt(max(1.0, excess) * covariance[0, 0])
+    return Effect(share=taken * linear / slope, sd=taken * float(error) / abs(slope))

@@ -16,6 +16,9 @@ from labdata.measurement import Measurement, from_draws, from_sd, refused
 
 Array = NDArray[np.float64]
 
+# Share of the flats' pattern below which that of the dark, and what is wrong with it, matters no more.
+DARK_SHARE = 0.02
+
 
 def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
     """Read noise and level of the darks, DN; the shortest exposure speaks."""
@@ -65,8 +68,10 @@ def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, 
     flat, signal = series.flats[best], float(series.signal_dn[best])
     variance = flat.spatial_variance_dn2 - dark.spatial_variance_dn2
     sd = float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2))
+    weighs = dark.spatial_variance_dn2 + dark.spatial_sd_dn2 > DARK_SHARE * variance
     out.append(_root("prnu", "%", variance, sd, lambda s: 100.0 * s / signal,
-                     flags=flags + lagging(flat, dark) + pair_flags * (flat.frames <= FEW_FRAMES),
+                     flags=flags + lagging(flat, *((dark,) if weighs else ()))
+                     + pair_flags * (flat.frames <= FEW_FRAMES),
                      notes=("shading of the light and of the lens included",), **fields))  # fmt: skip
     return out
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -30,7 +31,9 @@ class Pulses:
     """An intensified camera: Poisson counts, exponential pulse heights, blur, memory of earlier frames, read noise.
 
     `transfer` maps frequency (cy/px) to the transfer of the blur after the gain; none leaves the noise white.
-    With `gain_dn` = 0 the camera has no intensifier and K = `electron_gain_dn`.
+    With `gain_dn` = 0 the camera has no intensifier and K = `electron_gain_dn`. `smoothing_px` is a Gaussian that the
+    camera lays over the finished image; `bend_per_dn` the share of the response lost per DN of signal; `offset_dn` the
+    spread of the pixels' dark levels.
     """
 
     gain_dn: float = 20.0
@@ -41,6 +44,9 @@ class Pulses:
     black_dn: float = 100.0
     full_scale_dn: float = 65535.0
     pattern: float = 0.0
+    offset_dn: float = 0.0
+    smoothing_px: float = 0.0
+    bend_per_dn: float = 0.0
     shape: tuple[int, int] = (192, 256)
     light_of_frame: Callable[[int], float] = field(default=lambda frame: 1.0)
 
@@ -69,13 +75,25 @@ class Pulses:
 
     def _read(self, rng: np.random.Generator, dn):
         charge = rng.poisson(np.clip(dn / self.electron_gain_dn, 0, None)) * self.electron_gain_dn
-        read = self.black_dn + charge + self.read_noise_dn * rng.standard_normal(dn.shape)
+        bent = charge * (1.0 - self.bend_per_dn * charge)
+        level = self.black_dn + self.offset_dn * np.random.default_rng(11).standard_normal(dn.shape)
+        read = level + bent + self.read_noise_dn * rng.standard_normal(dn.shape)
+        if self.smoothing_px:
+            read = gaussian_filter(read, self.smoothing_px, mode="wrap")
         return np.clip(np.rint(read), 0, self.full_scale_dn).astype(np.uint16)
 
     @property
     def covariance_gain_dn(self) -> float:
         """K + k F^2 with F^2 = 2 for exponential pulse heights."""
         return self.electron_gain_dn + 2.0 * self.gain_dn
+
+
+def memory_of(share: float) -> tuple[float, ...]:
+    """Light of a screen that keeps a share from frame to frame, as far back as a thousandth."""
+    if not share:
+        return (1.0,)
+    weights = (1.0 - share) * share ** np.arange(int(np.ceil(np.log(1e-3) / np.log(share))) + 1)
+    return tuple(weights / weights.sum())
 
 
 def session_of(stacks: list[tuple[str, str, FrameStack, Conditions]]) -> Session:
@@ -103,6 +121,11 @@ def flat_series(
 @pytest.fixture(scope="session")
 def pulses() -> type[Pulses]:
     return Pulses
+
+
+@pytest.fixture(scope="session")
+def keeping() -> Callable[[float], tuple[float, ...]]:
+    return memory_of
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,129 @@
+"""Whatever a session lacks, the answer is a number, a refusal or one sentence: never a traceback."""
+
+import numpy as np
+import pytest
+
+from charact import noise
+from charact.method import Context
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+LEVELS = (100.0, 300.0, 600.0)
+PLAIN = Conditions()
+METHODS = ("covariance-sum", "variance")
+
+
+def frames(rng, signal_dn, count=4, shape=(96, 128), highest=65535.0, number=None):
+    """A camera of K = 0.5 DN at a signal."""
+    data = 100.0 + 0.5 * rng.poisson(signal_dn / 0.5, (count, *shape)) + 2.0 * rng.standard_normal((count, *shape))
+    stamps = {} if number is None else {"frame_number": np.array(number)}
+    return FrameStack(data=np.clip(np.rint(data), 0, highest).astype(np.uint16), full_scale_dn=highest, **stamps)
+
+
+def still(code, count=4):
+    return FrameStack(data=np.full((count, 96, 128), code, np.uint16))
+
+
+def session(in_memory, darks, flats):
+    """Each of darks and flats is (frames, conditions)."""
+    return in_memory(
+        [(f"dark-{i}", "dark", *entry) for i, entry in enumerate(darks)]
+        + [(f"flat-{i}", "flat", *entry) for i, entry in enumerate(flats)]
+    )
+
+
+def plain(rng, levels=LEVELS, **more):
+    return [(frames(rng, level, **more), PLAIN) for level in levels]
+
+
+CASES = {
+    "only darks": lambda r: (plain(r, (0.0,)), []),
+    "two darks": lambda r: (plain(r, (0.0, 0.0)), []),
+    "only flats": lambda r: ([], plain(r)),
+    "one flat": lambda r: ([], plain(r, (300.0,))),
+    "two flats": lambda r: ([], plain(r, (300.0, 600.0))),
+    "flats of one level": lambda r: ([], plain(r, (300.0, 300.0, 300.0))),
+    "a dark and one flat": lambda r: (plain(r, (0.0,)), plain(r, (300.0,))),
+    "single frames": lambda r: (plain(r, (0.0,), count=1), plain(r, count=1)),
+    "single darks": lambda r: (plain(r, (0.0,), count=1), plain(r)),
+    "one flat and a single frame": lambda r: ([], plain(r, (300.0,)) + plain(r, (300.0,), count=1)),
+    "pairs": lambda r: (plain(r, (0.0,), count=2), plain(r, count=2)),
+    "saturated": lambda r: (plain(r, (0.0,), highest=150.0), plain(r, highest=150.0)),
+    "flats as dark as darks": lambda r: (plain(r, (0.0,)), plain(r, (0.0, 0.0, 0.0))),
+    "flats darker than darks": lambda r: (plain(r, (500.0,)), plain(r, (0.0, 0.0, 0.0))),
+    "8 x 8": lambda r: (plain(r, (0.0,), shape=(8, 8)), plain(r, shape=(8, 8))),
+    "8 x 8, one flat": lambda r: ([], plain(r, (300.0,), shape=(8, 8))),
+    "3 x 3": lambda r: (plain(r, (0.0,), shape=(3, 3)), plain(r, shape=(3, 3))),
+    "one pixel": lambda r: (plain(r, (0.0,), shape=(1, 1)), plain(r, shape=(1, 1))),
+    "one row": lambda r: (plain(r, (0.0,), shape=(1, 200)), plain(r, shape=(1, 200))),
+    "one column": lambda r: (plain(r, (0.0,), shape=(200, 1)), plain(r, shape=(200, 1))),
+    "all still": lambda r: ([(still(10), PLAIN)], [(still(50), PLAIN), (still(90), PLAIN)]),
+    "black darks": lambda r: ([(still(0), PLAIN)], []),
+    "still darks": lambda r: ([(still(100), PLAIN)], plain(r)),
+    "still flats": lambda r: (plain(r, (0.0,)), [(still(300), PLAIN), (still(600), PLAIN)]),
+    "still flats alone": lambda r: ([], [(still(300), PLAIN), (still(600), PLAIN)]),
+    "gaps": lambda r: (plain(r, (0.0,)), plain(r, number=(0, 5, 50, 51))),
+    "numbers that fall": lambda r: (plain(r, (0.0,)), plain(r, number=(9, 5, 3, 1))),
+    "no light in the books": lambda r: (
+        plain(r, (0.0,)), [(frames(r, s), Conditions(photons_per_px=0.0, illuminance_lux=0.0)) for s in LEVELS]
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("interlaced", [False, True])
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("case", CASES)
+def test_a_session_that_lacks_something_is_answered(in_memory, seed, case, method, interlaced):
+    given = session(in_memory, *CASES[case](np.random.default_rng(seed)))
+    context = Context(seed=1, quick=True, interlaced=interlaced)
+    if interlaced and case in ("one pixel", "one row"):
+        with pytest.raises(BadInput, match="two rows"):
+            noise.measure(given, method=method, context=context)
+        return
+    result = noise.measure(given, method=method, context=context)
+    gain = next(m for m in result.measurements if m.quantity in ("covariance_gain", "system_gain"))
+    if not given.of_kind("dark") or not given.of_kind("flat"):
+        assert gain.status != "ok"
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("dark", "flat"),
+    [
+        ({"mcp_v": 700.0}, {"mcp_v": 800.0}),
+        ({"camera_gain_db": 0.0}, {"camera_gain_db": 6.0}),
+        ({"exposure_s": 0.001}, {"exposure_s": 1.0}),
+        ({"temperature_c": -20.0}, {"temperature_c": 20.0}),
+    ],
+)
+def test_darks_of_other_conditions_are_unlike(in_memory, seed, method, dark, flat):
+    rng = np.random.default_rng(seed)
+    given = session(
+        in_memory, [(frames(rng, 0.0), Conditions(**dark))], [(frames(rng, s), Conditions(**flat)) for s in LEVELS]
+    )
+    result = noise.measure(given, method=method, context=Context(seed=1, quick=True))
+    (gain,) = result.find("system_gain")
+    assert "unlike-conditions" in gain.flags
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_frames_that_do_not_belong_together_are_bad_input(in_memory, seed, method):
+    rng = np.random.default_rng(seed)
+    context = Context(seed=1, quick=True)
+    cut = session(in_memory, plain(rng, (0.0,)), plain(rng, shape=(64, 80)))
+    with pytest.raises(BadInput, match="one size"):
+        noise.measure(cut, method=method, context=context)
+    same = session(in_memory, plain(rng, (0.0,)), plain(rng, number=(3, 3, 3, 3)))
+    with pytest.raises(BadInput, match="numbers of their own"):
+        noise.measure(same, method=method, context=context)
+    huge = FrameStack(data=1e30 * rng.standard_normal((4, 96, 128)))
+    with pytest.raises(BadInput, match="must lie below"):
+        noise.measure(session(in_memory, [(huge, PLAIN)], []), method=method, context=context)
+
+
+def test_flats_that_cannot_be_used_leave_no_blur_factor_to_the_darks(in_memory, seed):
+    rng = np.random.default_rng(seed)
+    given = session(in_memory, plain(rng, (0.0,), highest=150.0), plain(rng, (500.0,), highest=150.0))
+    assert not noise.measure(given, method="covariance-sum", context=Context(seed=1, quick=True)).find("blur_factor")

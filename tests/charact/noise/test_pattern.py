@@ -1,0 +1,82 @@
+"""The fixed pattern of unequal pixels is neither the noise of the frames nor the light they keep from each other."""
+
+import numpy as np
+import pytest
+
+from charact import noise
+from charact.method import Context
+from charact.noise.fields import Exposures, fluctuations
+from charact.noise.pattern import fixed_pattern
+
+QUICK = Context(seed=1, quick=True)
+
+
+def exposures(image) -> Exposures:
+    count = len(image)
+    return Exposures(image=image.astype(np.float32), time=np.arange(count), parity=np.zeros(count, int), row_step=1)
+
+
+def pattern_of(image):
+    shots = exposures(image)
+    return fixed_pattern(shots, fluctuations(shots), 1)
+
+
+def kept(rng, share, count, shape=(96, 128)):
+    """Noise of unit variance that keeps a share from frame to frame."""
+    frames = [rng.standard_normal(shape)]
+    for _ in range(count - 1):
+        frames.append(share * frames[-1] + np.sqrt(1 - share**2) * rng.standard_normal(shape))
+    return np.array(frames)
+
+
+@pytest.mark.parametrize("blur_px", [0.0, 1.5])
+def test_its_standard_error_holds_for_blurred_noise_too(seed, blur_px):
+    """Blurred noise has fewer independent pixels: the scatter over repeats is what the error says."""
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(seed)
+    pulls = []
+    for _ in range(60):
+        white = rng.standard_normal((6, 64, 64))
+        image = gaussian_filter(white, (0, blur_px, blur_px), mode="wrap") if blur_px else white
+        found = pattern_of(image)
+        pulls.append(found.variance_dn2 / found.sd_dn2)
+    # What near pairs might share is in the error as well, so that it is too large rather than too small.
+    assert 0.3 < np.sqrt(np.mean(np.square(pulls))) < 1.0 + 4.5 / np.sqrt(120)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+def test_noise_that_fades_is_waited_for(seed, share):
+    rng = np.random.default_rng(seed)
+    fixed = 0.5 * rng.standard_normal((96, 128))
+    found = pattern_of(fixed + kept(rng, share, 32))
+    assert found.settled
+    assert abs(found.variance_dn2 - fixed.var()) < 4.5 * found.sd_dn2
+
+
+def test_noise_that_outlasts_the_frames_is_not_called_pattern(seed):
+    rng = np.random.default_rng(seed)
+    assert not pattern_of(kept(rng, 0.8, 8)).settled
+
+
+@pytest.mark.parametrize("method", ["covariance-sum", "variance"])
+@pytest.mark.parametrize(("share", "frames"), [(0.0, 8), (0.2, 2), (0.2, 3), (0.2, 8), (0.6, 5), (0.8, 16), (0.6, 32)])
+def test_non_uniformity_of_an_intensified_camera_is_right_or_flagged(
+    pulses, keeping, series, seed, method, share, frames
+):
+    camera = pulses(
+        gain_dn=5.0, transfer=lambda f: np.exp(-2.0 * (np.pi * f * 0.7) ** 2), memory=keeping(share), pattern=0.02,
+        offset_dn=1.0, shape=(128, 160),
+    )  # fmt: skip
+    session = series(camera, np.random.default_rng(seed), (40.0, 120.0, 360.0), frames=frames, dark_frames=frames)
+    result = noise.measure(session, method=method, context=QUICK)
+    realised = 100.0 * np.random.default_rng(7).standard_normal(camera.shape).std() * 0.02
+    (prnu,) = result.find("prnu")
+    low, high = prnu.interval68 or (0.0, 0.0)
+    assert prnu.status != "ok" or abs(prnu.value - realised) < max(4.5 * 0.5 * (high - low), 0.02 * realised)
+    if not share or frames == 32:
+        assert prnu.status == "ok"
+    spread = np.random.default_rng(11).standard_normal(camera.shape).std()
+    for dsnu in (m for m in result.find("dsnu") if m.unit == "DN"):
+        low, high = dsnu.interval68 or (0.0, 0.0)
+        assert dsnu.status != "ok" or abs(dsnu.value - spread) < max(4.5 * 0.5 * (high - low), 0.02 * spread)
