@@ -48,6 +48,31 @@ def test_a_session_of_noise_is_never_ok(kind: str, tmp_path: Path, seed: int) ->
         assert not found
 
 
+FLATS = {
+    "constant": lambda rng: np.full((4, 96, 128), 77, np.uint8),
+    "saturated": lambda rng: np.full((4, 96, 128), 255, np.uint8),
+    "single frame": lambda rng: rng.poisson(90.0, (1, 96, 128)).astype(np.uint8),
+    "tiny": lambda rng: rng.poisson(90.0, (4, 8, 8)).astype(np.uint8),
+    "3 x 3": lambda rng: rng.poisson(90.0, (16, 3, 3)).astype(np.uint8),
+    "broken": lambda rng: np.where(rng.random((4, 96, 128)) < 1e-4, np.nan, 90.0),
+    "no frames": lambda rng: np.zeros((0, 96, 128), np.uint8),
+}
+
+
+@pytest.mark.parametrize("kinds", [("flat",), ("flat", "flat"), ("dark", "flat")])
+@pytest.mark.parametrize("case", FLATS)
+def test_flats_that_tell_nothing_are_never_a_gain(case: str, kinds: tuple[str, ...], tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    text = 'name = "noise"\n'
+    for index, kind in enumerate(kinds):
+        np.save(tmp_path / f"{index}.npy", FLATS[case](rng))
+        text += f'[[stack]]\nlabel = "{index}"\nkind = "{kind}"\nframes = "{index}.npy"\n'
+    (tmp_path / "session.toml").write_text(text)
+    found = ok_measurements("noise", tmp_path, "--quick")
+    assert {m["quantity"] for m in found} <= {"read_noise", "dark_signal", "dsnu", "blur_factor"}
+    assert "dark" in kinds or not found
+
+
 def ok_measurements(*arguments: object) -> list[dict]:
     done = CliRunner().invoke(app, [*map(str, arguments), "--json"])
     assert done.exit_code in (0, 1), done.output
