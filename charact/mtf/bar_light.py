@@ -48,12 +48,12 @@ def ground_of(mean: Array, target: BarTarget, margin_px: float) -> Ground:
 
     shape = (mean.shape[0], mean.shape[1])
     outside = ~target.box(shape, margin_px)
-    smooth = gaussian_filter(mean, OTHER_SMOOTHING_PX)
+    smooth = np.asarray(gaussian_filter(mean, OTHER_SMOOTHING_PX))
     level = float(np.median(smooth[outside]))
     spread = 1.4826 * float(np.median(np.abs(smooth[outside] - level)))
     height = float(smooth[target.box(shape, 0.0)].max()) - level
     other = outside & (np.abs(smooth - level) > max(OTHER_SD * spread, OTHER_SHARE * height))
-    other = binary_dilation(other, iterations=OTHER_REACH_PX) & outside
+    other = np.asarray(binary_dilation(other, iterations=OTHER_REACH_PX), bool) & outside
     crowded = bool((other & target.box(shape, margin_px + OTHER_REACH_PX)).any())
     beyond = outside & ~other
     # Where hardly any ground is left the objects are the ground.
@@ -108,7 +108,7 @@ def lost_light(data: NDArray, target: BarTarget, window: Mask, beyond: Mask, fou
     shells = _shells(moved, window | beyond)
     level = np.array([[frame[shell].mean(dtype=np.float64) for shell in shells] for frame in frames])
     shape = np.array([[image[shell].mean() for shell in shells] for image in pictures]) * found.light / kept[:, None]
-    weight = _weights(level, shape, [np.count_nonzero(shell) for shell in shells], frames)
+    weight = _weights(level, shape, [int(np.count_nonzero(shell)) for shell in shells], frames)
     lost = 1.0 - kept
     middle = float(weight @ lost)
     if middle < NEGLIGIBLE:

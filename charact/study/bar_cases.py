@@ -156,7 +156,10 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
             angle_deg=float(rng.choice([0, 90]) + rng.choice([-1, 1]) * rng.uniform(1, 10)),
             row_px=float(rng.uniform(-2, 2)),
             col_px=float(rng.uniform(-2, 2)),
-            level_dn=float(rng.uniform(60, 180)),
+            black_dn=100.0,
+            pedestal_dn=300.0,
+            level_dn=float(rng.uniform(600, 1800)),
+            full_scale_dn=4095.0,
             snr=float(np.exp(rng.uniform(np.log(5), np.log(50)))),
             noise_blur_px=float(rng.choice([0.0, 0.5, 0.9])),
         )

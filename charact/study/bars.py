@@ -36,7 +36,7 @@ def _bars_image(
             fy, fx = rows + up, cols + right
             shift = np.exp(-2j * np.pi * (fy * row_px + fx * col_px))
             spectrum += _object(bars, frequency_cy_per_px, angle_deg, fx, fy) * blur.transfer(fx, fy) * shift
-    return np.fft.fftshift(irfft2(spectrum, (PERIOD_PX, PERIOD_PX)))
+    return np.fft.fftshift(np.asarray(irfft2(spectrum, (PERIOD_PX, PERIOD_PX))))
 
 
 def _object(bars: int, frequency: float, angle_deg: float, fx: NDArray, fy: NDArray) -> NDArray[np.floating]:

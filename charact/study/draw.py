@@ -50,6 +50,8 @@ def draw_chart(result: Chart, path: Path) -> Path:
 
 def _draw_kind(axes: Any, result: Chart, kind: str) -> None:
     """One panel: the methods of one kind of target."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
     methods = {row.method for row in result.rows if row.kind == kind}
     summaries = [one for one in result.summaries if one.method in methods]
     for colour, one in zip(_cycled(len(summaries)), summaries, strict=True):
@@ -59,6 +61,10 @@ def _draw_kind(axes: Any, result: Chart, kind: str) -> None:
         label = f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, {one.ok_fraction:.0%} ok"
         axes.scatter([one.seconds], [one.error_percent], s=90, color=colour, edgecolor="black", label=label, zorder=3)
     axes.set(xscale="log", yscale="log", xlabel="time for one stack (s)")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_formatter(NullFormatter())
     axes.set_title(f"{kind}, {summaries[0].cases} cases; large: median time, 95th percentile", fontsize=9)
     axes.legend(frameon=False, fontsize=8)
 
@@ -80,7 +86,9 @@ def draw_stability(result: Stability, kind: str, path: Path) -> Path:
         _draw_axis(panel, [row for row in rows if row.axis == name], methods, result.quantity)
     for panel in grid.flat[len(names) :]:
         panel.set_visible(False)
-    figure.legend(handles=_legend(methods), loc="outside upper center", ncols=4, frameon=False)
+    figure.legend(handles=_legend(methods), loc="outside upper center", ncols=5, frameon=False)
+    title = f"{kind}: {QUANTITIES[result.quantity].title}; lines are 95 % intervals, marks at the rim lie beyond it"
+    figure.suptitle(title, fontsize=11)
     return _save(figure, path)
 
 
@@ -96,10 +104,11 @@ def _draw_axis(panel: Any, rows: list[Row], methods: tuple[str, ...], quantity: 
         shift = (number - (len(methods) - 1) / 2) * 0.8 / len(methods)
         for place, row in _spread(own, positions):
             _draw_row(panel, place + shift, row, colour)
-    panel.set(ylim=(0.45, 1.6), title=rows[0].axis, xlabel=f"{rows[0].axis} ({rows[0].unit})")
-    panel.set_ylabel(f"{quantity}: value / truth")
+    unit = "" if rows[0].unit in ("", "1") else f" ({rows[0].unit})"
+    panel.set(ylim=(0.45, 1.6), xlabel=f"{rows[0].axis}{unit}")
     panel.set_xticks(range(len(positions)), [f"{p:g}" for p in positions])
-    panel.title.set_fontsize(10)
+    if panel.get_subplotspec().is_first_col():
+        panel.set_ylabel(f"{quantity}: measured / true")
 
 
 def _spread(rows: list[Row], positions: list[float]) -> list[tuple[float, Row]]:

@@ -8,6 +8,8 @@ from scipy.special import erf
 
 from charact.method import Context
 from charact.mtf import measure
+from charact.study.bars import BarScene
+from charact.study.edge import Blur
 from labdata.frames import FrameStack
 
 SHAPE = (120, 140)
@@ -154,3 +156,47 @@ def test_a_contrast_reading_is_low_where_harmonics_are_and_never_trusted(seed: i
     reading = found.measurements[0]
     assert reading.status == "suspect"
     assert reading.value / mtf_of(0.05, 4.0, 0.8) == pytest.approx(1.0 - 0.186, abs=0.02)
+
+
+def scene_mtf(scene, rng, **asked):
+    context = Context(seed=1, quick=True, full_scale_dn=scene.full_scale_dn)
+    target = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px, **asked}
+    return measure("bars", scene.frames_drawn(rng), context=context, method="bars-forward", **target).measurements[0]
+
+
+def test_light_in_the_tails_of_a_tube_is_counted_though_it_leaves_the_window(seed: int) -> None:
+    """A blur exp(-(f/fc)^1.184) carries one to two percent of the light beyond any window."""
+    errors = []
+    for trial in range(6):
+        rng = np.random.default_rng([seed, trial])
+        blur = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+        scene = BarScene(blur=blur, frequency_cy_per_px=0.12, snr=60.0)
+        found = scene_mtf(scene, rng)
+        assert found.status == "ok", found.flags
+        errors.append((found.value - scene.truth_mtf) / ((found.interval95[1] - found.interval95[0]) / 3.92))
+    assert np.abs(errors).max() < 4.5
+    assert abs(np.mean(errors)) < 4.5 / np.sqrt(6)
+
+
+@pytest.mark.parametrize("gamma", [0.6, 1.6])
+def test_a_curved_response_shows_at_twice_the_frequency_of_the_bars(gamma: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert "gamma" in scene_mtf(BarScene(gamma=gamma, snr=50.0), rng).flags
+    assert "gamma" not in scene_mtf(BarScene(snr=50.0), rng).flags
+
+
+def test_a_neighbour_is_told_where_it_reaches_into_the_window_and_left_out_where_not(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert "several-targets" in scene_mtf(BarScene(neighbour_px=8.0, rows=240, row_px=-45.0), rng).flags
+    far = BarScene(neighbour_px=40.0, rows=240, row_px=-45.0, snr=50.0)
+    found = scene_mtf(far, rng)
+    assert found.value == pytest.approx(far.truth_mtf, rel=0.02)
+
+
+def test_two_bars_asked_for_are_not_found_in_four(seed: int) -> None:
+    assert scene_mtf(BarScene(snr=50.0), np.random.default_rng(seed), bars=2).status != "ok"
+
+
+def test_still_bars_along_the_rows_have_not_moved(seed: int) -> None:
+    scene = BarScene(bars=3, angle_deg=85.0, frequency_cy_per_px=0.21, snr=50.0)
+    assert scene_mtf(scene, np.random.default_rng(seed)).status == "ok"

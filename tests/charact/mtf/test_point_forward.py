@@ -10,6 +10,8 @@ from charact.mtf.point_forward import point_forward
 from charact.mtf.point_model import Optics, PointModel
 from charact.mtf.point_prior import priors_of
 from charact.mtf.point_spread import point_spread
+from charact.study.edge import Blur
+from charact.study.point import PointScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.sensors import load_sensor
@@ -182,3 +184,43 @@ def test_plain_transform_agrees_with_the_forward_fit_where_nothing_deceives_it(s
 def test_a_negative_pinhole_is_bad_input():
     with pytest.raises(BadInput, match="pinhole_px"):
         point_forward(FrameStack(data=np.zeros((2, 32, 32))), pinhole_px=-1.0, context=QUICK)
+
+
+@pytest.mark.parametrize("method", [point_forward, point_spread])
+@pytest.mark.parametrize("knob", [{"motion_px": 1.0}, {"drift_px": 2.0}])
+def test_what_moved_is_told(method, knob, seed):
+    rng = np.random.default_rng(seed)
+    told = {"motion_px": "interlace-motion", "drift_px": "drift"}
+    still, moved = (method(PointScene(**k).frames_drawn(rng), context=QUICK).measurements[0] for k in ({}, knob))
+    assert told[next(iter(knob))] in moved.flags
+    assert told[next(iter(knob))] not in still.flags
+
+
+def test_a_tube_with_a_narrow_pulse_is_fitted_with_both(seed):
+    """One form alone is 4 % off for exp(-(f/fc)^1.184) and a Gaussian behind the gain, six of its standard errors."""
+    errors = []
+    for trial in range(8):
+        rng = np.random.default_rng([seed, trial])
+        blur = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+        scene = PointScene(blur=blur, pulse_px=0.6, col_px=rng.uniform(-0.5, 0.5))
+        found = level(point_forward(scene.frames_drawn(rng), context=QUICK), "mtf50", 0.0)
+        errors.append(standard_errors(found, scene.truth_mtf50))
+    assert np.abs(errors).max() < 4.5
+    assert abs(np.mean(errors)) < 4.5 / np.sqrt(8)
+
+
+def test_the_plain_transform_tells_tails_that_its_disc_cuts_off(seed):
+    blur = Blur(form="exponential", frequency_cy_per_px=0.1)
+    stack = PointScene(blur=blur).frames_drawn(np.random.default_rng(seed))
+    assert "window-too-small" in point_spread(stack, context=QUICK).measurements[0].flags
+
+
+def test_the_plain_transform_tells_two_sources_from_one(seed):
+    stack = PointScene(neighbour_px=4.0).frames_drawn(np.random.default_rng(seed))
+    assert "model-misfit" in point_spread(stack, context=QUICK).measurements[0].flags
+
+
+def test_a_pinhole_that_passes_nothing_at_the_crossing_is_refused(seed):
+    scene = PointScene(blur=Blur(sigma_px=0.5), pulse_px=0.3, pinhole_px=5.0)
+    found = point_spread(scene.frames_drawn(np.random.default_rng(seed)), pinhole_px=5.0, context=QUICK)
+    assert found.measurements[0].status != "ok"
