@@ -16,6 +16,9 @@ from labdata.measurement import Measurement, from_draws, from_sd, refused
 
 Array = NDArray[np.float64]
 
+# Share of a dark's values at an end of the codes that leaves its noise alone.
+CUT_SHARE = 0.01
+
 # Share of the flats' pattern below which that of the dark, and what is wrong with it, matters no more.
 DARK_SHARE = 0.02
 
@@ -25,6 +28,8 @@ def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **field
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
     noise, sd = standard.noise_of(dark.variance_dn2, dark.variance_sd_dn2)
     small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
+    # Said here as well, for darks without a series of flats.
+    flags += cut(dark)
     out = []
     if noise > 0:
         note = ("temporal noise of a dark frame: electronics, digitiser and what scintillates in the dark",)
@@ -35,6 +40,11 @@ def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **field
     level_sd = max(scatter, np.sqrt(max(dark.variance_dn2, QUANTISED_DN2) / (dark.pixels * dark.frames)))
     out.append(from_sd("dark_signal", "DN", dark.mean_dn, float(level_sd), flags=flags, **fields))
     return out
+
+
+def cut(dark: Level) -> tuple[str, ...]:
+    """The flag of a dark whose noise is cut short at an end of the codes."""
+    return ("clipped",) if max(dark.low_share, dark.high_share) > CUT_SHARE else ()
 
 
 def saturation(series: Series, *, flags: tuple[str, ...], **fields: Any) -> Measurement:

@@ -5,6 +5,7 @@ import pytest
 
 from charact import noise
 from charact.method import Context
+from charact.noise.hidden import Effect
 from charact.noise.pixels import neighbours, successors
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -117,3 +118,13 @@ def test_successors_are_weighed_against_frames_further_apart(seed):
     value, sd = successors(change, np.arange(12), np.zeros(12, int))
     # Centring lowers the variance by the mean covariance of all pairs, 11 of 66 sharing a half.
     assert abs(value - 0.5 / (1.0 - 0.5 * 11 / 66)) < 4.5 * sd
+
+
+def test_what_a_weak_test_cannot_exclude_is_in_the_interval(ccd, series, seed):
+    """Of 48 x 64 px and four frames, some percent of shared noise would not be seen."""
+    session = series(ccd(shape=(48, 64)), np.random.default_rng(seed), ELECTRONS, frames=4)
+    gain = one(noise.measure(session, method="variance", context=QUICK), "system_gain")
+    # The variance alone is known to sqrt(2 / (48 * 64 * 3 * 3)) = 0.9 %, and twice that is hidden.
+    assert (gain.interval68[1] - gain.interval68[0]) / 2 > 0.013 * gain.value
+    assert Effect(share=0.004, sd=0.002).allowance == 0.0
+    assert Effect(share=0.004, sd=0.02).allowance > 0.02

@@ -127,3 +127,10 @@ def test_flats_that_cannot_be_used_leave_no_blur_factor_to_the_darks(in_memory, 
     rng = np.random.default_rng(seed)
     given = session(in_memory, plain(rng, (0.0,), highest=150.0), plain(rng, (500.0,), highest=150.0))
     assert not noise.measure(given, method="covariance-sum", context=Context(seed=1, quick=True)).find("blur_factor")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_darks_alone_that_are_cut_at_zero_are_flagged(in_memory, seed, method):
+    cut = FrameStack(data=np.clip(np.rint(np.random.default_rng(seed).normal(1.0, 3.0, (4, 96, 128))), 0, None))
+    result = noise.measure(session(in_memory, [(cut, PLAIN)], []), method=method, context=Context(seed=1, quick=True))
+    assert all("clipped" in m.flags for m in result.find("read_noise") + result.find("dark_signal"))

