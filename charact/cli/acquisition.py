@@ -26,7 +26,11 @@ def acquire(
 
     Example: charact acquire plan.toml day1
     """
-    with bad_input_ends(str(plan), events=events), progress_bar(events=events) as progress:
+    interrupted = f"interrupted; the frames so far are kept: charact acquire {plan} {out} --resume"
+    with (
+        bad_input_ends(str(plan), events=events, interrupted=interrupted),
+        progress_bar(events=events) as progress,
+    ):
         from charact.cli.benches import take
         from labdata.border import from_toml
         from labdata.plan import Plan

@@ -42,12 +42,20 @@ def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> N
 
 
 @contextmanager
-def bad_input_ends(given: str, *, as_json: bool = False, events: bool = False) -> Iterator[None]:
-    """Turn bad input, a failing bench and a file system that refuses into one sentence and exit code 1."""
+def bad_input_ends(
+    given: str, *, as_json: bool = False, events: bool = False, interrupted: str = "interrupted"
+) -> Iterator[None]:
+    """Turn bad input, a failing bench and a file system that refuses into one sentence and exit code 1.
+
+    An interrupt ends with its own sentence and exit code 130.
+    """
     try:
         yield
     except BadInput as error:
         fail(str(error), given=given, as_json=as_json, events=events)
+    except KeyboardInterrupt:
+        say(interrupted if events else f"charact: {interrupted}", events=events)
+        raise typer.Exit(130) from None
     except BrokenPipeError:
         # Who reads has read enough (`| head`): nothing more may be written, not even when Python tidies up.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

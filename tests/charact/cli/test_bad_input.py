@@ -134,3 +134,16 @@ def test_misuse_ends_with_two(edge: Path) -> None:
     assert charact("mtf", "edge", edge, "--no-such-option").exit_code == 2
     assert charact("no-such-verb").exit_code == 2
     assert charact("mtf", "edge").exit_code == 2
+
+
+def test_an_interrupt_ends_in_one_sentence_that_tells_how_to_go_on(tmp_path: Path, monkeypatch) -> None:
+    def interrupted(*arguments, **settings):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("charact.cli.benches.take", interrupted)
+    plan = tmp_path / "plan.toml"
+    plan.write_text('name = "short"\n\n[[step]]\nlabel = "dark"\nkind = "dark"\nframes = 2\n')
+    done = CliRunner().invoke(app, ["acquire", str(plan), str(tmp_path / "out")])
+    assert done.exit_code == 130, done.output
+    assert "--resume" in done.output
+    assert "Traceback" not in done.output
