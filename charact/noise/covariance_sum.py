@@ -10,6 +10,7 @@ from charact.method import Context, register
 from charact.noise import model, standard
 from charact.noise.calibrated import calibrated_quantities
 from charact.noise.checks import (
+    QUANTISED_DN2,
     Finding,
     bent,
     exposure_findings,
@@ -23,7 +24,7 @@ from charact.noise.evidence import correlation_evidence, spectrum_evidence, tran
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
 from charact.noise.level import Level
 from charact.noise.provenance import provenance
-from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.series import Series, read_levels, series_of
 from charact.noise.summary import Summary, summarise
 from charact.noise.verdict import lit, problem, timed, without_flats
@@ -276,7 +277,7 @@ def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any])
     summary = summarise(series)
     fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=_exponent(context))
     flags = ("model-misfit",) if fit.chance < 1e-4 else ()
-    flags += ("quantised",) if dark.variance_dn2 < 0.24 else ()
+    flags += cut(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
     note = ("from the darks alone: the electronics' white noise is in it",)
     found = from_draws("blur_factor", "1", fit.posterior["blur_factor"], flags=flags + fit.posterior.flags,
                        notes=note, posterior=fit.posterior, **fields)  # fmt: skip
