@@ -18,7 +18,7 @@ from labdata.plan import Plan
 
 # Truth beside measured further apart than this is no chance: two-sided, once in two thousand.
 LARGEST_Z = 3.5
-QUICK_FRAMES = 6
+QUICK_FRAMES = 10
 MADE_HERE = "demo.txt"
 
 

@@ -17,8 +17,11 @@ ELECTRON_C = 1.602176634e-19
 
 
 def calibrated_quantities(series: Series, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
-                          **fields: Any) -> list[Measurement]:  # fmt: skip
-    """Return k and F^2, refused where the light or the sensor is unknown."""
+                          covariance_flags: tuple[str, ...], **fields: Any) -> list[Measurement]:  # fmt: skip
+    """Return k and F^2, refused where the light or the sensor is unknown.
+
+    F^2 comes from the covariance gain and is suspect for whatever that is suspect for.
+    """
     names = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
     chosen = np.flatnonzero(series.fitted)
     known = [series.flats[i].conditions for i in chosen]
@@ -40,8 +43,8 @@ def calibrated_quantities(series: Series, posterior: Posterior, *, context: Cont
     excess = (posterior["covariance_gain"] - per_electron) / gain
     note = ("the interval is that of the luminous sensitivity and of the light meter, which flats cannot narrow",)
     return [
-        from_draws(name, unit, draws, flags=flags, notes=note, **fields)
-        for (name, unit), draws in zip(names, (gain, excess), strict=True)
+        from_draws(name, unit, draws, flags=own, notes=note, **fields)
+        for (name, unit), draws, own in zip(names, (gain, excess), (flags, covariance_flags), strict=True)
     ]
 
 

@@ -117,7 +117,11 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
     hidden = flags_of(bent(series) + hidden_findings(neighbours, exposures))
     allowance = float(np.hypot(neighbours.allowance, exposures.allowance))
     gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
-    out += _gain_quantities(series, gain, fit, context, plain + (hidden if white else ()), fields)
+    out += (
+        _white_quantities(series, gain, context, plain + hidden, fields)
+        if gain is not None
+        else _intensified_quantities(series, fit, context, plain, flags, fields)
+    )
     out.append(saturation(series, flags=plain, **fields))
     out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=hidden,
@@ -182,20 +186,32 @@ def _exponent(context: Context) -> tuple[float, float]:
     return float(known), max(spread, 0.05)
 
 
-def _gain_quantities(series: Series, gain: standard.Line | None, fit: model.Fit, context: Context,
-                     flags: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Gain in DN per electron where noise is white; the gain per photoelectron where the light is known."""
-    if gain is None:
-        blur = float(np.median(fit.posterior["blur_factor"]))
-        reason = (
-            f"neighbouring pixels share noise (blur factor {blur:.3g}): the variance over the signal is no gain "
-            "per electron; see covariance_gain"
-        )
-        return [refused("system_gain", "DN/e-", reason, **fields), *calibrated_quantities(
-            series, fit.posterior, context=context, flags=flags, **fields)]  # fmt: skip
+def _white_quantities(series: Series, gain: standard.Line, context: Context, flags: tuple[str, ...],
+                      fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Gain in DN per electron and what follows from it, where noise is white."""
     own = flags + gain.posterior.flags
     first = from_draws("system_gain", "DN/e-", gain.slope, flags=own, posterior=gain.posterior, **fields)
     return [first, *white_quantities(series, gain, context=context, flags=own, **fields)]
+
+
+def _intensified_quantities(
+    series: Series,
+    fit: model.Fit,
+    context: Context,
+    flags: tuple[str, ...],
+    covariance_flags: tuple[str, ...],
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """The gain per photoelectron where the light is known; the gain per electron is refused."""
+    blur = float(np.median(fit.posterior["blur_factor"]))
+    reason = (
+        f"neighbouring pixels share noise (blur factor {blur:.3g}): the variance over the signal is no gain "
+        "per electron; see covariance_gain"
+    )
+    calibrated = calibrated_quantities(
+        series, fit.posterior, context=context, flags=flags, covariance_flags=covariance_flags, **fields
+    )
+    return [refused("system_gain", "DN/e-", reason, **fields), *calibrated]
 
 
 def level_gains(series: Series, summary: Summary, fit: model.Fit):
