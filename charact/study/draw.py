@@ -86,9 +86,9 @@ def draw_stability(result: Stability, kind: str, path: Path) -> Path:
         _draw_axis(panel, [row for row in rows if row.axis == name], methods, result.quantity)
     for panel in grid.flat[len(names) :]:
         panel.set_visible(False)
-    figure.legend(handles=_legend(methods), loc="outside upper center", ncols=5, frameon=False)
     title = f"{kind}: {QUANTITIES[result.quantity].title}; lines are 95 % intervals, marks at the rim lie beyond it"
-    figure.suptitle(title, fontsize=11)
+    handles = _legend(methods)
+    figure.legend(handles=handles, title=title, loc="outside upper center", ncols=len(handles), frameon=False)
     return _save(figure, path)
 
 
