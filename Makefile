@@ -32,8 +32,9 @@ bench: $(READY)
 
 # Speed against accuracy, and where methods fail: measured again, tables for `auto` rewritten.
 study: $(READY)
-	$(BIN)/charact chart mtf50 --update --out study
-	$(BIN)/charact stability mtf50 --out study
+	for quantity in mtf50 mtf covariance_gain system_gain; do \
+	  $(BIN)/charact chart $$quantity --update --out study && $(BIN)/charact stability $$quantity --out study || exit 1; \
+	done
 
 docs: $(READY)
 	$(BIN)/python docs/tree.py

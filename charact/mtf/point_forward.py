@@ -14,7 +14,6 @@ from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point_data import Window, window_of
 from charact.mtf.point_fit import PointFit, fit
 from charact.mtf.point_model import Optics
-from charact.mtf.point_prior import two_forms
 from charact.mtf.region import Region
 from charact.posterior import laplace, sample
 from labdata.errors import BadInput
@@ -145,8 +144,7 @@ def _posterior(found: PointFit, context: Context) -> Posterior:
     prior = found.model.prior
     asked = {"names": prior.names, "units": prior.units, "start": found.point, "covariance": found.covariance}
     bounds = prior.bounds[prior.chosen]
-    # Two forms of an unknown camera trade width along a wall that no chain leaves in time; their curvature covers.
-    if context.quick or two_forms(prior):
+    if context.quick:
         return laplace(found.log_probability, **asked, seed=context.seed, bounds=bounds)
     return sample(found.log_probability, **asked, seed=context.seed, bounds=bounds, max_steps=MAX_STEPS)
 
@@ -166,12 +164,6 @@ class Task:
         settings = {"quick": self.context.quick, "pinhole_px": self.pinhole_px}
         return Provenance(version=charact.__version__, seed=self.context.seed, settings=settings)
 
-    def _of_curvature(self, found: PointFit) -> tuple[str, ...]:
-        """Return the note that no chain was run though one was wanted."""
-        if self.context.quick or not two_forms(found.model.prior):
-            return ()
-        return ("Core and tails are fitted each for itself; intervals come from the curvature, not from a chain.",)
-
     def nothing(self, reason: str, flag: str) -> Result:
         """Return the refusal of all that a point gives."""
         seconds = time.perf_counter() - self.began
@@ -190,7 +182,6 @@ class Task:
             "flags": (*point_checks.flags(found, window, source, self.context), *_of_chain(posterior)),
             "notes": (
                 *used.notes,
-                *self._of_curvature(found),
                 *point_checks.notes(found, window, self.context, self.pinhole_px),
             ),
             "region": self.where,

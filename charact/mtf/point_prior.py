@@ -107,11 +107,6 @@ def priors_of(context: Context, *, halo_seen: bool) -> tuple[Prior, ...]:
     return (_of_sensor(context, halo_seen),)
 
 
-def two_forms(prior: Prior) -> bool:
-    """Tell whether a prior is that of an unknown camera with core and tails of two forms."""
-    return prior.halo_px is None and "blur_px" in prior.free and "ln_bandwidth" not in prior.free
-
-
 def _of_camera(blur_px: float) -> Prior:
     """Any camera: exp(-(f/fc)^n), of which n = 2 is a Gaussian, alone or with a Gaussian core to its wide tails."""
     free = (*NAMES[:4], *(("blur_px",) if blur_px else ()), "stretch")
