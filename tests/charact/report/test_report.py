@@ -230,6 +230,10 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
         "point-profile": {**level, **twice, "used": [[True] * 3] * 2, "halo_diameter_px": 3.0},
         "bloom-series": {**level, "bloom_diameter_px": [1, 2], "streak_length_px": [1, 2], "gate_ns": [1, 1]},
         "halo-constancy": {**level, "halo_diameter_px": [None, 3.0], "interval95_px": [None, [2.0, 4.0]]},
+        "agreement": {
+            "pair": ["bars - edge", "edge - point", "bars - edge"], "frequency_cy_per_px": spread,
+            "difference": spread, "half_width": spread,
+        },
         "photon-transfer": {"signal_dn": spread, "variance_dn2": spread, "covariance_gain_dn": 2.0, "blur_factor": 0.5},
         "noise-spectrum": {
             "radius_cy_per_px": spread, "angle_deg": [0, 90, 45], "power_dn": spread, "power_sd_dn": spread,
