@@ -49,7 +49,9 @@ def agreement(data: Data) -> Any:
         )  # fmt: skip
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.set(xlabel="spatial frequency (cy/px)", ylabel="difference of MTFs, joint 95 % (1)")
-    axes.legend()
+    reach = float(np.max(np.abs(array(data, "difference")) + array(data, "half_width")))
+    axes.set_ylim(-1.1 * reach, 1.5 * reach)
+    axes.legend(ncols=3, loc="upper center")
     return figure
 
 
