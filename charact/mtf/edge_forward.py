@@ -27,6 +27,8 @@ QUANTITIES = ("mtf50", "mtf10", "mtf", "edge_angle")
 WIDEST_PX = 110.0
 # Least gain in chi squared for an edge to be one: a search of frames of noise finds up to about 40.
 LEAST_CHI2 = 90.0
+# What is no edge at all: chi squared per bin, and its share of that without an edge.
+UNLIKE_MISFIT, UNLIKE_SHARE = 1.5, 0.2
 MAX_STEPS = 3000
 METHOD = "edge-forward"
 
@@ -123,17 +125,33 @@ def _found(used: FrameStack, context: Context) -> Found | str:
     if first.chi2 / first.free < edge_checks.MISFIT:
         profile = refined(profile, picture, first.profile[0])
         first = refit(profile, first)
-    if first.chi2_without - first.chi2 < LEAST_CHI2:
-        sd = np.sqrt(max(first.chi2_without - first.chi2, 0.0))
-        return (
-            f"no target: the best step in the region stands {sd:.1f} standard errors out of the noise, fewer than 9.5"
-        )
+    reason = _no_edge(first)
+    if reason:
+        return reason
     half = float(np.exp(first.point[1]))
     if profile.gathered.half_width_px < 0.6 / half:
         return (
             f"no target: the blur is wider than the region, which ends {profile.gathered.half_width_px:.0f} px from it"
         )
     return Found(picture=picture, rows=rows, profile=profile, known=known, fit=first)
+
+
+def _no_edge(found: EdgeFit) -> str | None:
+    """Return why the best step in a region is none, if so.
+
+    Where even it does not describe the profile, noise is larger than was thought; where it leaves more than a fifth
+    unexplained besides, what varies across the region is something else.
+    """
+    misfit = max(found.chi2 / found.free, 1.0)
+    sd = np.sqrt(max((found.chi2_without - found.chi2) / misfit, 0.0))
+    if sd**2 < LEAST_CHI2:
+        return (
+            f"no target: the best step in the region stands {sd:.1f} standard errors out of the noise, fewer than 9.5"
+        )
+    left = found.chi2 / found.chi2_without
+    if misfit > UNLIKE_MISFIT and left > UNLIKE_SHARE:
+        return f"no target: the best step in the region leaves {100 * left:.0f} % of what varies across it unexplained"
+    return None
 
 
 def _posterior(fit: EdgeFit, context: Context) -> Posterior:

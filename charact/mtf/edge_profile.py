@@ -164,7 +164,9 @@ def _levels(mean: Array, count: Array, gathered: Gathered) -> tuple[float, float
     middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
     filled = count > 0
     left, right = middle < 0.5 * gathered.borders[0], middle > 0.5 * gathered.borders[-1]
-    return float(np.median(mean[filled & left])), float(np.median(mean[filled & right]))
+    sides = (side if side.any() else filled for side in (filled & left, filled & right))
+    dark, bright = (float(np.median(mean[side])) for side in sides)
+    return dark, bright
 
 
 def _defective(residual: Array, level: Array, used: NDArray[np.bool_], rounding_sd: float) -> NDArray[np.bool_]:

@@ -155,6 +155,9 @@ def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array,
     density = np.sqrt(np.outer(count, count) / np.outer(high - low, high - low))
     sd = np.sqrt(grain.variance(level))
     covariance = overlap * density * np.outer(sd / count, sd / count)
+    if not (np.diag(covariance) > 0).any():
+        # Too few pixels to tell a correlation, and chance made it cancel the noise: pixels count as independent.
+        return np.diag(sd**2 / count)
     return _positive(covariance)
 
 
