@@ -1,13 +1,17 @@
 """All that a session's stacks allow: each stack goes to the analysis of its kind."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from charact.method import Context
 from labdata.measurement import Measurement, Result
+from labdata.parameter import Parameter
 from labdata.session import Session, StackEntry, open_session
 
 Progress = Callable[[str, float], None]
+Task = Callable[[Context], Result]
 
 
 def unheard(sentence: str, share: float) -> None:
@@ -44,11 +48,12 @@ def measure(
         apart by ":label".
     """
     session = session if isinstance(session, Session) else open_session(session)
-    tasks = _tasks(session, context_of(session, quick=quick, seed=seed), within_percent)
-    result = Result()
+    tasks = _tasks(session, within_percent)
+    context, result = context_of(session, quick=quick, seed=seed), Result()
     for done, (sentence, task) in enumerate(tasks):
         progress(sentence, done / len(tasks))
-        result += task()
+        result += task(context)
+        context = _knowing_halo(context, result)
     progress("measured", 1.0)
     return result + _agreement(session, result)
 
@@ -58,6 +63,22 @@ def _agreement(session: Session, result: Result) -> Result:
     from charact.mtf.agreement import agreement
 
     return agreement(result, {entry.label: entry.kind for entry in session.of_kind("edge", "bars", "point")})
+
+
+def _knowing_halo(context: Context, result: Result) -> Context:
+    """Return the context in which the gap before the channel plate is what the session's own halo says.
+
+    The halo's diameter is four gaps; a point series tells it far better than the description does, and an edge that
+    must find it anew finds several.
+    """
+    found = [m for m in result.find("halo_diameter") if m.status == "ok" and m.interval95 is not None]
+    if context.sensor is None or not found or found[0].value is None or found[0].interval95 is None:
+        return context
+    sensor = context.sensor
+    mm_per_px = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
+    value, low, high = (x * mm_per_px / 4.0 for x in (found[0].value, *found[0].interval95))
+    gap = Parameter(value=value, low=low, high=high, standing="fitted", source="halo of the session's point sources")
+    return replace(context, sensor=sensor.with_parameters({"photocathode.gap_mm": gap}))
 
 
 def context_of(session: Session, *, quick: bool, seed: int, progress: Progress = unheard) -> Context:
@@ -73,41 +94,45 @@ def context_of(session: Session, *, quick: bool, seed: int, progress: Progress =
     )
 
 
-def _tasks(session: Session, context: Context, within_percent: float):
-    """Sentence and function of every analysis the session has stacks for."""
-    from charact import bloom, noise
-
-    tasks = []
+def _tasks(session: Session, within_percent: float) -> list[tuple[str, Task]]:
+    """Sentence and function of every analysis the session has stacks for; the halo first, for the others know of it."""
+    tasks: list[tuple[str, Task]] = []
     if session.of_kind("dark", "flat"):
-        tasks.append(
-            ("noise against gain", lambda: noise.measure(session, within_percent=within_percent, context=context))
-        )
-    targets = session.of_kind("edge", "bars")
-    tasks += [(f"MTF of {entry.label}", _target(entry, context, within_percent)) for entry in targets]
+        tasks.append(("noise against gain", partial(_noise, session, within_percent)))
     if session.of_kind("point"):
-        tasks.append(("MTF of a point source", lambda: _best_point(session, context, within_percent)))
-        tasks.append(
-            ("halo and blooming", lambda: bloom.measure(session, within_percent=within_percent, context=context))
-        )
+        tasks.append(("halo and blooming", partial(_bloom, session, within_percent)))
+    targets = session.of_kind("edge", "bars")
+    tasks += [(f"MTF of {entry.label}", partial(_target, entry, within_percent)) for entry in targets]
+    if session.of_kind("point"):
+        tasks.append(("MTF of a point source", partial(_best_point, session, within_percent)))
     return tasks
 
 
-def _target(entry: StackEntry, context: Context, within_percent: float):
-    def task() -> Result:
-        from charact import mtf
+def _noise(session: Session, within_percent: float, context: Context) -> Result:
+    from charact import noise
 
-        target = entry.target
-        asked = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
-        found = mtf.measure(
-            entry.kind, entry.read(), region=target.region, within_percent=within_percent, context=context, **asked
-        )
-        return labelled(found, entry.label)
-
-    return task
+    return noise.measure(session, within_percent=within_percent, context=context)
 
 
-def _best_point(session: Session, context: Context, within_percent: float) -> Result:
-    """The MTF of the brightest point source that no method distrusts, else of the one with the fewest flags."""
+def _bloom(session: Session, within_percent: float, context: Context) -> Result:
+    from charact import bloom
+
+    return bloom.measure(session, within_percent=within_percent, context=context)
+
+
+def _target(entry: StackEntry, within_percent: float, context: Context) -> Result:
+    from charact import mtf
+
+    target = entry.target
+    asked = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
+    found = mtf.measure(
+        entry.kind, entry.read(), region=target.region, within_percent=within_percent, context=context, **asked
+    )
+    return labelled(found, entry.label)
+
+
+def _best_point(session: Session, within_percent: float, context: Context) -> Result:
+    """The MTF of the point source that its method distrusts least, of several the one known best."""
     from charact import mtf
 
     found = []
