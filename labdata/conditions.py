@@ -4,6 +4,9 @@ from dataclasses import dataclass, fields
 
 from labdata.errors import BadInput
 
+# On or off; every other condition is a number.
+SWITCHES = ("automatic_gain", "brightness_control")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
@@ -30,6 +33,14 @@ class Conditions:
         Temperature of the camera or tube, degrees Celsius.
     wavelength_nm
         Wavelength of the light where it is narrow, nm.
+    automatic_gain
+        Whether the camera's automatic gain was on.
+    brightness_control
+        Whether the tube's supply was lowering the plate's voltage in bright light.
+    em_gain
+        Multiplication of an electron-multiplying register, dimensionless, at least 1.
+    gain_control
+        Control word of the tube's gain, counts.
     """
 
     exposure_s: float | None = None
@@ -41,10 +52,16 @@ class Conditions:
     camera_gain_db: float | None = None
     temperature_c: float | None = None
     wavelength_nm: float | None = None
+    automatic_gain: bool | None = None
+    brightness_control: bool | None = None
+    em_gain: float | None = None
+    gain_control: float | None = None
 
     def __post_init__(self) -> None:
-        signed = {"camera_gain_db", "temperature_c"}
+        free = {"camera_gain_db", "temperature_c", *SWITCHES}
         for item in fields(Conditions):
             value = getattr(self, item.name)
-            if value is not None and item.name not in signed and not value >= 0:
+            if value is not None and item.name not in free and not value >= 0:
                 raise BadInput(f"{item.name} must not be negative, got {value:g}")
+        if self.em_gain is not None and not self.em_gain >= 1:
+            raise BadInput(f"em_gain must be at least 1, got {self.em_gain:g}")

@@ -1,22 +1,43 @@
 """The description of an image-intensified camera, stage by stage, every number with its range and source."""
 
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from labdata.description import (
+    Description,
+    must_be_a_count,
+    must_be_a_share,
+    must_be_an_efficiency_table,
+    must_be_positive,
+    must_not_be_negative,
+)
 from labdata.errors import BadInput
 from labdata.parameter import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optics:
-    """Lens. Lengths at the photocathode."""
+    """Lens. Lengths at the photocathode, or at the chip of a camera without a tube."""
 
     f_number: Parameter
     transmission: Parameter
     aberration_blur_um: Parameter  # s of the MTF exp(-2 (pi f s)^2)
     veiling_glare_fraction: Parameter
     focal_length_mm: Parameter
+    vignetting_fraction: Parameter  # of the light, lost at the picture's corner beyond cos^4
+    distortion_fraction: Parameter  # radial, at the picture's corner; positive is pincushion
+    focal_shift_um: Parameter  # how far 925 nm focuses behind 500 nm; linear in wavelength
+    focus_nm: Parameter  # wavelength of best focus
+
+    def __post_init__(self) -> None:
+        must_be_positive(self, "f_number", "focal_length_mm", "focus_nm")
+        must_be_a_share(self, "transmission", "veiling_glare_fraction", "vignetting_fraction")
+        must_not_be_negative(self, "aberration_blur_um")
+        if not abs(float(self.distortion_fraction)) < 0.5:
+            raise BadInput(
+                f"distortion_fraction must be less than 0.5 either way, got {float(self.distortion_fraction):g}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,11 +60,26 @@ class Photocathode:
     ebi_temperature_c: Parameter  # temperature at which the EBI is stated
     halo_fraction: Parameter  # of the photoelectrons that land after an elastic or partial bounce
     halo_elastic_share: Parameter  # of the halo electrons, keep their energy (rim); others: uniform in energy
+    gate_on_off_ratio: Parameter  # light through the open gate over light through the shut one
+    bright_source_lux: Parameter  # mean illuminance of the cathode that lowers gap_v to bright_source_v
+
+    def __post_init__(self) -> None:
+        must_be_an_efficiency_table(self.wavelength_nm, self.relative_quantum_efficiency)
+        must_be_positive(self, "luminous_sensitivity_ua_per_lm", "diameter_mm", "gap_mm", "gap_v", "bright_source_v")
+        must_be_positive(self, "lateral_energy_ev", "gap_resolution_lp_per_mm", "ebi_doubling_k", "bright_source_lux")
+        must_not_be_negative(self, "ebi_lm_per_cm2")
+        must_be_a_share(self, "halo_fraction", "halo_elastic_share")
+        if not float(self.gate_on_off_ratio) >= 1.0:
+            raise BadInput(f"gate_on_off_ratio must be at least 1, got {float(self.gate_on_off_ratio):g}")
+        if not float(self.bright_source_v) <= float(self.gap_v):
+            raise BadInput(
+                f"bright_source_v must not exceed gap_v, got {float(self.bright_source_v):g} over {float(self.gap_v):g}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class MicrochannelPlate:
-    """Microchannel plate with its film."""
+    """Microchannel plate, or stack of plates, with its film; gain and pulse heights are those of the stack."""
 
     detection_probability: Parameter
     film_transmission: Parameter  # the factors of the detection probability: T (OAR + (1 - OAR) recovery)
@@ -61,6 +97,24 @@ class MicrochannelPlate:
     channel_recovery_ms: Parameter
     ion_event_rate_per_s_cm2: Parameter
     ion_event_size_pe: Parameter
+    stages: int  # plates in the stack
+    gain_control_counts: Parameter  # counts of the gain's control word that raise the gain by gain_control_ratio
+    gain_control_ratio: Parameter
+    gain_control_reference: Parameter  # counts at which the tube has its nominal luminous gain
+    pattern_contrast: Parameter  # depth of the plate's multi-fibre boundaries
+    pattern_pitch_um: Parameter  # of that pattern, at the cathode
+
+    def __post_init__(self) -> None:
+        must_be_a_share(self, "detection_probability", "film_transmission", "open_area_ratio", "web_recovery")
+        must_be_a_share(self, "pattern_contrast")
+        must_be_positive(self, "detection_probability", "pulse_height_shape", "reference_v", "electron_gain")
+        must_be_positive(self, "channel_pitch_um", "resolution_lp_per_mm", "pattern_pitch_um", "gain_control_counts")
+        must_be_positive(self, "strip_current_ua_per_cm2", "saturation_fraction", "channel_recovery_ms")
+        must_not_be_negative(self, "gain_exponent", "saturation_blur_um", "gain_control_reference")
+        must_not_be_negative(self, "ion_event_rate_per_s_cm2", "ion_event_size_pe")
+        must_be_a_count(self, "stages")
+        if not float(self.gain_control_ratio) > 1.0:
+            raise BadInput(f"gain_control_ratio must exceed 1, got {float(self.gain_control_ratio):g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +131,11 @@ class Tube:
     life_h: Parameter
     brightness_control_lux: Parameter  # illuminance at the cathode above which the supply lowers the plate's voltage
     brightness_control_s: Parameter  # its attack time
+
+    def __post_init__(self) -> None:
+        must_be_positive(self, "luminous_gain", "limiting_resolution_lp_per_mm", "mtf_frequency_lp_per_mm")
+        must_be_positive(self, "mtf_exponent", "magnification", "brightness_control_lux", "brightness_control_s")
+        must_be_a_share(self, "post_gain_share")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +155,13 @@ class Phosphor:
     slow_decay_ms: Parameter
     gain_nonuniformity: Parameter  # relative standard deviation
 
+    def __post_init__(self) -> None:
+        must_be_positive(self, "luminous_efficacy_lm_per_w", "photon_energy_ev", "peak_nm", "width_nm")
+        must_be_positive(self, "photons_per_electron", "screen_kv", "resolution_lp_per_mm")
+        must_be_positive(self, "fast_decay_ms", "slow_decay_ms")
+        must_be_a_share(self, "fast_fraction")
+        must_not_be_negative(self, "gain_nonuniformity")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Taper:
@@ -113,50 +179,107 @@ class Taper:
     distortion_fraction: Parameter  # at the corner
     shear_um: Parameter
 
+    def __post_init__(self) -> None:
+        must_be_positive(self, "demagnification", "transmission", "numerical_aperture", "fibre_pitch_um")
+        must_be_positive(self, "interface_mtf_lp_per_mm", "pattern_pitch_um")
+        must_be_a_share(self, "transmission", "core_fraction", "bulk_transmission", "pattern_contrast")
+        must_not_be_negative(self, "shear_um")
+        if not abs(float(self.distortion_fraction)) < 0.5:
+            raise BadInput(
+                f"distortion_fraction must be less than 0.5 either way, got {float(self.distortion_fraction):g}"
+            )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ccd:
-    """Interline CCD."""
+    """CCD, interline or frame-transfer."""
 
     columns: int
     rows: int
     pitch_x_um: Parameter
     pitch_y_um: Parameter
-    quantum_efficiency: Parameter  # fill factor included, at the phosphor's peak
-    full_well_e: Parameter  # of one field pixel as read
+    quantum_efficiency: Parameter  # fill factor included, at the phosphor's peak; without a tube, the table's highest
+    full_well_e: Parameter  # of one pixel as read
     read_noise_e: Parameter
     dark_current_e_per_s: Parameter  # per pixel at 25 C
     dark_current_doubling_k: Parameter
     prnu: Parameter  # relative standard deviation
     smear_fraction: Parameter  # of the overexposed pixel, for a spot one tenth of the picture high
-    antibloom_ratio: Parameter  # overexposure that the drain carries off, in full wells
+    antibloom_ratio: Parameter  # overexposure that the drain carries off, in full wells; 1 is no drain
+    dsnu_e: Parameter  # standard deviation of the fixed dark pattern, per exposure at 25 C
+
+    def __post_init__(self) -> None:
+        must_be_a_count(self, "columns", "rows")
+        must_be_positive(self, "pitch_x_um", "pitch_y_um", "full_well_e", "dark_current_doubling_k")
+        must_be_positive(self, "quantum_efficiency")
+        must_be_a_share(self, "quantum_efficiency", "smear_fraction")
+        must_not_be_negative(self, "read_noise_e", "dark_current_e_per_s", "prnu", "dsnu_e", "antibloom_ratio")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Video:
-    """Read-out, video and digitiser."""
+    """Read-out and digitiser; of an analog camera, the video between them. A digital one has no bandwidth."""
 
     interlaced: bool
-    lines: int  # of a frame, the blanked ones counted
-    field_rate_hz: Parameter
-    pixel_clock_mhz: Parameter
-    bandwidth_mhz: Parameter
-    filter_order: int
-    aperture_correction_db: Parameter  # boost at 4.5 MHz
-    resolution_horizontal_tvl: Parameter  # television lines per picture height
-    resolution_vertical_tvl: Parameter
-    output_vpp: Parameter
-    impedance_ohm: Parameter
-    setup_ire: Parameter  # black above blanking
-    sensitivity_lux: Parameter  # as the maker states it
-    signal_to_noise_db: Parameter
+    field_rate_hz: Parameter  # exposures per second; a progressive camera has one field a frame
     gamma: Parameter
     automatic_gain: bool  # what the camera can do; whether it was on belongs to the session
-    automatic_gain_range_db: Parameter
-    automatic_gain_s: Parameter  # time constant
     bit_depth: int
     black_level_dn: Parameter
-    conversion_gain_dn_per_e: Parameter  # K, DN per CCD electron
+    conversion_gain_dn_per_e: Parameter  # K, DN per electron at the output, behind any multiplication
+    lines: int | None = None  # of a frame, the blanked ones counted
+    pixel_clock_mhz: Parameter | None = None
+    bandwidth_mhz: Parameter | None = None
+    filter_order: int | None = None
+    aperture_correction_db: Parameter | None = None  # boost at 4.5 MHz
+    resolution_horizontal_tvl: Parameter | None = None  # television lines per picture height
+    resolution_vertical_tvl: Parameter | None = None
+    output_vpp: Parameter | None = None
+    impedance_ohm: Parameter | None = None
+    setup_ire: Parameter | None = None  # black above blanking
+    sensitivity_lux: Parameter | None = None  # as the maker states it
+    signal_to_noise_db: Parameter | None = None
+    automatic_gain_range_db: Parameter | None = None
+    automatic_gain_s: Parameter | None = None  # time constant
+    sync_jitter_ns: Parameter | None = None  # standard deviation of a line's start
+    line_noise_dn: Parameter | None = None  # standard deviation of an offset common to a line
+
+    def __post_init__(self) -> None:
+        must_be_positive(self, "field_rate_hz", "gamma", "conversion_gain_dn_per_e")
+        if not 1 <= self.bit_depth <= 16:
+            raise BadInput(f"bit_depth must lie in 1..16, got {self.bit_depth}")
+        given = [name for name in _ANALOG if getattr(self, name) is not None]
+        if self.digital and given:
+            raise BadInput(f"a camera without bandwidth_mhz must have no analog video, got {', '.join(given)}")
+        if not self.digital and len(given) < len(_ANALOG):
+            missing = [name for name in _ANALOG if getattr(self, name) is None]
+            raise BadInput(f"a camera with bandwidth_mhz must have all its analog video, got no {', '.join(missing)}")
+        if self.automatic_gain and None in (self.automatic_gain_range_db, self.automatic_gain_s):
+            raise BadInput("a camera with automatic_gain must have automatic_gain_range_db and automatic_gain_s")
+        must_be_positive(self, *_present(self, "bandwidth_mhz", "pixel_clock_mhz", "automatic_gain_s"))
+        must_not_be_negative(self, *_present(self, "sync_jitter_ns", "line_noise_dn", "automatic_gain_range_db"))
+        if self.filter_order is not None:
+            must_be_a_count(self, "filter_order")
+
+    @property
+    def digital(self) -> bool:
+        """Whether the charge is digitised pixel by pixel, without a video signal between."""
+        return self.bandwidth_mhz is None
+
+    @property
+    def low_pass(self) -> tuple[float, float, int] | None:
+        """Bandwidth in MHz, pixel clock in MHz and order of the video's low pass; None of a digital camera."""
+        if self.bandwidth_mhz is None or self.pixel_clock_mhz is None or self.filter_order is None:
+            return None
+        return float(self.bandwidth_mhz), float(self.pixel_clock_mhz), self.filter_order
+
+
+# What the simulated video of an analog camera cannot do without, and a digital camera cannot have.
+_ANALOG = ("lines", "pixel_clock_mhz", "filter_order", "aperture_correction_db", "sync_jitter_ns", "line_noise_dn")
+
+
+def _present(video: Video, *names: str) -> tuple[str, ...]:
+    return tuple(name for name in names if getattr(video, name) is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,7 +303,7 @@ class Draws:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sensor:
+class Sensor(Description):
     """An image-intensified camera.
 
     `float(sensor.ccd.pitch_x_um)` is a number; `sensor.ccd.pitch_x_um.source` says where it comes from.
@@ -197,35 +320,6 @@ class Sensor:
     video: Video
     draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
-
-    def parameters(self) -> dict[str, Parameter]:
-        """Every parameter by its path, such as "optics.f_number"."""
-        return {
-            f"{stage.name}.{item.name}": value
-            for stage in fields(self)
-            if is_dataclass(part := getattr(self, stage.name))
-            for item in fields(part)
-            if isinstance(value := getattr(part, item.name), Parameter)
-        }
-
-    def with_parameters(self, changes: dict[str, Parameter]) -> "Sensor":
-        """Return a copy with parameters replaced by path."""
-        if unknown := changes.keys() - self.parameters().keys():
-            raise BadInput(f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}")
-        stages: dict[str, dict[str, Parameter]] = {}
-        for path, parameter in changes.items():
-            stage, name = path.split(".")
-            stages.setdefault(stage, {})[name] = parameter
-        return replace(self, **{stage: replace(getattr(self, stage), **named) for stage, named in stages.items()})
-
-    def with_values(self, values: dict[str, float]) -> "Sensor":
-        """Return a copy in which parameters have other values, exact, by path."""
-        known = self.parameters()
-        if unknown := values.keys() - known.keys():
-            raise BadInput(f"a sensor parameter must be one of its stages' own, got {sorted(unknown)}")
-        return self.with_parameters(
-            {path: replace(known[path], value=float(value), low=None, high=None) for path, value in values.items()}
-        )
 
     def draw(self, rng: np.random.Generator) -> "Sensor":
         """Return the sensor of one joint posterior draw; a sensor without draws is a BadInput."""

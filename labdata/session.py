@@ -148,7 +148,8 @@ class Session:
     stacks
         Its stacks in the order of the manifest.
     sensor
-        The sensor description it names, or None.
+        The description of the intensified camera that it names; None where it names none, or a camera without an
+        intensifier, whose frames are measured as those of any camera.
     bit_depth
         Bits of the digitiser; None if unknown.
     interlaced
@@ -207,9 +208,10 @@ def open_session(path: str | Path) -> Session:
 
 def session_of(folder: Path, form: "SessionForm") -> Session:
     """Return the session that a manifest describes, checked as `open_session` checks it."""
-    from labdata.sensors import load_sensor
+    from labdata.sensors import load_camera
 
     _check(form, folder)
+    camera = None if form.sensor is None else load_camera(form.sensor, relative_to=folder)
     stacks = tuple(_entry(stack, form, folder) for stack in form.stack)
     for entry in stacks:
         for path in entry.paths:
@@ -219,7 +221,7 @@ def session_of(folder: Path, form: "SessionForm") -> Session:
         folder=folder,
         name=form.name,
         stacks=stacks,
-        sensor=None if form.sensor is None else load_sensor(form.sensor, relative_to=folder),
+        sensor=camera if isinstance(camera, Sensor) else None,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
         notes=form.notes,

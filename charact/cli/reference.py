@@ -46,7 +46,7 @@ def methods(as_json: options.Json = False) -> None:
 
 
 def schema(
-    kind: Annotated[str, typer.Argument(help="session, sensor or plan.")],
+    kind: Annotated[str, typer.Argument(help="session, sensor, solid-state or plan.")],
 ) -> None:
     """JSON Schema of a file format, for completion and checking in editors.
 

@@ -131,7 +131,8 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
 def fixed_values(sensor: Sensor) -> Values:
     """Return every parameter's own value, shape (1,)."""
     values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
-    return {**values, "video.filter_order": np.array([float(sensor.video.filter_order)])}
+    order = sensor.video.filter_order
+    return values if order is None else {**values, "video.filter_order": np.array([float(order)])}
 
 
 def _has_range(parameter: Parameter) -> bool:

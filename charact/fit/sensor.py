@@ -63,10 +63,12 @@ def fit_sensor(
     Raises
     ------
     BadInput
-        If the session names no sensor, or holds nothing that speaks of one.
+        If the session names no sensor, one without interlaced analog video, or holds nothing that speaks of one.
     """
     if session.sensor is None:
         raise BadInput(f"a fit needs a sensor description with prior ranges, got none in session {session.name!r}")
+    if session.sensor.video.digital or not session.sensor.video.interlaced:
+        raise BadInput(f"a fit needs a camera of interlaced analog video, got {session.sensor.name!r}")
     progress("levels of darks and flats", 0.0)
     observed = observations(session, session.sensor, result, levels_of(session))
     if not observed:

@@ -52,8 +52,7 @@ def known_of(picture: Picture, angle_rad: float, context: Context) -> Known:
     )
     video = None
     if context.sensor is not None and not picture.transposed:
-        chain = context.sensor.video
-        video = (float(chain.bandwidth_mhz), float(chain.pixel_clock_mhz), int(chain.filter_order))
+        video = context.sensor.video.low_pass
     return Known(angle_rad=angle_rad, along_px=along, across_px=across, video=video, mirrored=picture.mirrored)
 
 

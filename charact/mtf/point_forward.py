@@ -128,12 +128,11 @@ def _optics(context: Context, pinhole_px: float) -> Optics:
     if context.sensor is None:
         rows = 2.0 if context.interlaced else 1.0
         return Optics(width_px=1.0, height_px=rows, video=None, pinhole_px=pinhole_px, top=2.0)
-    video = context.sensor.video
     rows = 2.0 if context.interlaced else 1.0
     return Optics(
         width_px=1.0,
         height_px=rows * context.pitch_ratio,
-        video=(float(video.bandwidth_mhz), float(video.pixel_clock_mhz), int(video.filter_order)),
+        video=context.sensor.video.low_pass,
         pinhole_px=pinhole_px,
         top=1.2,
     )

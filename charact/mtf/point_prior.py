@@ -136,7 +136,7 @@ def _of_sensor(context: Context, halo_seen: bool) -> Prior:
     bend = _bend(float(share), share.low, share.high) if halo_seen else NO_HALO
     gap = sensor.photocathode.gap_mm
     diameter = (4e3 * float(gap) / (pitch_um * demagnification), 0.12)
-    video = 0.04 if float(sensor.video.bandwidth_mhz) > 0 else 0.0
+    video = 0.0 if sensor.video.digital else 0.04
     free = (*NAMES[:7], *(NAMES[7:] if halo_seen else ()))
     core = (np.log(cut_off), float(sensor.tube.mtf_exponent), blur)
     return _prior(free, core, (CUT_OFF_SD, EXPONENT_SD, 0.25 * blur), (video or 1e-3, diameter[0]), halo, bend)

@@ -2,10 +2,10 @@
 
 import re
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
-from labdata.conditions import Conditions
+from labdata.conditions import SWITCHES, Conditions
 from labdata.errors import BadInput
 from labdata.form import SessionForm, StackForm, stack_form
 from labdata.importers.emva1288 import relative, write_session
@@ -74,7 +74,7 @@ def _grouped(paths: list[Path], out: Path, kind: Kind, pattern: str) -> tuple[St
         groups.setdefault(conditions, []).append(path)
     return tuple(
         stack_form(
-            Conditions(**dict(conditions)),
+            replace(Conditions(), **dict(conditions)),
             label=f"{kind} " + " ".join(f"{name}={value:g}" for name, value in conditions),
             kind=kind,
             frames=tuple(relative(path, out) for path in members),
@@ -85,7 +85,7 @@ def _grouped(paths: list[Path], out: Path, kind: Kind, pattern: str) -> tuple[St
 
 def name_expression(pattern: str) -> re.Pattern[str]:
     """Return the regular expression of a name pattern; a condition that does not exist is a BadInput."""
-    known = [item.name for item in fields(Conditions)]
+    known = [item.name for item in fields(Conditions) if item.name not in SWITCHES]
     parts = re.split(r"(\{[^{}]*\}|\*)", pattern)
     names = [part[1:-1] for part in parts if part.startswith("{")]
     if unknown := [name for name in names if name not in known]:

@@ -1,5 +1,6 @@
-"""Sensor descriptions: the shipped ones by name, others by path."""
+"""Camera descriptions: the shipped ones by name, others by path."""
 
+import tomllib
 from importlib import resources
 from pathlib import Path
 
@@ -7,16 +8,17 @@ from labdata.border import from_toml, to_toml
 from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
+from labdata.solid_state import SolidStateCamera
 
 
 def shipped() -> tuple[str, ...]:
-    """Names of the sensor descriptions that come with the package."""
+    """Names of the camera descriptions that come with the package."""
     files = resources.files("labdata.sensors").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
 
 
 def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor:
-    """Read a sensor description.
+    """Read the description of an intensified camera.
 
     Parameters
     ----------
@@ -28,19 +30,39 @@ def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None)
     Raises
     ------
     BadInput
-        If there is no such description, or it breaks a rule.
+        If there is no such description, it breaks a rule, or the camera has no intensifier.
+    """
+    camera = load_camera(name_or_path, relative_to)
+    if isinstance(camera, SolidStateCamera):
+        raise BadInput(f"a sensor must be an intensified camera, got {camera.name!r}, which has no [tube]")
+    return camera
+
+
+def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor | SolidStateCamera:
+    """Read the description of a camera: intensified if the file has a [tube], or silicon alone if [silicon].
+
+    Parameters and errors as for `load_sensor`.
     """
     if str(name_or_path) in shipped():
         with resources.as_file(resources.files("labdata.sensors") / f"{name_or_path}.toml") as path:
-            return from_toml(path, Sensor)
+            return from_toml(path, _type_of(path))
     path = Path(relative_to or ".") / Path(name_or_path).expanduser()
     if not path.is_file():
         raise BadInput(
             f"a sensor must be one of {', '.join(shipped())} or the path of a TOML file, got {str(name_or_path)!r}"
         )
-    return from_toml(path, Sensor)
+    return from_toml(path, _type_of(path))
 
 
-def save_sensor(sensor: Sensor, path: str | Path) -> None:
-    """Write a sensor description, whole or not at all."""
-    write_durably(path, to_toml(sensor).encode())
+def _type_of(path: Path) -> type[Sensor] | type[SolidStateCamera]:
+    """Return what a file describes; what cannot be read as TOML is left to the border to refuse."""
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return Sensor
+    return SolidStateCamera if "silicon" in tables and "tube" not in tables else Sensor
+
+
+def save_sensor(camera: Sensor | SolidStateCamera, path: str | Path) -> None:
+    """Write a camera description, whole or not at all."""
+    write_durably(path, to_toml(camera).encode())

@@ -20,12 +20,16 @@ numbers = st.floats(min_value=0, max_value=1e12, allow_nan=False)
 signed = st.floats(min_value=-1e6, max_value=1e6)
 texts = st.text(st.characters(codec="utf-8", exclude_categories=("Cs", "Cc")), min_size=1, max_size=12)
 kinds = st.sampled_from(["dark", "flat", "edge", "bars", "point", "scene"])
+ranges_of_conditions = {
+    "camera_gain_db": signed,
+    "temperature_c": signed,
+    "automatic_gain": st.booleans(),
+    "brightness_control": st.booleans(),
+    "em_gain": st.floats(1.0, 1e4),
+}
 conditions = st.builds(
     Conditions,
-    **{
-        item.name: st.none() | (signed if item.name in ("camera_gain_db", "temperature_c") else numbers)
-        for item in fields(Conditions)
-    },
+    **{item.name: st.none() | ranges_of_conditions.get(item.name, numbers) for item in fields(Conditions)},
 )
 targets = st.builds(
     Target,
@@ -243,7 +247,7 @@ def test_the_schema_of_a_sensor_holds_for_the_shipped_ones_and_not_for_a_misspel
 
 
 def test_the_schema_knows_no_null_as_toml_has_none():
-    assert not any("null" in str(file_schema(kind)) for kind in ("session", "sensor", "plan"))
+    assert not any("null" in str(file_schema(kind)) for kind in ("session", "sensor", "solid-state", "plan"))
 
 
 def test_the_schema_explains_the_keys():
@@ -255,5 +259,5 @@ def test_the_schema_explains_the_keys():
 
 
 def test_a_schema_of_an_unknown_kind_is_refused():
-    with pytest.raises(BadInput, match="one of session, sensor, plan, got 'scene'"):
+    with pytest.raises(BadInput, match="one of session, sensor, solid-state, plan, got 'scene'"):
         file_schema("scene")

@@ -139,6 +139,7 @@ def test_every_number_says_where_it_comes_from(sensor):
 def test_what_is_neither_sheet_nor_definition_has_a_range(sensor):
     exact = {
         "microchannel_plate.reference_v",
+        "microchannel_plate.gain_control_counts",
         "taper.numerical_aperture",
         "video.pixel_clock_mhz",
         "video.aperture_correction_db",

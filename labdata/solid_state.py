@@ -1,0 +1,69 @@
+"""The description of a camera without an intensifier: a plain CCD or one that multiplies electrons as it reads."""
+
+from dataclasses import dataclass
+
+from labdata.description import (
+    Description,
+    must_be_a_count,
+    must_be_an_efficiency_table,
+    must_be_positive,
+    must_not_be_negative,
+)
+from labdata.errors import BadInput
+from labdata.parameter import Parameter
+from labdata.sensor import Ccd, Optics, Video
+
+
+@dataclass(frozen=True, kw_only=True)
+class Silicon:
+    """Photoelectrons per photon on a pixel by wavelength, fill factor and surface losses included."""
+
+    wavelength_nm: tuple[float, ...]
+    quantum_efficiency: tuple[float, ...]  # absolute
+
+    def __post_init__(self) -> None:
+        must_be_an_efficiency_table(self.wavelength_nm, self.quantum_efficiency)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Register:
+    """Serial register that multiplies electrons by impact; a plain CCD has a gain of exactly 1."""
+
+    em_gain: Parameter  # at most; the session says what it was set to
+    pulse_height_shape: Parameter  # of one electron at high gain; 1 is exponential
+    clock_induced_e: Parameter  # electrons that clocking sets free, per pixel and frame, before the gain
+    stages: int  # of the register
+
+    def __post_init__(self) -> None:
+        if not float(self.em_gain) >= 1.0:
+            raise BadInput(f"em_gain must be at least 1, got {float(self.em_gain):g}")
+        must_be_positive(self, "pulse_height_shape")
+        must_not_be_negative(self, "clock_induced_e")
+        must_be_a_count(self, "stages")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolidStateCamera(Description):
+    """A camera whose chip sees the scene itself, progressive and digital.
+
+    Parameters and sources are as in `labdata.sensor.Sensor`. `video.conversion_gain_dn_per_e` counts electrons at the
+    output, after multiplication; `ccd.quantum_efficiency` is the highest of the silicon's table.
+    """
+
+    name: str
+    optics: Optics
+    silicon: Silicon
+    ccd: Ccd
+    register: Register
+    video: Video
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        highest = max(self.silicon.quantum_efficiency)
+        if abs(float(self.ccd.quantum_efficiency) - highest) > 0.01 * highest:
+            raise BadInput(
+                f"quantum_efficiency of the ccd must be the silicon's highest, {highest:g}, "
+                f"got {float(self.ccd.quantum_efficiency):g}"
+            )
+        if self.video.interlaced or not self.video.digital:
+            raise BadInput("a camera without a tube must be progressive and digital, got video or interlace")
