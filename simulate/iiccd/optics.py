@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simulate.iiccd.light import Light
 from simulate.iiccd.transfer import Blur
@@ -28,11 +29,14 @@ class Optics:
 
     def mean(self, light: Light) -> Light:
         """Return (1 - v) E + v mean(E), owing the blur; the light per cell keeps its sum."""
-        glare = self.veiling_glare_fraction
-        level = light.values.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
-        veiled = (1.0 - glare) * light.values + np.asarray(glare * level, light.values.dtype)
-        return light.with_values(veiled).blurred(self.blur)
+        return light.with_values(veiled(light.values, self.veiling_glare_fraction)).blurred(self.blur)
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return the mean: light has no noise of its own before it is detected."""
         return self.mean(light)
+
+
+def veiled(image: NDArray, fraction: float) -> NDArray:
+    """Return (1 - v) E + v mean(E): a share of the light spread evenly."""
+    level = image.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
+    return (1.0 - fraction) * image + np.asarray(fraction * level, image.dtype)

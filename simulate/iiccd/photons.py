@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.radiance.cube import band_widths
 from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
@@ -10,6 +11,8 @@ from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, p
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 JOULE_METRE = 6.62607015e-34 * 2.99792458e8
 LAMP_K = 2856.0
+# Steps of spectral integrals between bands.
+SPECTRAL_STEP_NM = 1.0
 
 
 def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -23,6 +26,35 @@ def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.f
     )
     table = scale * np.asarray(cathode.relative_quantum_efficiency)
     return np.interp(np.asarray(wavelength_nm, float), cathode.wavelength_nm, table, left=0.0, right=0.0)
+
+
+def detected_per_radiance(wavelength_nm: ArrayLike, table_nm: ArrayLike, efficiency: ArrayLike) -> NDArray[np.float64]:
+    """Return what turns spectral irradiance at bands into detected photons, per m2, s and W m-2 nm-1, shape (band,).
+
+    Parameters
+    ----------
+    wavelength_nm
+        Bands, ascending, shape (band,), nm; between them irradiance is taken as linear, outside them as zero.
+    table_nm, efficiency
+        Quantum efficiency at wavelengths, linear between them and zero outside.
+
+    Notes
+    -----
+    int hat_b(l) QE(l) l/(h c) dl, hat_b linear from 1 at band b to 0 at its neighbours: exact for any spacing of the
+    bands, where a sum over bands alone misses what the efficiency does between them.
+    """
+    bands = np.asarray(wavelength_nm, float)
+    if bands.size < 2:
+        raise BadInput(f"a spectrum must have at least two bands to be integrated, got {bands.size}")
+    fine = np.linspace(bands[0], bands[-1], int(np.ceil((bands[-1] - bands[0]) / SPECTRAL_STEP_NM)) + 1)
+    detected = np.interp(fine, np.asarray(table_nm, float), np.asarray(efficiency, float), left=0.0, right=0.0)
+    detected = detected * band_widths(fine) * fine * 1e-9 / JOULE_METRE
+    below = np.clip(np.searchsorted(bands, fine, side="right") - 1, 0, bands.size - 2)
+    share = (fine - bands[below]) / (bands[below + 1] - bands[below])
+    weight = np.zeros(bands.size)
+    np.add.at(weight, below, (1.0 - share) * detected)
+    np.add.at(weight, below + 1, share * detected)
+    return weight
 
 
 def luminous_sensitivity(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike) -> float:

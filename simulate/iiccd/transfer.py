@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
 
+# Where the boost of aperture correction is stated.
+CORRECTED_MHZ = 4.5
+
 
 class Blur(Protocol):
     """A linear, shift-invariant blur. Values are hashable, so that products of transfers can be kept."""
@@ -37,6 +40,45 @@ class Lens:
         x = np.minimum(frequency * self.wavelength_um * 1e-3 * self.f_number, 1.0)
         diffraction = (np.arccos(x) - x * np.sqrt(1.0 - x * x)) * 2.0 / np.pi
         return diffraction * np.exp(-2.0 * (np.pi * frequency * self.aberration_blur_um * 1e-3) ** 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Defocus:
+    """Lens whose focus lies off the photocathode: a point becomes an even disc.
+
+    Parameters
+    ----------
+    shift_um
+        Distance of the focus from the photocathode, um.
+    f_number
+        Dimensionless; the disc's diameter is D = shift / f_number.
+
+    Notes
+    -----
+    2 J1(x)/x, x = pi f D: geometrical optics, negative beyond the first zero (Goodman, Introduction to Fourier Optics,
+    6.4). It holds where the disc is wider than the diffraction pattern.
+    """
+
+    shift_um: float
+    f_number: float
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer of the disc, dimensionless."""
+        from scipy.special import j1
+
+        argument = np.pi * np.hypot(fx_per_mm, fy_per_mm) * abs(self.shift_um) * 1e-3 / self.f_number
+        return np.divide(2.0 * j1(argument), argument, out=np.ones_like(argument), where=argument > 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flight:
+    """Sideways flight across the proximity gap: exp(-(pi f rho)^2), rho its radius in um at the plate."""
+
+    radius_um: float
+
+    def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
+        """Transfer of the flight, dimensionless."""
+        return np.exp(-((np.pi * self.radius_um * 1e-3) ** 2) * (fx_per_mm**2 + fy_per_mm**2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,15 +155,25 @@ class PixelAperture:
 class VideoFilter:
     """Butterworth low pass on the staircase of the pixel clock, sampled once a clock: a causal digital filter.
 
+    Parameters
+    ----------
+    bandwidth_mhz, pixel_clock_mhz, order
+        Of the low pass.
+    aperture_correction_db
+        Boost at `CORRECTED_MHZ`; 0 is none.
+
     Notes
     -----
     A pixel's value is held for one clock period T; the digitiser samples at the period's end. With the step response
-    s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T) - s(n T).
+    s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T) - s(n T). Aperture correction adds
+    what a line differs from the mean of itself one clock before and one after, 1 + 2 c (1 - cos(2 pi f T)): the MTF may
+    then exceed 1. Its delay line holds the picture back by one clock.
     """
 
     bandwidth_mhz: float
     pixel_clock_mhz: float
     order: int
+    aperture_correction_db: float = 0.0
 
     def step_response(self, time_clocks: Array) -> Array:
         """Step response at times in clock periods, dimensionless; 0 before the step, 1 long after it."""
@@ -135,9 +187,14 @@ class VideoFilter:
         return np.where(np.asarray(time_clocks) > 0, response, 0.0)
 
     def impulse_response(self, length: int = 32) -> Array:
-        """Sampled impulse response h, shape (length,), summing to 1."""
+        """Sampled impulse response h, shape (length,), two longer with aperture correction, summing to 1."""
         response = np.diff(self.step_response(np.arange(length + 1.0)))
-        return response / response.sum()
+        response = response / response.sum()
+        if self.aperture_correction_db == 0.0:
+            return response
+        beside = 0.5 * (10.0 ** (self.aperture_correction_db / 20.0) - 1.0)
+        beside /= 1.0 - np.cos(2.0 * np.pi * CORRECTED_MHZ / self.pixel_clock_mhz)
+        return np.convolve(response, [-beside, 1.0 + 2.0 * beside, -beside])
 
     def transfer(self, frequency_cy_per_px: Array) -> NDArray[np.complex128]:
         """Complex transfer along a line at frequencies in cycles per pixel, 1 at zero."""

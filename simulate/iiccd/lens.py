@@ -1,0 +1,199 @@
+"""The lens from the scene's side: absolute spectral radiance becomes photons on the photocathode, cell by cell."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from simulate.iiccd import fourier, photons, placing, warp
+from simulate.iiccd.grid import Grid
+from simulate.iiccd.light import Light
+from simulate.iiccd.optics import veiled
+from simulate.iiccd.transfer import Defocus, Lens
+from simulate.radiance.cube import RadianceCube
+
+# Wavelengths between which the focal shift is stated.
+FOCUS_SPAN_NM = (500.0, 925.0)
+# Largest error of a band's transfer where bands share a few transforms, and places where transfers are compared.
+TRANSFER_ERROR, FREQUENCIES = 1e-4, 1500
+
+
+@dataclass(frozen=True, kw_only=True)
+class RadiometricLens:
+    """Lens that images a scene of known spectral radiance on the photocathode, or on a chip without a tube.
+
+    Parameters
+    ----------
+    f_number, transmission
+        N and tau, dimensionless.
+    focal_length_mm
+        Focal length, mm.
+    magnification
+        Size of the image over that of the scene, dimensionless; 0 for a distant scene.
+    aberration_blur_um
+        s of exp(-2 (pi f s)^2), um.
+    focal_shift_um, focus_nm
+        How far 925 nm focuses behind 500 nm, linear in wavelength, and the wavelength in focus.
+    veiling_glare_fraction
+        Share of the light that is spread evenly over the picture.
+    vignetting_fraction
+        Share of the light lost at the picture's corner beyond cos^4; it grows with the square of the distance from the
+        axis.
+    distortion_fraction
+        Radial displacement at the corner, positive for pincushion.
+    detector_nm, detector_efficiency
+        Quantum efficiency of what lies behind, over the wavelengths of its table, at any scale.
+    grid
+        Cells on which the photons arrive.
+    row_pairs
+        Whether a frame's row sums two rows of the chip: where the picture lies, see `placing.spread`.
+
+    Notes
+    -----
+    E = pi tau L / (4 N^2 (1 + m)^2) per wavelength on the axis, times cos^4(theta), tan(theta) = r / (f (1 + m)), and
+    vignetting (Born and Wolf, Principles of Optics, 4.8.3). Light per area follows distortion: where the picture is
+    stretched, the same light covers more of it, so light is conserved and a flat scene darkens where it is stretched.
+    It emits photons per s and cell *referred to the wavelength of peak efficiency*: a photon that is detected half as
+    well counts half. All bands can then travel on as one image. Each band is blurred by its own diffraction and
+    defocus; as these vary smoothly, few images suffice for any number of bands (`TRANSFER_ERROR`).
+    """
+
+    f_number: float
+    transmission: float
+    focal_length_mm: float
+    detector_nm: tuple[float, ...]
+    detector_efficiency: tuple[float, ...]
+    grid: Grid
+    magnification: float = 0.0
+    aberration_blur_um: float = 0.0
+    focal_shift_um: float = 0.0
+    focus_nm: float = 700.0
+    veiling_glare_fraction: float = 0.0
+    vignetting_fraction: float = 0.0
+    distortion_fraction: float = 0.0
+    row_pairs: bool = False
+    name: str = "optics"
+    takes: str = "radiance"
+    emits: str = "photons"
+
+    def __post_init__(self) -> None:
+        for name in ("f_number", "transmission", "focal_length_mm"):
+            if not getattr(self, name) > 0.0:
+                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
+        for name in ("vignetting_fraction", "veiling_glare_fraction"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise BadInput(f"{name} must lie in [0, 1), got {getattr(self, name):g}")
+        if not self.magnification >= 0.0:
+            raise BadInput(f"magnification must not be negative, got {self.magnification:g}")
+
+    @property
+    def t_number(self) -> float:
+        """T = N / sqrt(tau): the f-number of a lens without loss that is as bright, dimensionless."""
+        return self.f_number / self.transmission**0.5
+
+    @property
+    def gathering_sr(self) -> float:
+        """Irradiance on the axis over the scene's radiance, pi / (4 T^2 (1 + m)^2), sr."""
+        return float(np.pi / (4.0 * self.t_number**2 * (1.0 + self.magnification) ** 2))
+
+    def falloff(self, radius_mm: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return cos^4(theta) times vignetting at distances from the axis, dimensionless."""
+        tangent = radius_mm / (self.focal_length_mm * (1.0 + self.magnification))
+        lost = self.vignetting_fraction * (radius_mm / warp.corner_mm(self.grid)) ** 2
+        return np.maximum(1.0 - lost, 0.0) / (1.0 + tangent**2) ** 2
+
+    def transfer(self, wavelength_nm: float, frequency_per_mm: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return the transfer at one wavelength, over frequencies in cycles/mm on the photocathode."""
+        nowhere = np.zeros_like(frequency_per_mm)
+        span = FOCUS_SPAN_NM[1] - FOCUS_SPAN_NM[0]
+        off_um = self.focal_shift_um * (wavelength_nm - self.focus_nm) / span
+        lens = Lens(
+            aberration_blur_um=self.aberration_blur_um, f_number=self.f_number, wavelength_um=wavelength_nm * 1e-3
+        ).transfer(frequency_per_mm, nowhere)
+        if off_um == 0.0:
+            return lens
+        return lens * Defocus(shift_um=off_um, f_number=self.f_number).transfer(frequency_per_mm, nowhere)
+
+    def mean(self, light: RadianceCube) -> Light:
+        """Return photons per s and cell, all blurs of the lens computed.
+
+        Raises
+        ------
+        BadInput
+            If the cube has a radiance that is not a number, infinite or negative, or fewer than two bands.
+        """
+        refuse_impossible(light)
+        weight = self._photons_per_radiance(light.wavelength_nm)
+        frequency = np.linspace(0.0, self._highest_frequency(), FREQUENCIES)
+        transfers = np.stack([self.transfer(nm, frequency) for nm in light.wavelength_nm])
+        shares, shapes = few_transfers(transfers, weight)
+        images = [self._arriving(light.weighted(weight * share)) for share in shares]
+        images[0] = veiled(images[0], self.veiling_glare_fraction)
+        fx, fy = self.grid.frequencies()
+        radius = np.hypot(fx, fy)
+        total = sum(
+            fourier.forward(image) * np.interp(radius, frequency, shape).astype(np.float32)
+            for image, shape in zip(images, shapes, strict=True)
+        )
+        return Light(values=fourier.inverse(np.asarray(total), self.grid.shape).astype(np.float32), grid=self.grid)
+
+    def draw(self, light: RadianceCube, rng: np.random.Generator) -> Light:
+        """Return the mean: light has no noise of its own before it is detected."""
+        return self.mean(light)
+
+    def _photons_per_radiance(self, wavelength_nm: NDArray[np.floating]) -> NDArray[np.float64]:
+        relative = np.asarray(self.detector_efficiency) / max(self.detector_efficiency)
+        per_m2 = photons.detected_per_radiance(wavelength_nm, self.detector_nm, relative)
+        return per_m2 * self.gathering_sr * self.grid.cell_area_cm2 * 1e-4
+
+    def _highest_frequency(self) -> float:
+        fx, fy = self.grid.frequencies()
+        return float(np.hypot(np.abs(fx).max(), np.abs(fy).max()))
+
+    def _arriving(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Sharp image on the cells with the lens's geometry and falloff; `image` is per cell area."""
+        on_cells = placing.spread(image, self.grid, row_pairs=self.row_pairs)
+        x, y = warp.places(self.grid)
+        bright = self.falloff(np.hypot(x, y)).astype(np.float32)
+        if self.distortion_fraction == 0.0:
+            return on_cells * bright
+        radial = warp.Radial(fraction=self.distortion_fraction, corner_mm=warp.corner_mm(self.grid))
+        from_x, from_y, area = radial.source(x, y)
+        return warp.fetched(on_cells, self.grid, from_x, from_y, order=1) * (area * bright).astype(np.float32)
+
+
+def refuse_impossible(cube: RadianceCube) -> None:
+    """Refuse a cube with a radiance that is not a number, infinite or negative."""
+    lowest, highest = cube.radiance.min(), cube.radiance.max()
+    if not (np.isfinite(lowest) and np.isfinite(highest)):
+        raise BadInput(f"radiance must be finite everywhere, got {lowest:g} to {highest:g}")
+    if lowest < 0.0:
+        raise BadInput(f"radiance must not be negative, got {lowest:g}")
+
+
+def few_transfers(
+    transfers: NDArray[np.floating], weight: NDArray[np.floating]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Return the few shapes of which each band's transfer is a weighted sum.
+
+    Parameters
+    ----------
+    transfers
+        Transfer of each band, shape (band, frequency), 1 at the first frequency, zero.
+    weight
+        How much each band counts, shape (band,).
+
+    Returns
+    -------
+    shares, shapes
+        (shape, band) and (shape, frequency): transfers = shares.T @ shapes within `TRANSFER_ERROR`. The first shape is
+        the mean transfer, with shares of 1; all others vanish at zero frequency, so that no light is won or lost.
+    """
+    mean = np.average(transfers, axis=0, weights=weight if weight.sum() > 0.0 else None)
+    left, size, right = np.linalg.svd(transfers - mean, full_matrices=False)
+    kept = 0
+    while kept < len(size) and np.abs((left[:, kept:] * size[kept:]) @ right[kept:]).max() > TRANSFER_ERROR:
+        kept += 1
+    shares = np.concatenate([np.ones((1, len(transfers))), (left[:, :kept] * size[:kept]).T])
+    return shares, np.concatenate([mean[None], right[:kept]])

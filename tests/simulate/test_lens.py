@@ -1,0 +1,213 @@
+"""The lens obeys radiometry: light per lux, cos^4, T-number, conservation, and a blur of its own at every wavelength."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labdata.errors import BadInput
+from simulate.iiccd import fourier, photons, placing, warp
+from simulate.iiccd.grid import Grid, padded_grid
+from simulate.iiccd.lens import RadiometricLens, few_transfers
+from simulate.iiccd.transfer import Defocus
+from simulate.radiance.cube import RadianceCube, band_widths
+from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+
+BANDS_NM = np.arange(360.0, 1100.0, 5.0)
+
+
+def _grid(rows: int = 24, columns: int = 40) -> Grid:
+    return padded_grid(rows, columns, per_pixel=4, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+
+
+@pytest.fixture
+def lens(sheet) -> RadiometricLens:
+    cathode = sheet.photocathode
+    return RadiometricLens(
+        f_number=1.4,
+        transmission=0.85,
+        focal_length_mm=26.8,
+        detector_nm=cathode.wavelength_nm,
+        detector_efficiency=cathode.relative_quantum_efficiency,
+        grid=_grid(),
+    )
+
+
+def _lamp(level: float, rows: int = 24, columns: int = 40) -> RadianceCube:
+    spectrum = level * planck(BANDS_NM, photons.LAMP_K)
+    return RadianceCube(wavelength_nm=BANDS_NM, radiance=np.tile(spectrum[:, None, None], (1, rows, columns)))
+
+
+def _picture(cells: int, first: int, count: int) -> np.ndarray:
+    """Indices of the picture's cells among all."""
+    return np.arange(cells)[first : first + count]
+
+
+def _total(lens: RadiometricLens, cube: RadianceCube) -> float:
+    return float(lens.mean(cube).values.sum(dtype=float))
+
+
+def test_lamp_of_known_illuminance_gives_s_over_e_photoelectrons_per_lumen(lens, sheet):
+    cube = _lamp(1e-9)
+    fine = np.arange(360.0, 1100.0, 1.0)
+    luminance = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * 1e-9 * planck(fine, photons.LAMP_K))
+    lux = lens.gathering_sr * luminance
+    peak = photons.quantum_efficiency(sheet, sheet.photocathode.wavelength_nm).max()
+    cells = lens.mean(cube).values * peak / lens.grid.cell_area_cm2
+    middle = cells[cells.shape[0] // 2, cells.shape[1] // 2]
+    assert middle == pytest.approx(photons.photoelectrons_per_lumen_s(sheet) * lux * 1e-4, rel=5e-4)
+
+
+def test_weights_integrate_what_the_efficiency_does_between_two_bands():
+    """Even photon flux between 400 and 900 nm, an efficiency of 1 in the middle 100 nm alone."""
+    weight = photons.detected_per_radiance([400.0, 900.0], [599.5, 600.5, 699.5, 700.5], [0.0, 1.0, 1.0, 0.0])
+    expected = 100.0 * 650e-9 / photons.JOULE_METRE
+    assert weight.sum() == pytest.approx(expected, rel=1e-3)
+    # The middle of the efficiency lies half way.
+    assert weight[0] / weight.sum() == pytest.approx(0.5, abs=0.005)
+    even = photons.detected_per_radiance(BANDS_NM, BANDS_NM, np.ones(BANDS_NM.size))[1:-1]
+    assert even == pytest.approx((band_widths(BANDS_NM) * BANDS_NM)[1:-1] * 1e-9 / photons.JOULE_METRE, rel=1e-4)
+
+
+def test_t_number_is_the_f_number_of_a_lossless_lens_as_bright(lens):
+    assert lens.t_number == pytest.approx(1.4 / np.sqrt(0.85))
+    lossless = replace(lens, f_number=lens.t_number, transmission=1.0)
+    assert lossless.gathering_sr == pytest.approx(lens.gathering_sr, rel=1e-12)
+    assert lens.gathering_sr == pytest.approx(np.pi * 0.85 / (4.0 * 1.4**2), rel=1e-12)
+    assert replace(lens, magnification=1.0).gathering_sr == pytest.approx(0.25 * lens.gathering_sr)
+
+
+def test_light_falls_off_with_the_fourth_power_of_the_cosine(lens):
+    short = replace(lens, focal_length_mm=1.0)
+    flat = short.mean(_lamp(1e-9)).values
+    x, y = warp.places(lens.grid)
+    cosine = 1.0 / np.sqrt(1.0 + x**2 + y**2)
+    inside = np.ix_(*(_picture(n, 4 * 10, 4 * size) for n, size in zip(flat.shape, (24, 40), strict=True)))
+    expected = (cosine**4)[inside]
+    assert expected.min() < 0.8
+    assert flat[inside] / flat.max() == pytest.approx(expected / (cosine**4).max(), rel=2e-3)
+
+
+def test_vignetting_takes_its_fraction_at_the_corner_and_nothing_on_the_axis(lens):
+    far = replace(lens, focal_length_mm=1e6, vignetting_fraction=0.15)
+    corner = np.array([0.0, warp.corner_mm(lens.grid)])
+    assert far.falloff(corner) == pytest.approx([1.0, 0.85], abs=1e-9)
+
+
+def test_blur_glare_and_defocus_lose_no_light(lens):
+    far = replace(lens, focal_length_mm=1e6)
+    blurred = replace(far, aberration_blur_um=6.0, focal_shift_um=60.0, veiling_glare_fraction=0.05)
+    assert _total(blurred, _lamp(1e-9)) == pytest.approx(_total(far, _lamp(1e-9)), rel=1e-5)
+
+
+def test_distortion_moves_light_without_losing_it_and_dims_what_it_stretches(lens):
+    grid = _grid(96, 128)
+    far = replace(lens, focal_length_mm=1e6, grid=grid)
+    x, y = warp.places(grid)
+    radiance = np.exp(-((x - 0.5) ** 2 + (y - 0.4) ** 2) / 0.05**2)
+    spot = radiance[40 : 40 + 384, 40 : 40 + 512].reshape(96, 4, 128, 4).mean(axis=(1, 3))
+    cube = RadianceCube(wavelength_nm=np.array([600.0, 700.0]), radiance=np.tile(spot, (2, 1, 1)))
+    plain, bent = far.mean(cube).values, replace(far, distortion_fraction=0.03).mean(cube).values
+    assert bent.sum(dtype=float) == pytest.approx(plain.sum(dtype=float), rel=1e-3)
+    centre = [np.array([(image * x).sum(), (image * y).sum()]) / image.sum() for image in (plain, bent)]
+    radius = np.hypot(*centre[0]) / warp.corner_mm(grid)
+    assert centre[1] / centre[0] == pytest.approx(1.0 + 0.03 * radius**2, rel=1e-3)
+    flat = replace(far, distortion_fraction=0.03).mean(_lamp(1e-9, 96, 128)).values
+    at = np.unravel_index(np.argmin((x - 0.5) ** 2 + (y - 0.4) ** 2), flat.shape)
+    middle = flat[flat.shape[0] // 2, flat.shape[1] // 2]
+    stretch = 1.0 / radius_area(0.03, np.hypot(0.5, 0.4) / warp.corner_mm(grid))
+    assert flat[at] / middle == pytest.approx(stretch, rel=1e-3)
+
+
+def radius_area(fraction: float, landed: float) -> float:
+    """Area magnification where light lands, by finite differences of the forward map."""
+    s = np.linspace(0.0, 2.0, 200_001)
+    lands = s * (1.0 + fraction * s**2)
+    came = np.interp(landed, lands, s)
+    return float(landed / came * np.interp(landed, lands, np.gradient(lands, s)))
+
+
+def test_defocus_is_the_transform_of_an_even_disc():
+    """Against a disc drawn on fine points."""
+    blur = Defocus(shift_um=28.0, f_number=1.4)
+    x = (np.arange(-600, 600) + 0.5) * 2e-5
+    inside = np.hypot(x[:, None], x[None, :]) <= 0.010
+    profile = inside.sum(axis=0) / inside.sum()
+    for frequency in (10.0, 40.0, 70.0):
+        exact = np.sum(profile * np.cos(2.0 * np.pi * frequency * x))
+        assert blur.transfer(np.array([frequency]), np.zeros(1))[0] == pytest.approx(exact, abs=2e-3)
+
+
+def test_each_wavelength_is_blurred_by_its_own_focus(lens):
+    """A lamp's point in one band only: its transform is that band's transfer."""
+    lens = replace(lens, focal_length_mm=1e6, aberration_blur_um=4.0, focal_shift_um=50.0, grid=_grid(32, 32))
+    point = np.zeros((3, 32, 32))
+    point[:, 16, 16] = 1.0
+    for band, nm in enumerate((500.0, 700.0, 900.0)):
+        one = point * (np.arange(3) == band)[:, None, None]
+        image = lens.mean(RadianceCube(wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=one)).values
+        sharp = placing.spread(one.sum(axis=0), lens.grid, row_pairs=False)
+        frequency = lens.grid.frequencies()[0][0]
+        near = frequency < 25.0
+        blurred, unblurred = (np.abs(fourier.forward(of)[0, near]) for of in (image, sharp))
+        found = blurred / blurred[0] * unblurred[0] / unblurred
+        assert found == pytest.approx(np.abs(lens.transfer(nm, frequency[near])), abs=1e-3)
+
+
+def test_few_shapes_stand_for_all_bands(lens):
+    defocused = replace(lens, focal_shift_um=60.0, aberration_blur_um=4.0)
+    frequency = np.linspace(0.0, 300.0, 400)
+    transfers = np.stack([defocused.transfer(nm, frequency) for nm in BANDS_NM])
+    shares, shapes = few_transfers(transfers, np.ones(len(BANDS_NM)))
+    assert np.abs(shares.T @ shapes - transfers).max() < 1.1e-4
+    assert len(shapes) < 12
+    assert np.abs(shapes[1:, 0]).max() < 1e-12
+
+
+@pytest.mark.parametrize("row_pairs", [False, True])
+@pytest.mark.parametrize("shape", [(24, 40), (48, 80), (12, 10), (31, 53)])
+def test_a_picture_of_any_size_covers_the_frame(row_pairs, shape):
+    grid = _grid(25 if row_pairs else 24, 40)
+    assert placing.spread(np.full(shape, 3.0), grid, row_pairs=row_pairs) == pytest.approx(3.0, rel=1e-6)
+    image = np.zeros(shape)
+    image[shape[0] // 2, shape[1] // 2] = 1.0
+    area = placing.spread(image, grid, row_pairs=row_pairs).sum(dtype=float)
+    assert area == pytest.approx(24 * 40 * 16 / (shape[0] * shape[1]), rel=1e-5)
+
+
+def test_a_row_of_the_picture_is_centred_on_the_row_that_reads_it():
+    grid = _grid(25, 40)
+    image = np.zeros((24, 40))
+    image[7] = 1.0
+    on_cells = placing.spread(image, grid, row_pairs=True)
+    rows = np.arange(grid.shape[0]) + 0.5
+    centre = (on_cells[:, 60] * rows).sum() / on_cells[:, 60].sum()
+    # The row that reads it sums rows 7 and 8 of the chip, whose middle is their border.
+    assert centre == pytest.approx((grid.margin_rows + 8.0) * 4)
+
+
+@pytest.mark.parametrize(("value", "words"), [(np.nan, "finite"), (np.inf, "finite"), (-1e-9, "negative")])
+def test_impossible_radiance_is_refused(lens, value, words):
+    cube = _lamp(1e-9)
+    radiance = cube.radiance.copy()
+    radiance[3, 5, 7] = value
+    with pytest.raises(BadInput, match=words):
+        lens.mean(RadianceCube(wavelength_nm=BANDS_NM, radiance=radiance))
+
+
+def test_one_band_is_no_spectrum(lens):
+    with pytest.raises(BadInput, match="two bands"):
+        lens.mean(RadianceCube(wavelength_nm=np.array([600.0]), radiance=np.ones((1, 24, 40))))
+
+
+@pytest.mark.parametrize(
+    "change", [{"f_number": 0.0}, {"transmission": -1.0}, {"vignetting_fraction": 1.0}, {"magnification": -0.1}]
+)
+def test_impossible_lenses_are_refused(lens, change):
+    with pytest.raises(BadInput):
+        replace(lens, **change)
+
+
+def test_a_distortion_that_folds_the_picture_is_refused():
+    with pytest.raises(BadInput, match="distortion"):
+        warp.Radial(fraction=-0.2, corner_mm=8.0)
