@@ -43,11 +43,26 @@ class Parameter:
     def __float__(self) -> float:
         return float(self.value)
 
+    def scaled(self, factor: float, words: str = "") -> "Parameter":
+        """Return the parameter times a positive factor, derived, with words added to its source."""
+        ends = None if self.low is None or self.high is None else (self.low * factor, self.high * factor)
+        return Parameter(
+            value=self.value * factor,
+            low=ends[0] if ends else None,
+            high=ends[1] if ends else None,
+            standing="derived",
+            source=self.source + words,
+        )
+
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema
 
-        return core_schema.no_info_before_validator_function(_of_number, handler(source))
+        # The reference must name the whole: a reference to the bare table would let only the first field of a kind
+        # be written as a number.
+        table: Any = dict(handler.resolve_ref_schema(handler(source)))
+        reference = table.pop("ref", None)
+        return core_schema.no_info_before_validator_function(_of_number, table, ref=reference)
 
 
 def _of_number(given: Any) -> Any:

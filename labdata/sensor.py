@@ -1,6 +1,6 @@
 """The description of an image-intensified camera, stage by stage, every number with its range and source."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -301,6 +301,15 @@ class Draws:
         if any(len(row) != len(self.names) for row in self.values):
             raise BadInput(f"every draw must hold {len(self.names)} numbers, one for each name")
 
+    def rescreened(self, factors: dict[str, float]) -> "Draws":
+        """Return the draws with some columns multiplied and those of the screen left out."""
+        kept = [i for i, name in enumerate(self.names) if not name.startswith("phosphor.")]
+        scale = [factors.get(self.names[i], 1.0) for i in kept]
+        return Draws(
+            names=tuple(self.names[i] for i in kept),
+            values=tuple(tuple(row[i] * by for i, by in zip(kept, scale, strict=True)) for row in self.values),
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor(Description):
@@ -321,9 +330,43 @@ class Sensor(Description):
     draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
 
+    def with_phosphor(self, phosphor: Phosphor) -> "Sensor":
+        """Return the same tube with another screen.
+
+        Parameters
+        ----------
+        phosphor
+            The screen; see `labdata.phosphors.load_phosphor`.
+
+        Notes
+        -----
+        A luminous gain holds for the tube's own screen. What stays is the number of screen photons per photoelectron,
+        G/(K_lm E_ph) / (S/e), so that G goes as K_lm E_ph of the screen: the plate makes up for a dimmer phosphor, its
+        electron gain goes as one over the photons per electron, and its strip current limits it sooner. Only where
+        the new screen's photons per electron were measured ("sheet" or "fitted") does the plate keep its electron gain
+        and G goes with them too. Blur, as part of the whole tube's, and the CCD's efficiency stay as described.
+        """
+        lumens = _lumens_per_photon(phosphor) / _lumens_per_photon(self.phosphor)
+        brighter = float(phosphor.photons_per_electron) / float(self.phosphor.photons_per_electron)
+        measured = phosphor.photons_per_electron.standing in ("sheet", "fitted")
+        factors = {
+            "tube.luminous_gain": lumens * (brighter if measured else 1.0),
+            "microchannel_plate.electron_gain": 1.0 if measured else 1.0 / brighter,
+        }
+        known, words = self.parameters(), f"; scaled from {self.phosphor.name} to {phosphor.name}"
+        changed = self.with_parameters({path: known[path].scaled(factor, words) for path, factor in factors.items()})
+        kept = "electron gain of the plate" if measured else "photons per photoelectron"
+        note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
+        return replace(changed, phosphor=phosphor, draws=self.draws.rescreened(factors), notes=(*self.notes, note))
+
     def draw(self, rng: np.random.Generator) -> "Sensor":
         """Return the sensor of one joint posterior draw; a sensor without draws is a BadInput."""
         if not self.draws.values:
             raise BadInput(f"the sensor {self.name!r} has no posterior draws; only a fitted sensor can be drawn")
         row = self.draws.values[int(rng.integers(len(self.draws.values)))]
         return self.with_values(dict(zip(self.draws.names, row, strict=True)))
+
+
+def _lumens_per_photon(phosphor: Phosphor) -> float:
+    """Luminous efficacy times photon energy, lm s per photon up to the elementary charge."""
+    return float(phosphor.luminous_efficacy_lm_per_w) * float(phosphor.photon_energy_ev)

@@ -1,5 +1,7 @@
 """The shipped camera: what the sheet says follows from its numbers, and draws inside its ranges are cameras."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from labdata import BadInput
 from labdata.border import from_mapping, from_toml, to_mapping, to_toml
 from labdata.parameter import Parameter
 from labdata.sensor import Sensor
-from labdata.sensors import load_sensor, save_sensor, shipped
+from labdata.sensors import load_camera, load_sensor, save_sensor, shipped
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_M_PER_S = 299792458.0
@@ -175,8 +177,6 @@ def test_a_sensor_written_and_read_is_the_same(sensor, tmp_path):
 
 
 def test_posterior_draws_survive_the_file_to_the_last_bit(sensor, seed, tmp_path):
-    from dataclasses import replace
-
     from labdata.sensor import Draws
 
     values = np.random.default_rng(seed).normal(size=(50, 2))
@@ -187,9 +187,10 @@ def test_posterior_draws_survive_the_file_to_the_last_bit(sensor, seed, tmp_path
 
 
 def test_a_bare_number_is_an_exact_parameter(sensor):
-    mapping = to_mapping(sensor)
-    mapping["optics"]["f_number"] = 2
-    assert from_mapping(mapping, Sensor).optics.f_number == Parameter(value=2.0)
+    for path, parameter in sensor.parameters().items():
+        mapping, (stage, name) = to_mapping(sensor), path.split(".")
+        mapping[stage][name] = parameter.value
+        assert from_mapping(mapping, Sensor).parameters()[path] == Parameter(value=parameter.value), path
 
 
 @pytest.mark.parametrize(
@@ -220,11 +221,110 @@ def test_what_is_wrong_in_a_sensor_file_is_named_with_its_place(sensor, path, va
 
 
 def test_a_missing_sensor_is_refused_with_the_shipped_ones():
-    with pytest.raises(BadInput, match=r"one of pulnix-ag5745ef3 or the path of a TOML file, got 'nonesuch'"):
+    with pytest.raises(BadInput, match=r"one of .*, pulnix-ag5745ef3 or the path of a TOML file, got 'nonesuch'"):
         load_sensor("nonesuch")
 
 
 def test_every_shipped_description_loads_and_its_toml_is_stable():
     for name in shipped():
-        sensor = load_sensor(name)
-        assert to_toml(from_mapping(to_mapping(sensor), Sensor)) == to_toml(sensor)
+        camera = load_camera(name)
+        assert to_toml(from_mapping(to_mapping(camera), type(camera))) == to_toml(camera)
+
+
+def test_the_gain_control_has_the_published_table(sensor):
+    """Luminous gain at 0, 51, 102, 153, 204 and 255 counts within 2.5 %, and the tube's own at the reference."""
+    plate = sensor.microchannel_plate
+    counts = np.arange(0.0, 256.0, 51.0)
+    published = [2512.0, 5012.0, 9772.0, 19055.0, 36728.0, 70795.0]
+    turns = (counts - float(plate.gain_control_reference)) / float(plate.gain_control_counts)
+    assert float(sensor.tube.luminous_gain) * float(plate.gain_control_ratio) ** turns == pytest.approx(
+        published, rel=0.025
+    )
+
+
+IMPOSSIBLE = [
+    ("optics.f_number", 0.0, "f_number must be positive, got 0"),
+    ("optics.vignetting_fraction", 1.5, "vignetting_fraction must lie between 0 and 1, got 1.5"),
+    ("optics.distortion_fraction", -0.6, "distortion_fraction must be less than 0.5 either way, got -0.6"),
+    ("photocathode.gate_on_off_ratio", 0.5, "gate_on_off_ratio must be at least 1, got 0.5"),
+    ("photocathode.bright_source_v", 900.0, "bright_source_v must not exceed gap_v, got 900 over 800"),
+    ("photocathode.halo_fraction", -0.1, "halo_fraction must lie between 0 and 1, got -0.1"),
+    ("microchannel_plate.detection_probability", 1.01, "detection_probability must lie between 0 and 1, got 1.01"),
+    ("microchannel_plate.detection_probability", 0.0, "detection_probability must be positive, got 0"),
+    ("microchannel_plate.gain_control_ratio", 1.0, "gain_control_ratio must exceed 1, got 1"),
+    ("tube.luminous_gain", float("nan"), "luminous_gain must be positive, got nan"),
+    ("phosphor.slow_decay_ms", 0.0, "slow_decay_ms must be positive, got 0"),
+    ("taper.demagnification", -1.0, "demagnification must be positive, got -1"),
+    ("ccd.dsnu_e", -1.0, "dsnu_e must not be negative, got -1"),
+    ("ccd.full_well_e", 0.0, "full_well_e must be positive, got 0"),
+    ("video.sync_jitter_ns", -1.0, "sync_jitter_ns must not be negative, got -1"),
+    ("video.gamma", 0.0, "gamma must be positive, got 0"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "sentence"), IMPOSSIBLE)
+def test_what_no_camera_can_have_is_refused_when_the_camera_is_made(sensor, path, value, sentence):
+    with pytest.raises(BadInput) as error:
+        sensor.with_values({path: value})
+    assert str(error.value) == sentence
+
+
+def test_a_table_of_efficiency_rises_in_wavelength(sensor):
+    cathode = sensor.photocathode
+    with pytest.raises(BadInput, match="the wavelengths of an efficiency table must rise"):
+        replace(cathode, wavelength_nm=cathode.wavelength_nm[::-1])
+    with pytest.raises(BadInput, match="as many efficiencies, got 20 and 21"):
+        replace(cathode, wavelength_nm=cathode.wavelength_nm[1:])
+    with pytest.raises(BadInput, match="stages must be at least 1, got 0"):
+        replace(sensor.microchannel_plate, stages=0)
+    with pytest.raises(BadInput, match=r"bit_depth must lie in 1\.\.16, got 17"):
+        replace(sensor.video, bit_depth=17)
+
+
+def test_a_digital_camera_has_no_analog_video_and_an_analog_one_all_of_it(sensor):
+    with pytest.raises(BadInput, match="without bandwidth_mhz must have no analog video, got lines, pixel_clock_mhz"):
+        replace(sensor.video, bandwidth_mhz=None)
+    with pytest.raises(BadInput, match="with bandwidth_mhz must have all its analog video, got no sync_jitter_ns"):
+        replace(sensor.video, sync_jitter_ns=None)
+    with pytest.raises(BadInput, match="with automatic_gain must have automatic_gain_range_db"):
+        replace(sensor.video, automatic_gain_s=None)
+    assert not sensor.video.digital
+    assert sensor.video.low_pass == (6.5, 14.318, 3)
+
+
+def test_the_digital_intensified_camera_follows_from_its_numbers():
+    """Peak efficiency 0.50; what is derived follows from its factors; more than its 18 mm do not fall on the CCD."""
+    camera = load_sensor("gen3-digital-iccd")
+    peak = max(camera.photocathode.relative_quantum_efficiency)
+    scale = float(camera.photocathode.luminous_sensitivity_ua_per_lm) / 1996.0
+    assert peak * scale == pytest.approx(0.50, rel=0.01)
+    plate, taper = camera.microchannel_plate, camera.taper
+    open_area = float(plate.open_area_ratio)
+    detected = float(plate.film_transmission) * (open_area + (1 - open_area) * float(plate.web_recovery))
+    assert detected == pytest.approx(float(plate.detection_probability), rel=1e-3)
+    fibres = float(taper.core_fraction) * float(taper.bulk_transmission)
+    assert fibres * float(taper.numerical_aperture) ** 2 == pytest.approx(float(taper.transmission), rel=1e-3)
+    photons = float(camera.tube.luminous_gain) / (
+        float(camera.phosphor.luminous_efficacy_lm_per_w)
+        * float(camera.phosphor.photon_energy_ev)
+        * float(camera.photocathode.luminous_sensitivity_ua_per_lm)
+        * 1e-6
+    )
+    assert photons / float(camera.phosphor.photons_per_electron) == pytest.approx(float(plate.electron_gain), rel=5e-3)
+    filled = (2**camera.video.bit_depth - 1 - float(camera.video.black_level_dn)) / float(camera.ccd.full_well_e)
+    assert filled == pytest.approx(float(camera.video.conversion_gain_dn_per_e), rel=1e-3)
+    assert camera.video.digital
+    assert camera.video.low_pass is None
+    diagonal_mm = 1e-3 * np.hypot(camera.ccd.columns * 13.0, camera.ccd.rows * 13.0)
+    assert diagonal_mm == pytest.approx(18.0, rel=0.05)
+
+
+def test_every_number_of_every_shipped_camera_says_where_it_comes_from_and_draws_are_cameras(seed):
+    rng = np.random.default_rng(seed)
+    for name in shipped():
+        camera = load_camera(name)
+        known = camera.parameters()
+        assert all(one.source and one.standing in ("sheet", "default", "derived") for one in known.values()), name
+        ranged = {path: one for path, one in known.items() if one.low is not None and path != "ccd.quantum_efficiency"}
+        for _ in range(20):
+            camera.with_values({path: rng.uniform(one.low, one.high) for path, one in ranged.items()})

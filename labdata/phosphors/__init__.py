@@ -1,0 +1,39 @@
+"""Screens of image intensifiers: the shipped phosphors by name, others by path."""
+
+from importlib import resources
+from pathlib import Path
+
+from labdata.border import from_toml
+from labdata.errors import BadInput
+from labdata.sensor import Phosphor
+
+
+def shipped_phosphors() -> tuple[str, ...]:
+    """Names of the phosphors that come with the package."""
+    files = resources.files("labdata.phosphors").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def load_phosphor(name_or_path: str | Path) -> Phosphor:
+    """Read a phosphor.
+
+    Parameters
+    ----------
+    name_or_path
+        Name of a shipped phosphor, "p20", "P43", or path of a TOML file that holds the keys of `Phosphor`.
+
+    Raises
+    ------
+    BadInput
+        If there is no such phosphor, or it breaks a rule.
+    """
+    name = str(name_or_path).lower()
+    if name in shipped_phosphors():
+        with resources.as_file(resources.files("labdata.phosphors") / f"{name}.toml") as path:
+            return from_toml(path, Phosphor)
+    if not Path(name_or_path).is_file():
+        raise BadInput(
+            f"a phosphor must be one of {', '.join(shipped_phosphors())} or the path of a TOML file, "
+            f"got {str(name_or_path)!r}"
+        )
+    return from_toml(Path(name_or_path), Phosphor)
