@@ -110,12 +110,12 @@ class LabBench:
         """Return the expected photoelectrons at the plate, per cell and exposure, dark ones included."""
         camera = self.camera
         cathode = camera.photocathode(conditions)
-        dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.gate_s
+        dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
             return Light(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
         if conditions.illuminance_lux is None:
             raise BadInput(f"illuminance_lux must be given for a stack of kind {kind!r}, got none")
-        lit = self._picture(kind, target) * np.float32(conditions.illuminance_lux * cathode.gate_s)
+        lit = self._picture(kind, target) * np.float32(conditions.illuminance_lux * cathode.open_s)
         return Light(values=lit + np.float32(dark), grid=camera.cells)
 
     def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:

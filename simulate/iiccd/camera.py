@@ -2,8 +2,8 @@
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import count
 
 import numpy as np
@@ -13,9 +13,14 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import photons
+from simulate.iiccd.automatic import SET_LEVEL, AutomaticGain, AutomaticState, BrightnessControl
+from simulate.iiccd.back_end import DigitalBackEnd
+from simulate.iiccd.bright_source import BrightSourceProtection
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chain import Chain
+from simulate.iiccd.chain import Chain, Stage
+from simulate.iiccd.fibre_geometry import FibreGeometry
 from simulate.iiccd.grid import Grid, padded_grid
+from simulate.iiccd.lens import RadiometricLens
 from simulate.iiccd.light import Light
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.optics import Optics
@@ -37,15 +42,23 @@ DARK_REFERENCE_C = 25.0
 class IntensifiedCamera:
     """An image-intensified camera built from its description.
 
-    Automatic gain and brightness control are off, as they are for any measurement.
+    Automatic gain and brightness control are off, as they are for any measurement, unless the conditions say that they
+    were on.
 
     Parameters
     ----------
     sensor
         The description; its values are taken as the truth.
+    geometry
+        Whether the taper distorts and shears the picture. The lab bench measures without: its targets are known on the
+        frame.
+    local_depletion
+        Whether a plate's gain falls place by place under its own load; otherwise all of the plate falls alike.
     """
 
     sensor: Sensor
+    geometry: bool = False
+    local_depletion: bool = False
 
     @property
     def interlaced(self) -> bool:
@@ -110,23 +123,83 @@ class IntensifiedCamera:
             )
         return min(conditions.gate_ns * 1e-9, self.field_s)
 
-    def chain(self, conditions: Conditions) -> Chain:
-        """Return the whole chain under conditions; its light is in photons per s and cell, see `photocathode`."""
-        return Chain(
-            (
-                self._optics(),
-                self.photocathode(conditions),
-                self._gap(),
-                self._plate(conditions),
-                self._phosphor(),
-                self._taper(),
-                Collection(row_pairs=self.interlaced),
-                self.afterglow(conditions),
-                Scan(interlaced=self.interlaced),
-                self._ccd(conditions),
-                self._video(),
-            )
+    def lens(self, magnification: float = 0.0) -> RadiometricLens:
+        """Return the lens for scenes of known radiance; `optics` of the chain is for light stated at the cathode."""
+        optics, cathode = self.sensor.optics, self.sensor.photocathode
+        return RadiometricLens(
+            f_number=float(optics.f_number),
+            transmission=float(optics.transmission),
+            focal_length_mm=float(optics.focal_length_mm),
+            detector_nm=cathode.wavelength_nm,
+            detector_efficiency=cathode.relative_quantum_efficiency,
+            grid=self.scene_cells,
+            magnification=magnification,
+            aberration_blur_um=float(optics.aberration_blur_um),
+            focal_shift_um=float(optics.focal_shift_um),
+            focus_nm=float(optics.focus_nm),
+            veiling_glare_fraction=float(optics.veiling_glare_fraction),
+            vignetting_fraction=float(optics.vignetting_fraction),
+            distortion_fraction=float(optics.distortion_fraction),
+            row_pairs=self.interlaced,
         )
+
+    def chain(self, conditions: Conditions, *, cathode_lux: float = 0.0) -> Chain:
+        """Return the whole chain under conditions; its light is in photons per s and cell, see `photocathode`.
+
+        Parameters
+        ----------
+        conditions
+            Gate, voltage or control word, and temperature.
+        cathode_lux
+            Illuminance averaged over the cathode and over time, lux of 2856 K light that would draw the same current:
+            protection from bright sources lowers the gap's voltage with it.
+        """
+        stages: tuple[Stage, ...] = (
+            self._optics(),
+            self.photocathode(conditions),
+            self._gap(cathode_lux),
+            *((self._fibre_geometry(),) if self.geometry else ()),
+            self.plate(conditions),
+            self._phosphor(),
+            self._taper(),
+            Collection(row_pairs=self.interlaced),
+            self.afterglow(conditions),
+            Scan(interlaced=self.interlaced),
+            self._ccd(conditions),
+            self.video(),
+        )
+        return Chain(stages)
+
+    def detected(self, photons_per_s: Light, conditions: Conditions) -> Light:
+        """Return the expected photoelectrons at the plate, per cell and exposure, of photons on the photocathode.
+
+        Parameters
+        ----------
+        photons_per_s
+            Photons per s and cell on `scene_cells`, referred to the wavelength of peak efficiency.
+        conditions
+            Gate and temperature.
+        """
+        cathode = self.photocathode(conditions)
+        lit = replace(cathode, ebi_per_s_cm2=0.0).mean(photons_per_s)
+        return self.received(lit, conditions)
+
+    def received(self, photoelectrons: Light, conditions: Conditions) -> Light:
+        """Return the expected photoelectrons at the plate of those that light frees from the cathode in one exposure.
+
+        Parameters
+        ----------
+        photoelectrons
+            Per cell and exposure, on `scene_cells`; dark ones are added.
+        conditions
+            Gate and temperature.
+        """
+        cathode = self.photocathode(conditions)
+        per_s_cm2 = photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
+        lux = per_s_cm2 / (photons.photoelectrons_per_lumen_s(self.sensor) * 1e-4)
+        dark = np.float32(cathode.ebi_per_s_cm2 * cathode.open_s * self.scene_cells.cell_area_cm2)
+        behind = self.chain(conditions, cathode_lux=lux).part("gap", "microchannel plate").without("microchannel plate")
+        return behind.mean(photoelectrons.with_values(photoelectrons.values + dark))
 
     def photocathode(self, conditions: Conditions) -> Photocathode:
         """Return the photocathode; photons are referred to the wavelength where its efficiency peaks."""
@@ -135,6 +208,8 @@ class IntensifiedCamera:
             quantum_efficiency=float(photons.quantum_efficiency(self.sensor, table).max()),
             gate_s=self.gate_s(conditions),
             ebi_per_s_cm2=photons.ebi_per_s_cm2(self.sensor, conditions.temperature_c),
+            on_off_ratio=float(self.sensor.photocathode.gate_on_off_ratio),
+            field_s=self.field_s,
         )
 
     def afterglow(self, conditions: Conditions) -> Afterglow:
@@ -161,7 +236,18 @@ class IntensifiedCamera:
             exponent=float(tube.mtf_exponent),
         )
 
-    def _gap(self) -> ProximityGap:
+    def bright_source_protection(self) -> BrightSourceProtection:
+        """Return what the cathode's supply does in bright light."""
+        cathode = self.sensor.photocathode
+        return BrightSourceProtection(
+            gap_v=float(cathode.gap_v),
+            protected_v=float(cathode.bright_source_v),
+            protected_lux=float(cathode.bright_source_lux),
+            gap_mm=float(cathode.gap_mm),
+            lateral_energy_ev=float(cathode.lateral_energy_ev),
+        )
+
+    def _gap(self, cathode_lux: float) -> ProximityGap:
         cathode = self.sensor.photocathode
         halo = Halo(
             fraction=float(cathode.halo_fraction),
@@ -169,9 +255,11 @@ class IntensifiedCamera:
             elastic_share=float(cathode.halo_elastic_share),
         )
         spread = self._share(1.0 - float(self.sensor.tube.post_gain_share))
-        return ProximityGap(spread=spread, halo=halo, grid=self.cells)
+        protection = self.bright_source_protection().blur(cathode_lux)
+        return ProximityGap(spread=spread, halo=halo, grid=self.cells, protection=protection)
 
-    def _plate(self, conditions: Conditions) -> MicrochannelPlate:
+    def plate(self, conditions: Conditions) -> MicrochannelPlate:
+        """Return the plate at the voltage or control word of the conditions."""
         plate = self.sensor.microchannel_plate
         per_electron = float(self.sensor.phosphor.photons_per_electron)
         strip = float(plate.strip_current_ua_per_cm2) * float(plate.saturation_fraction) * 1e-6
@@ -179,12 +267,28 @@ class IntensifiedCamera:
         return MicrochannelPlate(
             detection_probability=float(plate.detection_probability),
             pulse_height_shape=float(plate.pulse_height_shape),
-            gain=gain * photons.voltage_factor(self.sensor, conditions.mcp_v),
+            gain=gain * photons.gain_factor(self.sensor, conditions.mcp_v, conditions.gain_control),
             saturation_e_per_s_cm2=strip / photons.ELEMENTARY_CHARGE_C,
             field_s=self.field_s,
             ion_events_per_s_cm2=float(plate.ion_event_rate_per_s_cm2),
             ion_event_size_pe=float(plate.ion_event_size_pe),
             gate_s=self.gate_s(conditions),
+            stages=plate.stages,
+            pattern_contrast=float(plate.pattern_contrast),
+            pattern_pitch_um=float(plate.pattern_pitch_um),
+            line_um=float(plate.channel_pitch_um),
+            depletion_blur_um=float(plate.saturation_blur_um) if self.local_depletion else None,
+            recovery_ms=float(plate.channel_recovery_ms),
+        )
+
+    def _fibre_geometry(self) -> FibreGeometry:
+        taper = self.sensor.taper
+        return FibreGeometry(
+            distortion_fraction=float(taper.distortion_fraction),
+            shear_um=float(taper.shear_um),
+            pattern_pitch_um=float(taper.pattern_pitch_um),
+            demagnification=float(taper.demagnification),
+            specimen=self.specimen,
         )
 
     def _phosphor(self) -> Phosphor:
@@ -214,12 +318,13 @@ class IntensifiedCamera:
     def _ccd(self, conditions: Conditions) -> Ccd:
         ccd = self.sensor.ccd
         warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
-        dark = float(ccd.dark_current_e_per_s) * 2.0 ** (warmer / float(ccd.dark_current_doubling_k))
+        warmth = 2.0 ** (warmer / float(ccd.dark_current_doubling_k))
         return Ccd(
             quantum_efficiency=float(ccd.quantum_efficiency),
             full_well_e=float(ccd.full_well_e),
             antibloom_ratio=float(ccd.antibloom_ratio),
-            dark_e=dark * self.field_s * (2 if self.interlaced else 1),
+            dark_e=float(ccd.dark_current_e_per_s) * warmth * self.field_s * (2 if self.interlaced else 1),
+            dsnu_e=float(ccd.dsnu_e) * warmth,
             read_noise_e=float(ccd.read_noise_e),
             prnu=float(ccd.prnu),
             smear_fraction=float(ccd.smear_fraction),
@@ -227,12 +332,22 @@ class IntensifiedCamera:
             specimen=self.specimen,
         )
 
-    def _video(self) -> Video:
+    def video(self) -> Video | DigitalBackEnd:
+        """Return the video with its digitiser, or the digitiser alone of a camera without video."""
         video = self.sensor.video
+        if video.low_pass is None:
+            return DigitalBackEnd(
+                conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
+                black_level_dn=float(video.black_level_dn),
+                gamma=float(video.gamma),
+                bit_depth=video.bit_depth,
+            )
+        bandwidth_mhz, clock_mhz, order = video.low_pass
         low_pass = VideoFilter(
-            bandwidth_mhz=float(video.bandwidth_mhz),
-            pixel_clock_mhz=float(video.pixel_clock_mhz),
-            order=video.filter_order,
+            bandwidth_mhz=bandwidth_mhz,
+            pixel_clock_mhz=clock_mhz,
+            order=order,
+            aperture_correction_db=float(video.aperture_correction_db or 0.0),
         )
         return Video(
             low_pass=low_pass,
@@ -240,9 +355,82 @@ class IntensifiedCamera:
             black_level_dn=float(video.black_level_dn),
             gamma=float(video.gamma),
             bit_depth=video.bit_depth,
+            sync_jitter_px=float(video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz,
+            line_noise_dn=float(video.line_noise_dn or 0.0),
         )
 
-    def mean_frame(self, at_plate: Light, conditions: Conditions) -> NDArray[np.float32]:
+    def automatic_gain(self, conditions: Conditions) -> AutomaticGain | None:
+        """Return the camera's automatic gain; None where it is off or unknown.
+
+        Raises
+        ------
+        BadInput
+            If it was on and this camera has none.
+        """
+        video = self.sensor.video
+        if not conditions.automatic_gain:
+            return None
+        if not video.automatic_gain or video.automatic_gain_range_db is None or video.automatic_gain_s is None:
+            raise BadInput(f"automatic_gain must be off, as {self.sensor.name!r} has none; got on")
+        return AutomaticGain(
+            set_level_dn=SET_LEVEL * (2**video.bit_depth - 1 - float(video.black_level_dn)),
+            range_db=float(video.automatic_gain_range_db),
+            time_constant_s=float(video.automatic_gain_s),
+            step_s=self.frame_s,
+        )
+
+    def brightness_control(self, conditions: Conditions) -> BrightnessControl | None:
+        """Return the tube's brightness control; None where it is off or unknown.
+
+        Its limit is the screen current that its illuminance draws at nominal gain.
+        """
+        if not conditions.brightness_control:
+            return None
+        tube = self.sensor.tube
+        per_s_cm2 = float(tube.brightness_control_lux) * 1e-4 * photons.photoelectrons_per_lumen_s(self.sensor)
+        return BrightnessControl(
+            limit_e_per_s_cm2=self.plate(Conditions()).gain * per_s_cm2,
+            attack_s=float(tube.brightness_control_s),
+            step_s=self.frame_s,
+        )
+
+    def automatic_states(
+        self, at_plate: Light, conditions: Conditions, state: AutomaticState | None = None
+    ) -> Iterator[AutomaticState]:
+        """Yield where the automatic controls stand in frames 0, 1, ... of a steady scene; never ends.
+
+        Parameters
+        ----------
+        at_plate
+            Expected photoelectrons at the plate per cell and exposure, on `cells`.
+        conditions
+            Which controls were on, besides gate, voltage and temperature.
+        state
+            Where they stand in frame 0; both untouched if None.
+
+        Notes
+        -----
+        Meters read the expected picture: they average a whole frame, in which the noise is small beside the mean, and
+        what a frame shows follows from its number alone.
+        """
+        control, gain = self.brightness_control(conditions), self.automatic_gain(conditions)
+        state = AutomaticState() if state is None else state
+        cm2_s = at_plate.values.size * self.cells.cell_area_cm2 * self.field_s
+        while True:
+            yield state
+            brightness, factor = 1.0, 1.0
+            if control is not None:
+                output = self._screen(conditions, state).stages[0].mean(at_plate).values.sum(dtype=float) / cm2_s
+                brightness = control.next(state.brightness, output)
+            if gain is not None:
+                level = np.minimum(self.mean_frame(at_plate, conditions, state), 2**self.sensor.video.bit_depth - 1)
+                above = float(level.mean(dtype=float)) - float(self.sensor.video.black_level_dn)
+                factor = gain.next(state.gain, above)
+            state = AutomaticState(brightness=brightness, gain=factor)
+
+    def mean_frame(
+        self, at_plate: Light, conditions: Conditions, state: AutomaticState | None = None
+    ) -> NDArray[np.float32]:
         """Return the noiseless frame of a steady scene, shape (row, col), DN.
 
         Parameters
@@ -251,10 +439,12 @@ class IntensifiedCamera:
             Expected photoelectrons at the plate per cell and exposure, on `cells`.
         conditions
             Gate, voltage and temperature.
+        state
+            Where the automatic controls stand; untouched if None.
         """
-        pixels = self._screen(conditions).mean(at_plate)
+        pixels = self._screen(conditions, state).mean(at_plate)
         steady = pixels.with_values(np.repeat(pixels.values[None], self.fields_per_frame, axis=0))
-        return self._readout(conditions).mean(steady).values[0]
+        return self._readout(conditions, state).mean(steady).values[0]
 
     def frames(
         self, at_plate: Light, conditions: Conditions, *, seed: int, first_frame: int = 0
@@ -262,31 +452,85 @@ class IntensifiedCamera:
         """Yield the frames of a steady scene, one after the other, shape (row, col), DN; never ends.
 
         A frame depends on the seed and its own number alone: the fields that it still glows from are drawn again,
-        whichever frame comes first. Pulses are drawn on cells one row high; what those blur away of the scene is added
-        without noise, so that frames average to `mean_frame`.
+        whichever frame comes first. Automatic controls that were on start untouched in frame 0 and settle from there.
+        Pulses are drawn on cells one row high; what those blur away of the scene is added without noise, so that frames
+        average to `mean_frame`.
         """
-        readout, glow = self._readout(conditions), self.afterglow(conditions)
+        glow = self.afterglow(conditions)
         coarse = at_plate.in_whole_rows()
-        finer = self._screen(conditions).mean(at_plate).values - self._screen(conditions).mean(coarse).values
-        screen = self._screen(conditions)
-        screen = Chain((self._plate(conditions).under_load(at_plate, parts=2), *screen.stages[1:]))
         halves = coarse.with_values(np.repeat(0.5 * coarse.values[None], 2, axis=0))
         remembered = glow.memory + self.fields_per_frame
         recent = np.empty((remembered, 2, *self.shape), np.float32)
         field = self.fields_per_frame * first_frame - glow.memory
+        states = _Run(self, at_plate, coarse, conditions)
         for frame in count(first_frame):
             while field < self.fields_per_frame * (frame + 1):
+                screen = states.screen(max(field // self.fields_per_frame, 0))
                 recent[field % remembered] = screen.draw(halves, _field_rng(seed, field)).values
                 field += 1
             order = np.arange(field - remembered, field) % remembered
-            shown = lingering(recent, glow.halves, order) + finer
+            shown = lingering(recent, glow.halves, order) + states.finer(frame)
+            readout = states.readout(frame)
             yield readout.draw(Light(values=shown), np.random.default_rng([seed, 1, frame])).values[0]
 
-    def _screen(self, conditions: Conditions) -> Chain:
-        return self.chain(conditions).part("microchannel plate", "pixels")
+    def _screen(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
+        screen = self.chain(conditions).part("microchannel plate", "pixels")
+        if state is None or state.brightness == 1.0:
+            return screen
+        plate = self.plate(conditions)
+        return Chain((replace(plate, gain=plate.gain * state.brightness), *screen.stages[1:]))
 
-    def _readout(self, conditions: Conditions) -> Chain:
-        return self.chain(conditions).part("scan", "video")
+    def _readout(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
+        readout = self.chain(conditions).part("scan", "video")
+        if state is None or state.gain == 1.0:
+            return readout
+        return Chain((*readout.stages[:-1], replace(self.video(), gain=state.gain)))
+
+
+class _Run:
+    """The stages of a steady run, frame by frame: always the same unless automatic controls are on."""
+
+    def __init__(self, camera: IntensifiedCamera, at_plate: Light, coarse: Light, conditions: Conditions) -> None:
+        self._camera, self._at_plate, self._coarse, self._conditions = camera, at_plate, coarse, conditions
+        controlled = conditions.automatic_gain or conditions.brightness_control
+        self._coming = camera.automatic_states(at_plate, conditions) if controlled else None
+        self._known = [AutomaticState()] if self._coming is None else [next(self._coming)]
+        self._screen = lru_cache(maxsize=2)(self._screen_at)
+        self._finer = lru_cache(maxsize=1)(self._finer_at)
+        self._readout = lru_cache(maxsize=1)(self._readout_at)
+
+    def _state(self, frame: int) -> AutomaticState:
+        if self._coming is None:
+            return self._known[0]
+        while len(self._known) <= frame:
+            self._known.append(next(self._coming))
+        return self._known[frame]
+
+    def screen(self, frame: int) -> Chain:
+        """From the plate, under the whole exposure's load, to the pixels."""
+        return self._screen(self._state(frame).brightness)
+
+    def finer(self, frame: int) -> NDArray[np.float32]:
+        """What cells one row high blur away of the expected picture."""
+        return self._finer(self._state(frame).brightness)
+
+    def readout(self, frame: int) -> Chain:
+        """From the scan to the digitiser."""
+        return self._readout(self._state(frame).gain)
+
+    def _screen_at(self, brightness: float) -> Chain:
+        plate, *behind = self._camera._screen(self._conditions, AutomaticState(brightness=brightness)).stages
+        assert isinstance(plate, MicrochannelPlate)
+        # A map of the load must lie on the cells of the draw.
+        load = self._coarse if self._camera.local_depletion else self._at_plate
+        return Chain((plate.under_load(load, parts=2), *behind))
+
+    def _finer_at(self, brightness: float) -> NDArray[np.float32]:
+        screen = self._camera._screen(self._conditions, AutomaticState(brightness=brightness))
+        return screen.mean(self._at_plate).values - screen.mean(self._coarse).values
+
+    def _readout_at(self, gain: float) -> Chain:
+        return self._camera._readout(self._conditions, AutomaticState(gain=gain))
 
 
 def _field_rng(seed: int, field: int) -> np.random.Generator:

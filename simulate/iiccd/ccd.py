@@ -31,6 +31,10 @@ class Ccd:
         Relative standard deviation of the pixels' response, dimensionless.
     smear_fraction
         Charge that a spot one tenth of the picture high adds to its whole column, as a share of the spot's.
+    dsnu_e
+        Standard deviation over pixels of the mean dark charge, e-; see `pattern.dark_signal`.
+    clamped
+        Whether the clamp acts here; False where a register follows, behind which it does.
     interlaced
         Whether odd and even rows are separate fields, which overflow each on their own.
     specimen
@@ -44,6 +48,8 @@ class Ccd:
     read_noise_e: float = 0.0
     prnu: float = 0.0
     smear_fraction: float = 0.0
+    dsnu_e: float = 0.0
+    clamped: bool = True
     interlaced: bool = False
     specimen: int = 0
     name: str = "ccd"
@@ -56,18 +62,28 @@ class Ccd:
 
     def mean(self, light: Light) -> Light:
         """Return the charge without noise, e-; wells clip the mean, not the average of clipped draws."""
-        return light.with_values(self._held(self._generated(light.values)))
+        charge = self._generated(light.values)
+        if self.dsnu_e > 0.0 and self.dark_e > 0.0:
+            charge = charge + (self._dark(charge.shape[-2:]) - np.float32(self.dark_e))
+        held = self._held(charge)
+        return light.with_values(held if self.clamped else held + np.float32(self.dark_e))
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read noise."""
         from simulate.iiccd import draws
 
         expected = self._generated(light.values)
-        expected += np.float32(self.dark_e)
+        expected += self._dark(expected.shape[-2:])
         held = self._held(draws.poisson_charge(rng, expected))
         if self.read_noise_e > 0.0:
             held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
-        return light.with_values(held - np.float32(self.dark_e))
+        return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
+
+    def _dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
+        """Mean dark charge of each pixel, e-."""
+        if self.dsnu_e > 0.0 and self.dark_e > 0.0:
+            return pattern.dark_signal(shape, self.dark_e, self.dsnu_e, self.specimen)
+        return np.float32(self.dark_e)
 
     def _generated(self, photons: NDArray) -> NDArray[np.float32]:
         """Mean charge of the light, e-, with smear; an image that ripples below zero holds no charge there."""

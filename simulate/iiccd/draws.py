@@ -173,6 +173,19 @@ def pulse_sums(rng: np.random.Generator, mean: NDArray[np.float32], shape: float
     return np.where(few, -np.log(sums, where=few, out=np.zeros_like(sums)), -sums)
 
 
+def gamma_numbers(rng: np.random.Generator, shape: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return gamma numbers of unit scale, of the shapes given; 0 where a shape is not positive."""
+    numbers = np.empty(shape.shape, np.float32)
+    _gammas(state_from(rng), np.ascontiguousarray(shape, np.float32).ravel(), numbers.reshape(-1))
+    return numbers
+
+
+@njit(cache=True)
+def _gammas(s, shape, out):
+    for i in range(shape.size):
+        out[i] = _gamma(s, np.float64(shape[i]))
+
+
 def poisson_charge(rng: np.random.Generator, mean: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return Poisson numbers of the means given, of their shape; normal and rounded above `NORMAL_ABOVE`."""
     many = mean > NORMAL_ABOVE

@@ -1,17 +1,20 @@
 """The microchannel plate: it detects photoelectrons one by one and gives each a pulse of random height."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.iiccd import pattern
+from simulate.iiccd.depletion import Depletion
 from simulate.iiccd.light import Light
 
 
 @dataclass(frozen=True, kw_only=True)
 class MicrochannelPlate:
-    """Microchannel plate.
+    """Microchannel plate, or a stack of plates.
 
     Parameters
     ----------
@@ -27,12 +30,23 @@ class MicrochannelPlate:
         Time from one exposure to the next, s; the strip current recharges the plate all along.
     ion_events_per_s_cm2, ion_event_size_pe, gate_s
         Rate and mean size (detected photoelectrons) of ion pulses while the gate is open.
+    stages
+        Plates in the stack; all numbers are those of the stack, see `stacked` for what plates make of each other.
+    pattern_contrast, pattern_pitch_um, line_um
+        Depth, pitch and width of the lines of lower gain where the plate's multi-fibres meet; the mean gain is `gain`.
+    depletion_blur_um
+        Width of the neighbourhood whose own output lowers the gain of a place; None: the whole plate's mean does.
+    recovery_ms
+        Time constant with which channels recharge, ms.
+    gain_map
+        Gain over `gain`, shape (row, col), of a plate under a known load; None for none.
 
     Notes
     -----
     Thinned Poisson counts with independent pulses of gamma heights: of a cell that expects m photoelectrons, the
     output is G/p times gamma(shape n)/shape with n ~ Poisson(p m), exact at every level. Variance over mean is
-    G F^2 with F^2 = (1 + 1/shape)/p. Gain saturates over the whole plate alike, G / (1 + j/j_s), j the mean output.
+    G F^2 with F^2 = (1 + 1/shape)/p. Gain saturates over the whole plate alike, G / (1 + j/j_s), j the mean output, or
+    with `depletion_blur_um` place by place, j the blurred output: flat light sees the same gain, a bright core less.
     """
 
     detection_probability: float
@@ -43,6 +57,13 @@ class MicrochannelPlate:
     ion_events_per_s_cm2: float = 0.0
     ion_event_size_pe: float = 0.0
     gate_s: float = 0.0
+    stages: int = 1
+    pattern_contrast: float = 0.0
+    pattern_pitch_um: float = 700.0
+    line_um: float = 6.0
+    depletion_blur_um: float | None = None
+    recovery_ms: float = 10.0
+    gain_map: NDArray[np.floating] | None = field(default=None, compare=False)
     name: str = "microchannel plate"
     takes: str = "photoelectrons at the plate"
     emits: str = "electrons"
@@ -55,6 +76,20 @@ class MicrochannelPlate:
                 f"pulse_height_shape must be positive and gain not negative, got {self.pulse_height_shape:g} "
                 f"and {self.gain:g}"
             )
+        if self.stages < 1:
+            raise BadInput(f"a plate must have at least one stage, got {self.stages}")
+        if not 0.0 <= self.pattern_contrast < 1.0:
+            raise BadInput(f"pattern_contrast must lie in [0, 1), got {self.pattern_contrast:g}")
+
+    @property
+    def depletion(self) -> Depletion:
+        """What light takes from the channels of a place."""
+        return Depletion(
+            saturation_e_per_s_cm2=self.saturation_e_per_s_cm2,
+            blur_um=self.depletion_blur_um or 0.0,
+            recovery_ms=self.recovery_ms,
+            field_s=self.field_s,
+        )
 
     @property
     def excess_noise_factor(self) -> float:
@@ -62,17 +97,36 @@ class MicrochannelPlate:
         return (1.0 + 1.0 / self.pulse_height_shape) / self.detection_probability
 
     def saturated_gain(self, light: Light) -> NDArray[np.float64]:
-        """Gain under the load of an image, electrons per photoelectron, shape (..., 1, 1)."""
+        """Gain under the load of an image, electrons per photoelectron, (..., 1, 1), or a map (..., row, col)."""
         if light.grid is None:
             raise ValueError("the plate needs light on cells of known size")
+        if self.gain_map is not None:
+            return np.asarray(self.gain * self.gain_map, np.float64)
+        if self.depletion_blur_um is not None and np.isfinite(self.saturation_e_per_s_cm2):
+            depletion = self.depletion
+            left = depletion.gain(depletion.load(self.gain * light.values, light.grid))
+            return np.asarray(self.gain * left, np.float64)
         per_cell = light.values.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
         output = self.gain * per_cell / light.grid.cell_area_cm2 / self.field_s
         return self.gain / (1.0 + output / self.saturation_e_per_s_cm2)
 
     def under_load(self, light: Light, parts: int = 1) -> "MicrochannelPlate":
         """Return the plate as it works on one of several equal parts of an exposure: its gain is that of the whole."""
-        gain = float(self.saturated_gain(light).mean())
-        return replace(self, gain=gain, saturation_e_per_s_cm2=np.inf, gate_s=self.gate_s / parts)
+        loaded = self.saturated_gain(light)
+        part = replace(self, saturation_e_per_s_cm2=np.inf, gate_s=self.gate_s / parts)
+        if loaded.shape[-1] == 1:
+            return replace(part, gain=float(loaded.mean()))
+        return replace(part, gain_map=(loaded / self.gain).astype(np.float32) if self.gain > 0.0 else None)
+
+    def depleted(self, state: NDArray[np.floating]) -> "MicrochannelPlate":
+        """Return the plate whose channels are in a state of `Depletion`, shape (row, col)."""
+        left = self.depletion.gain(state).astype(np.float32)
+        return replace(self, gain_map=left, saturation_e_per_s_cm2=np.inf)
+
+    def _multifibres(self, light: Light) -> NDArray[np.float32] | None:
+        if self.pattern_contrast == 0.0 or light.grid is None:
+            return None
+        return pattern.multifibres(light.grid, self.pattern_contrast, self.pattern_pitch_um * 1e-3, self.line_um * 1e-3)
 
     def _ions_per_cell(self, light: Light) -> float:
         area = 0.0 if light.grid is None else light.grid.cell_area_cm2
@@ -82,7 +136,10 @@ class MicrochannelPlate:
         """Return the expected electrons per cell."""
         gain = self.saturated_gain(light).astype(np.float32)
         ions = self._ions_per_cell(light) * self.ion_event_size_pe / self.detection_probability
-        return light.with_values((light.values + np.float32(ions)) * gain)
+        electrons = (light.values + np.float32(ions)) * gain
+        if (multifibres := self._multifibres(light)) is not None:
+            electrons *= multifibres
+        return light.with_values(electrons)
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return electrons per cell, each photoelectron detected or lost, each pulse of its own height.
@@ -99,6 +156,8 @@ class MicrochannelPlate:
         if detected.min() < 0.0:
             pulses += np.minimum(detected, 0.0)
         pulses *= height
+        if (multifibres := self._multifibres(light)) is not None:
+            pulses *= multifibres
         return light.with_values(pulses)
 
     def _add_ions(self, pulses: NDArray[np.float32], per_cell: float, rng: np.random.Generator) -> None:
@@ -106,3 +165,27 @@ class MicrochannelPlate:
         where = rng.integers(pulses.size, size=rng.poisson(per_cell * pulses.size))
         size = rng.poisson(self.ion_event_size_pe, size=len(where)) * self.pulse_height_shape
         np.add.at(pulses.reshape(-1), where, (rng.gamma(size) / self.pulse_height_shape).astype(np.float32))
+
+
+def stacked(gains: Sequence[float], shapes: Sequence[float]) -> tuple[float, float]:
+    """Return the gain and the pulse-height shape of a stack of plates.
+
+    Parameters
+    ----------
+    gains
+        Electrons out of each plate per electron that starts a pulse in it, in the order of the light.
+    shapes
+        Pulse-height shapes of each.
+
+    Notes
+    -----
+    Gains multiply; the relative variance of a cascade is v1 + v2/G1 + v3/(G1 G2) + ... (Burgess, Disc. Faraday Soc. 28,
+    151, 1959): the first plate decides. The heights of the stack are taken as gamma of that variance.
+    """
+    before, variance = 1.0, 0.0
+    for gain, shape in zip(gains, shapes, strict=True):
+        if not (gain > 0.0 and shape > 0.0):
+            raise BadInput(f"gains and shapes of a stack must be positive, got {gain:g} and {shape:g}")
+        variance += 1.0 / shape / before
+        before *= gain
+    return before, 1.0 / variance

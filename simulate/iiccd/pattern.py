@@ -51,6 +51,16 @@ def honeycomb(
     return read_only((1.0 - contrast * np.exp(-0.5 * (border / (line_mm / 2.0)) ** 2)).astype(np.float32))
 
 
+@lru_cache(maxsize=4)
+def multifibres(grid: Grid, contrast: float, pitch_mm: float, line_mm: float) -> NDArray[np.float32]:
+    """Return the gain of a plate of multi-fibres, mean 1, lower on the lines where its hexagons meet.
+
+    Pitch and width are at the photocathode, where the cells are.
+    """
+    lines = honeycomb(grid, contrast, pitch_mm, line_mm, 1.0)
+    return read_only((lines / lines.mean(dtype=np.float64)).astype(np.float32))
+
+
 def _border_distance(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance to the nearest border of hexagons whose centres are one unit apart."""
     height = np.sqrt(3.0)
@@ -61,6 +71,45 @@ def _border_distance(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[
         across = np.maximum(np.abs(dx), 0.5 * np.abs(dx) + 0.5 * height * np.abs(dy))
         nearest.append(0.5 - across)
     return np.maximum(nearest[0], nearest[1])
+
+
+@lru_cache(maxsize=4)
+def dark_signal(shape: tuple[int, int], mean_e: float, sd_e: float, specimen: int) -> NDArray[np.float32]:
+    """Return each pixel's mean dark charge, e-, gamma distributed over pixels: never below zero, some pixels hot."""
+    rng = np.random.default_rng([specimen, 3])
+    shape_parameter = (mean_e / sd_e) ** 2
+    return read_only((rng.gamma(shape_parameter, size=shape) * (mean_e / shape_parameter)).astype(np.float32))
+
+
+@lru_cache(maxsize=4)
+def multifibre_offsets(grid: Grid, pitch_mm: float, rms_mm: float, specimen: int) -> NDArray[np.float32]:
+    """Return how far each multi-fibre is shifted, (x, y) on cells, shape (2, row, col), at the photocathode, mm.
+
+    All of a hexagon of the honeycomb is shifted alike; across a border the shifts of two hexagons differ by `rms_mm`,
+    root mean square. Pitch at the photocathode.
+    """
+    rows, columns = (np.arange(n, dtype=np.float64) for n in grid.shape)
+    y = rows[:, None] * (grid.pitch_y_mm / grid.per_row / pitch_mm)
+    x = columns[None, :] * (grid.pitch_x_mm / grid.per_column / pitch_mm)
+    which, down, along = _hexagons(x, y)
+    rng = np.random.default_rng([specimen, 4])
+    # The lattice is drawn from its corner on, so a larger picture has the same first hexagons only if as wide.
+    table = 0.5 * rms_mm * rng.standard_normal((2, 2, int(down.max()) + 2, int(along.max()) + 2))
+    return read_only(table[:, which, down, along].astype(np.float32))
+
+
+def _hexagons(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+    """Indices (lattice, row, column) of the hexagon that holds each place, its centres one unit apart."""
+    height = np.sqrt(3.0)
+    distance, down, along = [], [], []
+    for shift in (0.0, 0.5):
+        column = np.broadcast_to(np.round(x - shift), np.broadcast_shapes(x.shape, y.shape))
+        row = np.broadcast_to(np.round(y / height - shift), column.shape)
+        distance.append((x - shift - column) ** 2 + (y - (shift + row) * height) ** 2)
+        along.append(column.astype(int) + 1)
+        down.append(row.astype(int) + 1)
+    second = distance[1] < distance[0]
+    return second.astype(int), np.where(second, down[1], down[0]), np.where(second, along[1], along[0])
 
 
 @lru_cache(maxsize=4)

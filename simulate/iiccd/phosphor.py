@@ -13,8 +13,8 @@ from simulate.iiccd.transfer import Blur
 
 # Light that comes later than the remembered fields is less than this share.
 FORGOTTEN = 1e-3
-# Fields that are looked at to find them, and pulses over which shares are averaged.
-LONGEST, PULSES = 64, 2000
+# Pulses over which shares are averaged.
+PULSES = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +106,9 @@ class Afterglow:
         tau = np.maximum(np.array([self.fast_decay_ms, self.slow_decay_ms]) * 1e-3, 1e-12)
         share = np.array([self.fast_fraction, 1.0 - self.fast_fraction]) * tau
         arrival = self.gate_s * (np.arange(PULSES) + 0.5) / PULSES
-        ends = self.field_s * np.arange(1.0, LONGEST + 1)
+        # The slowest component alone has faded below what is forgotten after so many fields.
+        longest = int(np.ceil(tau.max() / self.field_s * np.log(1.0 / FORGOTTEN))) + 2
+        ends = self.field_s * np.arange(1.0, longest + 1)
         late = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (share / share.sum())
         last = int(np.argmax(late.mean(axis=0) < FORGOTTEN))
         late[:, last:] = 0.0

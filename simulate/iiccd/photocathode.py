@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labdata.errors import BadInput
 from simulate.iiccd.grid import Grid
 from simulate.iiccd.light import Light
 from simulate.iiccd.transfer import Blur
@@ -21,6 +22,15 @@ class Photocathode:
         Time the gate is open in one exposure, s.
     ebi_per_s_cm2
         Photoelectrons emitted in the dark (equivalent background illumination), per s and cm2.
+    on_off_ratio
+        What passes the open gate over what passes the shut one, in light and in the dark alike, dimensionless.
+    field_s
+        Time from one exposure to the next, s: while the gate is shut, light leaks for the rest of it.
+
+    Raises
+    ------
+    BadInput
+        If the gate does not open, or passes more while shut.
 
     Notes
     -----
@@ -32,15 +42,28 @@ class Photocathode:
     quantum_efficiency: float
     gate_s: float
     ebi_per_s_cm2: float
+    on_off_ratio: float = np.inf
+    field_s: float = 0.0
     name: str = "photocathode"
     takes: str = "photons"
     emits: str = "photoelectrons"
+
+    def __post_init__(self) -> None:
+        if not self.gate_s > 0.0:
+            raise BadInput(f"gate_s must be positive, got {self.gate_s:g}")
+        if not self.on_off_ratio >= 1.0:
+            raise BadInput(f"on_off_ratio must be at least 1, got {self.on_off_ratio:g}")
+
+    @property
+    def open_s(self) -> float:
+        """Time open that would pass as much as the gate does, open and shut, s."""
+        return self.gate_s + max(self.field_s - self.gate_s, 0.0) / self.on_off_ratio
 
     def mean(self, light: Light) -> Light:
         """Return photoelectrons per exposure and cell."""
         dark = 0.0 if light.grid is None else self.ebi_per_s_cm2 * light.grid.cell_area_cm2
         rate = self.quantum_efficiency * light.values + np.asarray(dark, light.values.dtype)
-        return light.with_values(rate * np.asarray(self.gate_s, light.values.dtype))
+        return light.with_values(rate * np.asarray(self.open_s, light.values.dtype))
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return the mean; the plate draws."""
@@ -57,18 +80,22 @@ class ProximityGap:
         Blur of the straight flight and of the electrons thrown back by the plate.
     grid
         Cells on which the plate receives them.
+    protection
+        Blur that protection from a bright source adds; None without.
     """
 
     spread: Blur
     halo: Blur
     grid: Grid
+    protection: Blur | None = None
     name: str = "gap"
     takes: str = "photoelectrons"
     emits: str = "photoelectrons at the plate"
 
     def mean(self, light: Light) -> Light:
         """Return the expected photoelectrons per cell of the plate, all blurs so far computed."""
-        landing = light.blurred(self.spread, self.halo)
+        further = () if self.protection is None else (self.protection,)
+        landing = light.blurred(self.spread, self.halo, *further)
         return landing.paid() if light.grid == self.grid else landing.resampled(self.grid)
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:

@@ -107,6 +107,30 @@ def voltage_factor(sensor: Sensor, mcp_v: float | None) -> float:
     return (mcp_v / float(plate.reference_v)) ** float(plate.gain_exponent)
 
 
+def control_factor(sensor: Sensor, gain_control: float | None) -> float:
+    """Return the gain relative to the nominal one at a control word, log-linear; 1 without one.
+
+    Notes
+    -----
+    ratio^((word - reference)/counts): the published gain of an intensified camera at control words 0 to 255 follows it
+    within 3 % with a ratio of 1.95 per 51 counts.
+    """
+    if gain_control is None:
+        return 1.0
+    plate = sensor.microchannel_plate
+    steps = (gain_control - float(plate.gain_control_reference)) / float(plate.gain_control_counts)
+    return float(plate.gain_control_ratio) ** steps
+
+
+def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None) -> float:
+    """Return the gain relative to the nominal one, by the plate's voltage or by the control word that sets it."""
+    if mcp_v is not None and gain_control is not None:
+        raise BadInput(
+            f"mcp_v and gain_control set the same gain and must not both be given, got {mcp_v:g} V and {gain_control:g}"
+        )
+    return voltage_factor(sensor, mcp_v) * control_factor(sensor, gain_control)
+
+
 def photons_per_lux(
     sensor: Sensor, wavelength_nm: NDArray[np.float64], radiance: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:

@@ -13,6 +13,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import photons
+from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.light import product
 from simulate.iiccd.microchannel import MicrochannelPlate
@@ -114,8 +115,8 @@ def quantities(sensor: Sensor, conditions: Conditions | None = None) -> dict[str
         **noise,
         "halo_diameter": gap_um * 1e-3 / camera.cells.pitch_x_mm,
         "ebi": ebi,
-        "ebi_per_field": ebi * camera.gate_s(conditions),
-        "photoelectrons_per_lux": per_lux * camera.gate_s(conditions),
+        "ebi_per_field": ebi * camera.photocathode(conditions).open_s,
+        "photoelectrons_per_lux": per_lux * camera.photocathode(conditions).open_s,
         "read_noise": _read_noise_dn(camera),
         "black_level": float(sensor.video.black_level_dn),
     }
@@ -128,7 +129,7 @@ def field_pixel_area_cm2(camera: IntensifiedCamera) -> float:
 
 
 def pulse_correlation(
-    blurs: tuple[Blur, ...], low_pass: VideoFilter | None, pitch_x_mm: float, pitch_y_mm: float
+    blurs: tuple[Blur, ...], low_pass: VideoFilter | Unfiltered | None, pitch_x_mm: float, pitch_y_mm: float
 ) -> tuple[float, float, float]:
     """Return the blur factor of pulses behind a blur, and their correlations one pixel away.
 
@@ -214,8 +215,8 @@ def _stage(camera: IntensifiedCamera, conditions: Conditions, name: str, kind: t
     return found
 
 
-def _video(camera: IntensifiedCamera) -> Video:
-    return _stage(camera, Conditions(), "video", Video)
+def _video(camera: IntensifiedCamera) -> Video | DigitalBackEnd:
+    return camera.video()
 
 
 def _before_gain(camera: IntensifiedCamera) -> tuple[Blur, ...]:

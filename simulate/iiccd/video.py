@@ -6,8 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.iiccd.back_end import codes, curved, refuse_impossible_digitiser
 from simulate.iiccd.light import Light
 from simulate.iiccd.transfer import VideoFilter
+
+# A parabola through three pixels describes shifts well below a pixel only.
+LARGEST_JITTER_PX = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +30,12 @@ class Video:
         Exponent y = x^gamma of the signal above black, relative to full scale, dimensionless.
     bit_depth
         Bits of the digitiser.
+    gain
+        Factor of the automatic gain, which acts on signal and noise alike, dimensionless.
+    sync_jitter_px
+        Standard deviation of the start of a line, pixels.
+    line_noise_dn
+        Standard deviation of an offset common to a line, DN.
     """
 
     low_pass: VideoFilter
@@ -33,15 +43,19 @@ class Video:
     black_level_dn: float
     gamma: float
     bit_depth: int
+    gain: float = 1.0
+    sync_jitter_px: float = 0.0
+    line_noise_dn: float = 0.0
     name: str = "video"
     takes: str = "charge"
     emits: str = "DN"
 
     def __post_init__(self) -> None:
-        if not 1 <= self.bit_depth <= 16:
-            raise BadInput(f"bit_depth must lie in 1..16, got {self.bit_depth}")
-        if not self.gamma > 0.0:
-            raise BadInput(f"gamma must be positive, got {self.gamma:g}")
+        refuse_impossible_digitiser(self.bit_depth, self.gamma)
+        if not 0.0 <= self.sync_jitter_px <= LARGEST_JITTER_PX:
+            raise BadInput(f"sync_jitter_px must lie between 0 and {LARGEST_JITTER_PX:g}, got {self.sync_jitter_px:g}")
+        if not self.line_noise_dn >= 0.0:
+            raise BadInput(f"line_noise_dn must not be negative, got {self.line_noise_dn:g}")
 
     @property
     def full_scale_dn(self) -> int:
@@ -50,20 +64,42 @@ class Video:
 
     def mean(self, light: Light) -> Light:
         """Return the level, DN, neither rounded nor clipped at the ends of the scale."""
-        return light.with_values(self._level(light.values))
+        signal = filtered(light.values, self.low_pass.impulse_response())
+        if self.sync_jitter_px > 0.0:
+            signal += np.float32(0.5 * self.sync_jitter_px**2) * _bend(signal)
+        return light.with_values(self._level(signal))
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return whole DN between 0 and full scale, uint8 or uint16."""
-        codes = np.rint(self._level(light.values))
-        np.clip(codes, 0, self.full_scale_dn, out=codes)
-        return light.with_values(codes.astype(np.uint8 if self.bit_depth <= 8 else np.uint16))
+        signal = filtered(light.values, self.low_pass.impulse_response())
+        if self.sync_jitter_px > 0.0:
+            late = self.sync_jitter_px * rng.standard_normal((*signal.shape[:-1], 1), dtype=np.float32)
+            signal = shifted(signal, late)
+        level = self._level(signal)
+        if self.line_noise_dn > 0.0:
+            level += np.float32(self.line_noise_dn) * rng.standard_normal((*level.shape[:-1], 1), dtype=np.float32)
+        return light.with_values(codes(level, self.bit_depth))
 
-    def _level(self, charge: NDArray) -> NDArray[np.float32]:
-        signal = filtered(charge, self.low_pass.impulse_response()) * np.float32(self.conversion_gain_dn_per_e)
-        if self.gamma != 1.0:
-            span = np.float32(self.full_scale_dn - self.black_level_dn)
-            signal = span * np.sign(signal) * np.abs(signal / span) ** np.float32(self.gamma)
-        return signal + np.float32(self.black_level_dn)
+    def _level(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
+        signal = signal * np.float32(self.conversion_gain_dn_per_e * self.gain)
+        return curved(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(self.black_level_dn)
+
+
+def shifted(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return lines (..., col) that start late by less than a pixel, (..., 1), by a parabola through three pixels."""
+    slope = 0.5 * (_neighbour(lines, 1) - _neighbour(lines, -1))
+    return (lines - late_px * slope + np.float32(0.5) * late_px**2 * _bend(lines)).astype(np.float32)
+
+
+def _bend(lines: NDArray[np.float32]) -> NDArray[np.float32]:
+    return (_neighbour(lines, 1) - np.float32(2.0) * lines + _neighbour(lines, -1)).astype(np.float32)
+
+
+def _neighbour(lines: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """Lines moved by one pixel; at their ends they go on as they are."""
+    moved = np.roll(lines, -step, axis=-1)
+    moved[..., -1 if step > 0 else 0] = lines[..., -1 if step > 0 else 0]
+    return moved
 
 
 def filtered(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:

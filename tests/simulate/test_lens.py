@@ -1,4 +1,4 @@
-"""The lens obeys radiometry: light per lux, cos^4, T-number, conservation, and a blur of its own at every wavelength."""
+"""The lens obeys radiometry: light per lux, cos^4, T-number, conservation, and each wavelength its own blur."""
 
 from dataclasses import replace
 

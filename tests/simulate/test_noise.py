@@ -121,7 +121,7 @@ def glowing(plain, seed) -> Flat:
 
 @pytest.fixture(scope="module")
 def lagless(plain, seed) -> Flat:
-    return _flat(plain(120, 160, phosphor__fast_decay_ms=0.0, phosphor__slow_decay_ms=0.0), seed)
+    return _flat(plain(120, 160, phosphor__fast_decay_ms=1e-9, phosphor__slow_decay_ms=1e-9), seed)
 
 
 def _with_error(per_frame: np.ndarray) -> tuple[float, float]:
