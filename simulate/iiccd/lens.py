@@ -99,9 +99,10 @@ class RadiometricLens:
 
     def falloff(self, radius_mm: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return cos^4(theta) times vignetting at distances from the axis, dimensionless."""
-        tangent = radius_mm / (self.focal_length_mm * (1.0 + self.magnification))
-        lost = self.vignetting_fraction * (radius_mm / warp.corner_mm(self.grid)) ** 2
-        return np.maximum(1.0 - lost, 0.0) / (1.0 + tangent**2) ** 2
+        square = np.square(radius_mm)
+        lost = square * (self.vignetting_fraction / warp.corner_mm(self.grid) ** 2)
+        secant = 1.0 + square / (self.focal_length_mm * (1.0 + self.magnification)) ** 2
+        return np.maximum(1.0 - lost, 0.0) / (secant * secant)
 
     def transfer(self, wavelength_nm: float, frequency_per_mm: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return the transfer at one wavelength, over frequencies in cycles/mm on the photocathode."""
@@ -128,7 +129,7 @@ class RadiometricLens:
         frequency = np.linspace(0.0, self._highest_frequency(), FREQUENCIES)
         transfers = np.stack([self.transfer(nm, frequency) for nm in light.wavelength_nm])
         shares, shapes = few_transfers(transfers, weight)
-        images = [self._arriving(light.weighted(weight * share)) for share in shares]
+        images = self._arriving([light.weighted(weight * share) for share in shares])
         images[0] = veiled(images[0], self.veiling_glare_fraction)
         fx, fy = self.grid.frequencies()
         radius = np.hypot(fx, fy)
@@ -151,16 +152,17 @@ class RadiometricLens:
         fx, fy = self.grid.frequencies()
         return float(np.hypot(np.abs(fx).max(), np.abs(fy).max()))
 
-    def _arriving(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Sharp image on the cells with the lens's geometry and falloff; `image` is per cell area."""
-        on_cells = placing.spread(image, self.grid, row_pairs=self.row_pairs)
-        x, y = warp.places(self.grid)
-        bright = self.falloff(np.hypot(x, y)).astype(np.float32)
+    def _arriving(self, images: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
+        """Sharp images on the cells with the lens's geometry and falloff; they are given per cell area."""
+        on_cells = [placing.spread(image, self.grid, row_pairs=self.row_pairs) for image in images]
+        x, y = (axis.astype(np.float32) for axis in warp.places(self.grid))
+        bright = self.falloff(np.hypot(x, y))
         if self.distortion_fraction == 0.0:
-            return on_cells * bright
+            return [np.asarray(image * bright, np.float32) for image in on_cells]
         radial = warp.Radial(fraction=self.distortion_fraction, corner_mm=warp.corner_mm(self.grid))
         from_x, from_y, area = radial.source(x, y)
-        return warp.fetched(on_cells, self.grid, from_x, from_y, order=1) * (area * bright).astype(np.float32)
+        bright = (bright * area).astype(np.float32)
+        return [warp.fetched(image, self.grid, from_x, from_y, order=1) * bright for image in on_cells]
 
 
 def refuse_impossible(cube: RadianceCube) -> None:

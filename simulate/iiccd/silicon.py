@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdata.errors import BadInput
+from simulate.iiccd.grid import Grid
 from simulate.iiccd.light import Light
 
 
@@ -18,6 +19,8 @@ class Silicon:
         Photoelectrons per photon at the wavelength to which the photons have been referred, dimensionless.
     exposure_s
         Time the shutter is open, s.
+    grid
+        Cells on which the chip's pixels collect, half as many per pixel as those of the light.
 
     Notes
     -----
@@ -28,9 +31,10 @@ class Silicon:
 
     quantum_efficiency: float
     exposure_s: float
+    grid: Grid
     name: str = "silicon"
     takes: str = "photons"
-    emits: str = "photoelectrons"
+    emits: str = "photoelectrons in the chip"
 
     def __post_init__(self) -> None:
         if not 0.0 < self.quantum_efficiency <= 1.0:
@@ -39,10 +43,9 @@ class Silicon:
             raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
 
     def mean(self, light: Light) -> Light:
-        """Return photoelectrons per exposure and cell."""
-        return light.with_values(
-            light.values * np.asarray(self.quantum_efficiency * self.exposure_s, light.values.dtype)
-        )
+        """Return photoelectrons per exposure and cell, all blurs so far computed."""
+        counted = light.values * np.asarray(self.quantum_efficiency * self.exposure_s, light.values.dtype)
+        return light.with_values(counted).resampled(self.grid)
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return the mean; the wells draw."""

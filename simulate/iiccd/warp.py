@@ -48,10 +48,10 @@ class Radial:
         came = np.linspace(0.0, FARTHEST, STEPS)
         lands = came * (1.0 + self.fraction * came**2)
         landed = np.hypot(x_mm, y_mm) / self.corner_mm
-        s = np.interp(landed, lands, came)
-        square = self.fraction * s * s
-        shrink = 1.0 / (1.0 + square)
-        return x_mm * shrink, y_mm * shrink, shrink / (1.0 + 3.0 * square)
+        s = np.interp(landed, lands, came).astype(landed.dtype)
+        stretch = self.fraction * s * s
+        shrink = 1.0 / (1.0 + stretch)
+        return x_mm * shrink, y_mm * shrink, shrink / (1.0 + 3.0 * stretch)
 
 
 def places(grid: Grid) -> tuple[Array, Array]:

@@ -1,0 +1,224 @@
+"""A camera without a tube, plain or electron-multiplying: the same stages as behind a tube, fed by the scene itself."""
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.solid_state import SolidStateCamera
+from simulate.iiccd.back_end import DigitalBackEnd
+from simulate.iiccd.camera import DARK_REFERENCE_C, DRAW_MARGIN_PX, SCENE_MARGIN_PX
+from simulate.iiccd.ccd import Ccd
+from simulate.iiccd.chain import Chain
+from simulate.iiccd.grid import Grid, padded_grid
+from simulate.iiccd.lens import RadiometricLens
+from simulate.iiccd.light import Light
+from simulate.iiccd.optics import Optics
+from simulate.iiccd.pixels import Collection
+from simulate.iiccd.register import Register
+from simulate.iiccd.silicon import Silicon
+from simulate.iiccd.transfer import Lens
+
+
+@dataclass(frozen=True)
+class SiliconCamera:
+    """A CCD or EMCCD camera built from its description.
+
+    Its methods are those of `simulate.iiccd.camera.IntensifiedCamera`; its light "at the plate" is photoelectrons in
+    the chip. No stage remembers earlier frames.
+
+    Parameters
+    ----------
+    description
+        The description; its values are taken as the truth.
+    """
+
+    description: SolidStateCamera
+
+    @property
+    def interlaced(self) -> bool:
+        """Never: such cameras are progressive."""
+        return False
+
+    @property
+    def frame_s(self) -> float:
+        """Time from one frame to the next, s."""
+        return 1.0 / float(self.description.video.field_rate_hz)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a frame."""
+        return self.description.ccd.rows, self.description.ccd.columns
+
+    @property
+    def specimen(self) -> int:
+        """Seed of the fixed patterns, which belong to the camera of this name."""
+        return zlib.crc32(self.description.name.encode())
+
+    @cached_property
+    def cells(self) -> Grid:
+        """Cells on which the chip collects, two per pixel."""
+        return self._grid(2, DRAW_MARGIN_PX)
+
+    @cached_property
+    def scene_cells(self) -> Grid:
+        """Cells on which the scene arrives, four per pixel."""
+        return self._grid(4, SCENE_MARGIN_PX)
+
+    def _grid(self, per_pixel: int, margin: int) -> Grid:
+        ccd = self.description.ccd
+        return padded_grid(
+            ccd.rows,
+            ccd.columns,
+            per_pixel=per_pixel,
+            margin=margin,
+            pitch_x_mm=float(ccd.pitch_x_um) * 1e-3,
+            pitch_y_mm=float(ccd.pitch_y_um) * 1e-3,
+        )
+
+    def exposure_s(self, conditions: Conditions) -> float:
+        """Time the shutter is open in one frame, s: the whole frame unless the conditions say less."""
+        given = [
+            seconds
+            for seconds in (conditions.exposure_s, None if conditions.gate_ns is None else conditions.gate_ns * 1e-9)
+            if seconds is not None
+        ]
+        shortest = min(given, default=self.frame_s)
+        if not 0.0 < shortest <= self.frame_s * 1.001:
+            raise BadInput(
+                f"an exposure must be positive and at most one frame, {self.frame_s:.6g} s, got {shortest:g} s"
+            )
+        return min(shortest, self.frame_s)
+
+    def em_gain(self, conditions: Conditions) -> float:
+        """Gain of the register: that of the conditions, or the highest it has."""
+        highest = float(self.description.register.em_gain)
+        if conditions.em_gain is None:
+            return highest
+        if not 1.0 <= conditions.em_gain <= highest:
+            raise BadInput(f"em_gain must lie between 1 and the camera's {highest:g}, got {conditions.em_gain:g}")
+        return conditions.em_gain
+
+    def lens(self, magnification: float = 0.0) -> RadiometricLens:
+        """Return the lens for scenes of known radiance."""
+        optics, silicon = self.description.optics, self.description.silicon
+        return RadiometricLens(
+            f_number=float(optics.f_number),
+            transmission=float(optics.transmission),
+            focal_length_mm=float(optics.focal_length_mm),
+            detector_nm=silicon.wavelength_nm,
+            detector_efficiency=silicon.quantum_efficiency,
+            grid=self.scene_cells,
+            magnification=magnification,
+            aberration_blur_um=float(optics.aberration_blur_um),
+            focal_shift_um=float(optics.focal_shift_um),
+            focus_nm=float(optics.focus_nm),
+            veiling_glare_fraction=float(optics.veiling_glare_fraction),
+            vignetting_fraction=float(optics.vignetting_fraction),
+            distortion_fraction=float(optics.distortion_fraction),
+        )
+
+    def chain(self, conditions: Conditions) -> Chain:
+        """Return the whole chain under conditions; its light is in photons per s and cell.
+
+        Photons are referred to the wavelength at which the silicon detects best, see `RadiometricLens`.
+        """
+        optics = self.description.optics
+        blur = Lens(aberration_blur_um=float(optics.aberration_blur_um), f_number=float(optics.f_number))
+        return Chain(
+            (
+                Optics(blur=blur, veiling_glare_fraction=float(optics.veiling_glare_fraction)),
+                self.silicon(conditions),
+                Collection(row_pairs=False, takes="photoelectrons in the chip", emits="photoelectrons in the wells"),
+                self._ccd(conditions),
+                self._register(conditions),
+                self.video(conditions),
+            )
+        )
+
+    def silicon(self, conditions: Conditions) -> Silicon:
+        """Return the chip that detects."""
+        return Silicon(
+            quantum_efficiency=max(self.description.silicon.quantum_efficiency),
+            exposure_s=self.exposure_s(conditions),
+            grid=self.cells,
+        )
+
+    def _warmth(self, conditions: Conditions) -> float:
+        """Dark current over that at the temperature at which it is stated."""
+        warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
+        return float(2.0 ** (warmer / float(self.description.ccd.dark_current_doubling_k)))
+
+    def _dark_e(self, conditions: Conditions) -> float:
+        per_s = float(self.description.ccd.dark_current_e_per_s) * self._warmth(conditions)
+        return per_s * self.exposure_s(conditions)
+
+    def _ccd(self, conditions: Conditions) -> Ccd:
+        ccd = self.description.ccd
+        return Ccd(
+            quantum_efficiency=1.0,
+            full_well_e=float(ccd.full_well_e),
+            antibloom_ratio=float(ccd.antibloom_ratio),
+            dark_e=self._dark_e(conditions),
+            dsnu_e=float(ccd.dsnu_e) * self._warmth(conditions),
+            prnu=float(ccd.prnu),
+            smear_fraction=float(ccd.smear_fraction),
+            clamped=False,
+            specimen=self.specimen,
+            takes="photoelectrons in the wells",
+            emits="charge in the wells",
+        )
+
+    def _register(self, conditions: Conditions) -> Register:
+        register = self.description.register
+        return Register(
+            gain=self.em_gain(conditions),
+            stages=register.stages,
+            pulse_height_shape=float(register.pulse_height_shape),
+            clock_induced_e=float(register.clock_induced_e),
+            read_noise_e=float(self.description.ccd.read_noise_e),
+            dark_e=self._dark_e(conditions),
+        )
+
+    def video(self, conditions: Conditions) -> DigitalBackEnd:
+        """Return the digitiser; automatic gain that was on is refused, as such cameras have none."""
+        if conditions.automatic_gain or conditions.brightness_control:
+            raise BadInput(f"automatic controls must be off, as {self.description.name!r} has none; got one on")
+        video = self.description.video
+        return DigitalBackEnd(
+            conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
+            black_level_dn=float(video.black_level_dn),
+            gamma=float(video.gamma),
+            bit_depth=video.bit_depth,
+        )
+
+    def detected(self, photons_per_s: Light, conditions: Conditions) -> Light:
+        """Return the expected photoelectrons in the chip, per cell of `cells` and exposure, of photons on it."""
+        return self.silicon(conditions).mean(photons_per_s)
+
+    def received(self, photoelectrons: Light, conditions: Conditions) -> Light:
+        """Return them of the expected photoelectrons of one exposure on `scene_cells`."""
+        return photoelectrons.resampled(self.cells)
+
+    def mean_frame(self, in_chip: Light, conditions: Conditions) -> NDArray[np.float32]:
+        """Return the noiseless frame of expected photoelectrons on `cells`, shape (row, col), DN."""
+        return self.chain(conditions).part("pixels", "video").mean(in_chip).values
+
+    def frames(
+        self, in_chip: Light, conditions: Conditions, *, seed: int, first_frame: int = 0
+    ) -> Iterator[NDArray[np.unsignedinteger]]:
+        """Yield the frames of a steady scene, shape (row, col), DN; never ends.
+
+        A frame depends on the seed and its own number alone.
+        """
+        chain = self.chain(conditions)
+        pixels = chain.part("pixels", "ccd").without("ccd").mean(in_chip)
+        readout = chain.part("ccd", "video")
+        for frame in count(first_frame):
+            yield readout.draw(pixels, np.random.default_rng([seed, 1, frame])).values
