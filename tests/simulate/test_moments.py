@@ -1,0 +1,240 @@
+"""Moments of simulated flats are those of theory and of photoelectrons followed one by one, at every light level.
+
+Tolerances are the physical ones asked of the simulator: mean 0.1 %, variance 0.5 %, skewness 2 %, the value that one
+pixel in a thousand exceeds 0.5 %, covariances to four pixels 1 % of the variance; beside them stand four standard
+errors of the samples drawn. CHARACT_TEST_SAMPLES multiplies the samples.
+"""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.sensor import Sensor
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.light import Light
+from tests.simulate import event_by_event as slow
+
+LEVELS = (0.05, 0.5, 5.0, 50.0, 500.0)
+SHAPES = {"exponential": 1.0, "Polya 2": 2.0}
+BLACK_DN, TOP_DN = 2000.0, 60000.0
+# What the filter along the line makes of a line's beginning is no flat.
+LINE_START_PX = 16
+ERRORS = 4.0
+BLOCKS = 20
+SAMPLES = float(os.environ.get("CHARACT_TEST_SAMPLES", "1"))
+# Rows and columns of the torus and frames of a block, by level: photoelectrons cost most at high light.
+EVENTS = {0.05: (192, 6), 0.5: (192, 6), 5.0: (128, 5), 50.0: (64, 5), 500.0: (48, 2)}
+TOLERANCE = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
+
+
+def _frames(sensor: Sensor, at_plate: Light, frames: int, seed: int) -> NDArray[Any]:
+    camera = IntensifiedCamera(sensor)
+    return np.stack(list(islice(camera.frames(at_plate, Conditions(), seed=seed), frames)))
+
+
+TIERS: dict[str, Callable[[Sensor, Light, int, int], NDArray[Any]]] = {"frames": _frames}
+# Frames of 240 x 320 pixels in one block of flats that each tier can afford, by level.
+AFFORDED = {"frames": {0.05: 8, 0.5: 8, 5.0: 6, 50.0: 5, 500.0: 4}}
+
+
+def flat_frames(sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: str) -> NDArray[Any]:
+    """Return frames of a flat by one of the simulator's tiers, DN, shape (frame, row, col)."""
+    camera = IntensifiedCamera(sensor)
+    cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.interlaced else 1)
+    flat = np.full(camera.cells.shape, photoelectrons_per_pixel / cells, np.float32)
+    codes = TIERS[tier](sensor, Light(values=flat, grid=camera.cells), frames, seed)
+    assert codes.min() > 0 and codes.max() < 2**sensor.video.bit_depth - 1
+    return codes.astype(np.float32)
+
+
+def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
+    """The sensor with sixteen bits that span its flat, wells without end."""
+    camera = slow.of_sensor(sensor)
+    factor = camera.height_moment(2) / camera.height_moment(1) / camera.charge_e
+    reach = camera.charge_e * (photoelectrons + 12.0 * np.sqrt(factor * photoelectrons) + 40.0)
+    return sensor.with_values(
+        {
+            "video.conversion_gain_dn_per_e": (TOP_DN - BLACK_DN) / reach,
+            "video.black_level_dn": BLACK_DN,
+            "ccd.full_well_e": 1e12,
+        }
+    )
+
+
+def measured_flat(
+    sensor: Sensor, level: float, frames: int, seed: int, tier: str
+) -> tuple[slow.Moments, slow.Moments, float]:
+    """Moments of a simulated flat and their errors, e- above black, and the step of the digitiser, e-."""
+    fine = in_fine_steps(sensor, level)
+    step_e = 1.0 / float(fine.video.conversion_gain_dn_per_e)
+    codes = flat_frames(fine, level, frames, seed, tier)[:, :, LINE_START_PX:]
+    charge = ((block - BLACK_DN) * step_e for block in np.array_split(codes, BLOCKS))
+    return *slow.measured(charge, slow.of_sensor(sensor).charge_e * level), step_e
+
+
+@pytest.fixture(scope="module")
+def flats(plain, seed):
+    """Moments of flats by tier, level and shape, each drawn once."""
+
+    @cache
+    def make(tier: str, level: float, shape: float):
+        sensor = plain(240, 320, microchannel_plate__pulse_height_shape=shape)
+        frames = BLOCKS * round(AFFORDED[tier][level] * SAMPLES)
+        found, error, step_e = measured_flat(sensor, level, frames, seed, tier)
+        return slow.of_sensor(sensor), found, error, step_e
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def event_moments(seed):
+    """Moments of photoelectrons followed one by one, and their errors, by camera and level."""
+
+    @cache
+    def make(camera: slow.EventCamera, level: float) -> tuple[slow.Moments, slow.Moments]:
+        side, frames = EVENTS[level]
+        stream = slow.frames(camera, level / camera.rows_summed, shape=(side, side), seed=seed)
+        blocks = (np.stack(list(islice(stream, round(frames * SAMPLES)))) for _ in range(BLOCKS))
+        return slow.measured(blocks, camera.charge_e * level)
+
+    return make
+
+
+def departures(found: slow.Moments, expected: slow.Moments, *errors: slow.Moments) -> list[str]:
+    """Return the statistics that depart by more than the tolerance and the errors, in words."""
+    wrong = []
+    for name, share in TOLERANCE.items():
+        error = np.sqrt(sum(getattr(e, name) ** 2 for e in errors))
+        allowed = share * abs(getattr(expected, name)) + ERRORS * error
+        if abs(getattr(found, name) - getattr(expected, name)) > allowed:
+            wrong.append(f"{name}: {getattr(found, name):.6g}, not {getattr(expected, name):.6g} +- {allowed:.2g}")
+    for name in ("horizontal", "vertical"):
+        error = np.sqrt(sum(getattr(e, name) ** 2 for e in errors))
+        off = np.abs(getattr(found, name) - getattr(expected, name))
+        wrong += [
+            f"{name} lag {lag + 1}: off by {off[lag] / expected.variance:.4f} of the variance"
+            for lag in np.flatnonzero(off > 0.01 * expected.variance + ERRORS * error)
+        ]
+    return wrong
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@pytest.mark.parametrize("tier", TIERS)
+def test_flats_have_the_moments_of_campbells_theorem(tier, shape, level, flats):
+    camera, found, error, step_e = flats(tier, level, shape)
+    expected = slow.campbell(camera, level / camera.rows_summed, step_e=step_e)
+    assert not departures(found, expected, error)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@pytest.mark.parametrize("tier", TIERS)
+def test_flats_have_the_moments_of_single_events(tier, shape, level, flats, event_moments):
+    camera, found, error, _ = flats(tier, level, shape)
+    expected, event_error = event_moments(camera, level)
+    assert not departures(found, expected, error, event_error)
+
+
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain, event_moments):
+    """The two ways of the reference agree, so that neither is believed alone."""
+    camera = slow.of_sensor(plain(240, 320, microchannel_plate__pulse_height_shape=shape))
+    found, error = event_moments(camera, level)
+    assert not departures(found, slow.campbell(camera, level / camera.rows_summed), error)
+
+
+@pytest.mark.parametrize("tier", TIERS)
+def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, seed):
+    """Light that changes from column to column: blur of means and blur of pulses act on it each in its own way."""
+    period, level = 8, 6.0
+
+    def stripes(x_px: NDArray[Any]) -> NDArray[Any]:
+        return level * (1.0 + 0.9 * np.sin(2.0 * np.pi * x_px / period))
+
+    sensor = in_fine_steps(plain(240, 320), 2.0 * level)
+    cells = IntensifiedCamera(sensor).cells
+    x_px = (np.arange(cells.shape[1]) + 0.5) / cells.per_column - cells.margin_columns
+    per_cell = stripes(x_px) / (2 * cells.per_row * cells.per_column)
+    light = np.repeat(per_cell[None].astype(np.float32), cells.shape[0], axis=0)
+    codes = TIERS[tier](sensor, Light(values=light, grid=cells), 60, seed)[:, :, LINE_START_PX:]
+    charge = (codes - BLACK_DN) / float(sensor.video.conversion_gain_dn_per_e)
+    side = 96
+    expected = np.repeat(stripes((np.arange(side * slow.PHASES) + 0.5) / slow.PHASES)[None] / 2.0, side, axis=0)
+    stream = slow.frames(slow.of_sensor(sensor), expected, shape=(side, side), seed=seed)
+    events = np.stack(list(islice(stream, 120)))
+    for power, tolerance in ((1, 1e-3), (2, 5e-3)):
+        ours, our_error = _by_phase(charge, period, power)
+        theirs, their_error = _by_phase(events, period, power)
+        assert np.all(np.abs(ours - theirs) < tolerance * theirs + ERRORS * np.hypot(our_error, their_error))
+        assert np.all(np.hypot(our_error, their_error) < 6.0 * tolerance * theirs)
+
+
+def _by_phase(frames: NDArray[Any], period: int, power: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Mean or variance of each column of the stripes' period, and its error by blocks of frames."""
+    columns = frames.reshape(*frames.shape[:2], -1, period)
+    if power == 2:
+        columns = (columns - columns.mean(axis=(0, 1, 2))) ** 2
+    blocks = np.stack([block.mean(axis=(0, 1, 2)) for block in np.array_split(columns, 12)])
+    return blocks.mean(axis=0), blocks.std(axis=0, ddof=1) / np.sqrt(12.0)
+
+
+# Physics reference, section 10: share of the variance that is left when pulses are drawn on the pixels and spread by a
+# kernel averaged over them, for Gaussian blurs of so many pixels.
+NAIVE = {0.5: 0.836, 0.7: 0.876, 1.0: 0.928, 1.5: 0.965}
+
+
+def _one_axis(sigma_px: float) -> tuple[float, float]:
+    """Sum of squared shares along one axis: of pulses anywhere, and of pulses at pixels' centres with a mean kernel."""
+    from scipy.special import ndtr
+
+    x = (np.arange(-2000, 2000) + 0.5) / 100.0
+    share = ndtr((x + 0.5) / sigma_px) - ndtr((x - 0.5) / sigma_px)
+    averaged = share.reshape(-1, 100)
+    centred = np.convolve(share, np.full(100, 0.01), "same")[0::100]
+    assert averaged.sum() == pytest.approx(100.0)
+    return float(np.sum(share**2) / 100.0), float(np.sum(centred**2))
+
+
+@pytest.mark.parametrize("sigma_px", NAIVE)
+def test_the_reference_knows_what_naive_drawing_loses(sigma_px):
+    continuous, naive = _one_axis(sigma_px)
+    assert (naive / continuous) ** 2 == pytest.approx(NAIVE[sigma_px], abs=6e-4)
+
+
+@pytest.mark.parametrize("sigma_px", NAIVE)
+@pytest.mark.parametrize("tier", TIERS)
+def test_blur_below_a_pixel_loses_no_variance(tier, sigma_px, plain, seed):
+    """Square pixels, no interlace, no decay, no video filter: a flat's variance is k F^2 mu sum h^2, h continuous."""
+    level = 20.0
+    pitch_mm = 0.011 * 18.0 / 11.0
+    sensor = plain(
+        240,
+        320,
+        ccd__pitch_y_um=11.0,
+        tube__post_gain_share=1.0,
+        tube__mtf_exponent=2.0,
+        tube__mtf_frequency_lp_per_mm=np.sqrt(0.5) / (np.pi * sigma_px * pitch_mm),
+        taper__fibre_pitch_um=1e-3,
+        taper__interface_mtf_lp_per_mm=1e6,
+        phosphor__fast_decay_ms=1e-6,
+        phosphor__slow_decay_ms=1e-6,
+        video__bandwidth_mhz=1e4,
+    )
+    sensor = replace(sensor, video=replace(sensor.video, interlaced=False))
+    camera = slow.of_sensor(sensor, spread=slow.Gaussian(sigma_px * pitch_mm))
+    pulses = level * camera.height_moment(2) * _one_axis(sigma_px)[0] ** 2
+    white = level * camera.height_moment(1) + camera.dark_e + camera.read_noise_e**2
+    assert slow.campbell(camera, level).variance == pytest.approx(pulses + white, rel=2e-3)
+    found, error, step_e = measured_flat(sensor, level, AFFORDED[tier][5.0] * BLOCKS, seed, tier)
+    assert abs(found.variance - white - step_e**2 / 12.0 - pulses) < 5e-3 * pulses + ERRORS * error.variance
+    assert error.variance < 2e-3 * pulses
