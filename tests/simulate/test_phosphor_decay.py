@@ -1,0 +1,100 @@
+"""Screens other than P20, and gates shorter than a decay: shares of later fields and what they do to the noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labdata.phosphors import load_phosphor
+from simulate.iiccd.phosphor import FORGOTTEN, Afterglow
+
+
+def _glow(name: str, field_s: float, gate_s: float | None = None) -> Afterglow:
+    phosphor = load_phosphor(name)
+    return Afterglow(
+        fast_fraction=float(phosphor.fast_fraction),
+        fast_decay_ms=float(phosphor.fast_decay_ms),
+        slow_decay_ms=float(phosphor.slow_decay_ms),
+        gate_s=field_s if gate_s is None else gate_s,
+        field_s=field_s,
+    )
+
+
+def _single(tau_ms: float, field_s: float) -> Afterglow:
+    return Afterglow(fast_fraction=1.0, fast_decay_ms=tau_ms, slow_decay_ms=tau_ms, gate_s=field_s, field_s=field_s)
+
+
+def _variance_and_adjacent_difference(glow: Afterglow) -> tuple[float, float]:
+    """Factors of the temporal variance and of half the variance of the difference of adjacent fields."""
+    shares = glow.pulse_shares
+    own = float(np.mean(np.sum(shares**2, axis=1)))
+    next_one = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
+    return own, own - next_one
+
+
+@pytest.mark.parametrize(
+    ("tau_ms", "field_s", "variance", "difference"),
+    [(1.0, 1 / 30, 0.970, 0.955), (1.0, 1 / 60, 0.940, 0.910), (5.0, 1 / 30, 0.848, 0.775)],
+    ids=["P43 at 30 Hz", "P43 at 60 Hz", "5 ms at 30 Hz"],
+)
+def test_lag_lowers_temporal_noise_by_the_factors_of_section_10(tau_ms, field_s, variance, difference):
+    """1 - a and 1 - 1.5 a, a = (tau/T)(1 - exp(-T/tau)); the last by Monte Carlo."""
+    found = _variance_and_adjacent_difference(_single(tau_ms, field_s))
+    assert found == pytest.approx((variance, difference), abs=0.003)
+
+
+@pytest.mark.parametrize(
+    ("name", "high_ms", "low_ms"), [("P20", 4.0, 55.0), ("P43", 1.0, 1.6), ("P46", 3e-4, 0.09), ("P47", 1e-4, 2.9e-3)]
+)
+def test_screens_decay_in_their_catalogue_times(name, high_ms, low_ms):
+    """90 to 10 per cent, and 10 to 1 per cent, of the light of a screen switched off after a long pulse of current."""
+    phosphor = load_phosphor(name)
+    share = float(phosphor.fast_fraction)
+    fast, slow = float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)
+    time_ms = np.geomspace(1e-7, 1e3, 200_001)
+    light = share * np.exp(-time_ms / fast) + (1.0 - share) * np.exp(-time_ms / slow)
+    at = [float(np.interp(-level, -light, time_ms)) for level in (0.9, 0.1, 0.01)]
+    assert at[1] - at[0] == pytest.approx(high_ms, rel=0.03)
+    assert at[2] - at[1] == pytest.approx(low_ms, rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["P20", "P43", "P46", "P47"])
+@pytest.mark.parametrize("field_s", [1 / 25, 1 / 60, 1e-3])
+def test_every_screen_gives_all_its_light_at_any_rate(name, field_s):
+    glow = _glow(name, field_s)
+    assert glow.weights.sum() == pytest.approx(1.0, abs=1e-12)
+    assert glow.weights.min() >= 0.0
+    # What is remembered reaches as far as the slow component does.
+    exact = _late(glow, glow.memory + 1)
+    assert exact < FORGOTTEN
+
+
+def _late(glow: Afterglow, fields: int) -> float:
+    """Share of light later than so many fields, of pulses spread over the gate, by the closed integral."""
+    tau = np.array([glow.fast_decay_ms, glow.slow_decay_ms]) * 1e-3
+    share = np.array([glow.fast_fraction, 1.0 - glow.fast_fraction]) * tau
+    left = np.exp(-(fields * glow.field_s - glow.gate_s) / tau) * -np.expm1(-glow.gate_s / tau) * tau / glow.gate_s
+    return float(left @ (share / share.sum()))
+
+
+@pytest.mark.parametrize("name", ["P20", "P43", "P46", "P47"])
+@pytest.mark.parametrize("gate_s", [1e-9, 1e-6, 1e-4, 1e-2])
+def test_gates_shorter_than_a_decay_leave_what_the_closed_integral_says(name, gate_s):
+    glow = _glow(name, 0.01668, gate_s)
+    for fields in range(1, min(glow.memory, 5) + 1):
+        assert glow.residuals(5)[fields - 1] == pytest.approx(_late(glow, fields), abs=1e-4 + FORGOTTEN)
+
+
+def test_p43_leaves_video_fields_almost_free_and_p20_not():
+    residual = {name: _glow(name, 1 / 59.94).residuals(1)[0] for name in ("P20", "P43", "P46", "P47")}
+    assert residual["P20"] == pytest.approx(0.48, abs=0.02)
+    assert 0.02 < residual["P43"] < 0.06
+    assert residual["P46"] < 5e-3 and residual["P47"] < 1e-3
+
+
+def test_a_fast_camera_remembers_slow_fields_beyond_any_fixed_number():
+    """P20 at a thousand exposures per second glows for a fifth of a second."""
+    glow = _glow("P20", 1e-3)
+    assert glow.memory > 150
+    assert glow.residuals(100)[63] == pytest.approx(_late(glow, 64), rel=2e-2)
+    assert replace(glow, slow_decay_ms=1e-6).memory < glow.memory
