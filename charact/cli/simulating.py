@@ -1,42 +1,175 @@
-"""Simulated frames of a scene as a session: what a measuring verb takes can be made without a bench."""
+"""Simulated frames as a session: a bench scene, a picture or a radiance cube goes through a camera, frame by frame."""
 
-from dataclasses import replace
-from itertools import chain, islice
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from charact import __version__
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
 from labdata.session import Kind
 from labdata.target import Target
 
+if TYPE_CHECKING:
+    from labdata.sensor import Sensor
+    from labdata.solid_state import SolidStateCamera
 
-def simulated(
-    scene: Path,
-    out: Path,
-    *,
-    sensor: str,
-    kind: Kind,
-    target: Target,
-    conditions: Conditions,
-    frames: int,
-    seed: int,
-) -> None:
-    """Render a scene, expose frames of it through a sensor and keep them as a session, frame by frame."""
-    from labdata.sensors import load_sensor, save_sensor
-    from labdata.store import SessionWriter
+    Description = Sensor | SolidStateCamera
+
+# Illuminance of the bench where none is asked for, lux.
+BENCH_LUX = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What goes before the camera.
+
+    Parameters
+    ----------
+    source
+        A bench scene (.toml, or a shipped one's name), a radiance cube (.npz) or a picture.
+    kind
+        What the stack is said to show; None: an edge of a bench scene, else a scene.
+    target
+        Target on the bench.
+    photoelectrons_per_dn
+        Scale of a picture, see `charact.cli.picture_light`.
+    black_dn
+        Level of the picture that stands for no light, DN; None: 0.
+    """
+
+    source: Path
+    kind: Kind | None = None
+    target: Target = field(default_factory=Target)
+    photoelectrons_per_dn: float | None = None
+    black_dn: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """A camera, the light that reaches it, and what is known of both."""
+
+    camera: Any
+    light: Any
+    kind: Kind
+    conditions: Conditions
+    target: Target = field(default_factory=Target)
+    notes: tuple[str, ...] = ()
+
+
+def described(sensor: str, phosphor: str | None) -> "Description":
+    """Return the description of a camera, with another screen if one is asked for."""
+    from labdata.phosphors import load_phosphor
+    from labdata.sensors import load_camera
+    from labdata.solid_state import SolidStateCamera
+
+    camera = load_camera(sensor)
+    if phosphor is None:
+        return camera
+    if isinstance(camera, SolidStateCamera):
+        raise BadInput(f"--phosphor needs a camera with a tube, got {camera.name!r}")
+    return camera.with_phosphor(load_phosphor(phosphor))
+
+
+def shot_of(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
+    """Return the light of a source on a camera."""
+    if asked.source.suffix == ".toml" or (not asked.source.suffix and not asked.source.exists()):
+        return _of_bench(asked, description, conditions)
+    if conditions.illuminance_lux is not None:
+        raise BadInput("--illuminance-lux belongs to a bench scene; a picture or a radiance cube brings its own light")
+    if asked.target != Target():
+        raise BadInput(f"--frequency belongs to the bars of a bench scene, got it with {asked.source.name}")
+    if asked.source.suffix == ".npz":
+        return _of_cube(asked, description, conditions)
+    return _of_picture(asked, description, conditions)
+
+
+def _of_bench(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
+    from dataclasses import replace
+
+    from labdata.sensor import Sensor
     from simulate.lab import LabBench
 
-    description = load_sensor(sensor)
-    if conditions.mcp_v is None:
-        conditions = replace(conditions, mcp_v=float(description.microchannel_plate.reference_v))
-    bench = LabBench(description, scene)
-    stream = bench.stream(kind, target, conditions, seed=seed)
-    first = next(stream)
-    video = description.video
+    if not isinstance(description, Sensor):
+        raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")
+    _no_picture(asked)
+    if conditions.illuminance_lux is None:
+        conditions = replace(conditions, illuminance_lux=BENCH_LUX)
+    kind, bench = asked.kind or "edge", LabBench(description, asked.source)
+    light = bench.photoelectrons(kind, asked.target, conditions)
+    return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=asked.target)
+
+
+def _of_picture(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
+    from charact.cli.picture_light import photoelectrons_of
+    from simulate.cameras import camera_of
+    from simulate.iiccd.exposure import from_photoelectrons
+
+    camera = camera_of(description)
+    image, notes = photoelectrons_of(
+        asked.source,
+        photoelectrons_per_dn=asked.photoelectrons_per_dn,
+        black_dn=asked.black_dn or 0.0,
+        shape=camera.shape,
+    )
+    light = from_photoelectrons(camera, image, conditions)
+    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, notes=notes)
+
+
+def _of_cube(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
+    from charact.cli.picture_light import cube_of
+    from simulate.cameras import camera_of
+    from simulate.iiccd.exposure import from_radiance
+
+    _no_picture(asked)
+    camera = camera_of(description)
+    light = from_radiance(camera, cube_of(asked.source), conditions)
+    notes = (f"spectral radiance of {asked.source.name}",)
+    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, notes=notes)
+
+
+def _no_picture(asked: Asked) -> None:
+    for option, value in (("--photoelectrons-per-dn", asked.photoelectrons_per_dn), ("--black-dn", asked.black_dn)):
+        if value is not None:
+            raise BadInput(f"{option} belongs to a picture, got it with {asked.source.name}")
+
+
+def save_frames(
+    shot: Shot,
+    description: "Description",
+    out: Path,
+    *,
+    frames: int,
+    seed: int,
+    notes: tuple[str, ...] = (),
+    progress: Callable[[str, float], None] = lambda sentence, share: None,
+) -> None:
+    """Expose frames and keep them as a session, each written before the next is drawn."""
+    from labdata.sensors import save_sensor
+    from labdata.store import SessionWriter
+
+    stream: Iterator[Any] = shot.camera.frames(shot.light, shot.conditions, seed=seed)
+    first, video = next(stream), description.video
     with SessionWriter.create(
-        out, name=f"simulated {kind}", sensor="sensor.toml", bit_depth=video.bit_depth, interlaced=video.interlaced
+        out, name=f"simulated {shot.kind}", sensor="sensor.toml", bit_depth=video.bit_depth, interlaced=video.interlaced
     ) as writer:
         save_sensor(description, out / "sensor.toml")
-        with writer.begin_stack(kind, kind, first.shape, first.dtype, conditions, target=target) as stack:
-            for number, frame in enumerate(chain((first,), islice(stream, frames - 1))):
-                stack.append(frame, number * bench.camera.frame_s, number)
-            stack.finish(notes=(f"simulated by charact, seed {seed}",))
+        kind, pixel = shot.kind, first.dtype
+        with writer.begin_stack(kind, kind, first.shape, pixel, shot.conditions, target=shot.target) as stack:
+            stack.append(first, 0.0, 0)
+            for number, frame in enumerate(islice(stream, frames - 1), 1):
+                stack.append(frame, number * shot.camera.frame_s, number)
+                progress(f"frame {number + 1} of {frames}", (number + 1) / frames)
+            stack.finish(notes=(f"simulated by charact {__version__}, seed {seed}", *shot.notes, *notes))
+
+
+def save_stage_images(shot: Shot, description: "Description", folder: Path, *, seed: int) -> int:
+    """Keep the image after each stage, as files for teaching and for finding faults; return how many."""
+    from simulate.iiccd.stage_images import stage_images
+
+    from charact.cli.stage_pictures import save_stages
+
+    title = f"{description.name}, one exposure through the chain, seed {seed}"
+    return save_stages(stage_images(shot.camera, shot.light, shot.conditions, seed), folder, title)

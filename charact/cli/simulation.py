@@ -1,0 +1,107 @@
+"""The verb `simulate`: a bench scene, a picture of one's own or a radiance cube through a camera, into a session."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from charact.cli import options
+from charact.cli.output import bad_input_ends
+from charact.cli.progress import progress_bar
+
+Source = Annotated[
+    Path, typer.Argument(help="Bench scene (TOML), picture (.tif .png .npy .fits ...) or radiance cube (.npz).")
+]
+Sensor = Annotated[str, typer.Option("--sensor", help="A shipped camera's name, or a path to a (fitted) TOML.")]
+Gain = Annotated[float | None, typer.Option(help="Luminous gain of the tube, lm/lm, or EM gain of an EMCCD.")]
+Gate = Annotated[float | None, typer.Option(help="Time the gate is open in an exposure, ns; else all of it.", min=0.0)]
+Lux = Annotated[float | None, typer.Option(help="Bench: illuminance on the photocathode, lux; else 1e-4.", min=0.0)]
+PerDn = Annotated[
+    float | None, typer.Option(help="Picture: mean photoelectrons per pixel and exposure for each DN above black.")
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verb to the command."""
+    app.command()(simulate)
+
+
+def simulate(
+    source: Source,
+    out: Annotated[Path, typer.Argument(help="Folder of the session of simulated frames.")],
+    sensor: Sensor,
+    kind: Annotated[
+        str | None, typer.Option(help="What it shows: dark, flat, edge, bars, point or scene. Bench: edge; else scene.")
+    ] = None,
+    frames: Annotated[int, typer.Option(help="Number of frames.", min=1)] = 8,
+    seed: options.Seed = 0,
+    photoelectrons_per_dn: PerDn = None,
+    black_dn: Annotated[float | None, typer.Option(help="Picture: level without light, DN; else 0.")] = None,
+    phosphor: Annotated[
+        str | None, typer.Option(help="Another screen: p20, p43, p46, p47 or TOML; photons per photoelectron stay.")
+    ] = None,
+    gain: Gain = None,
+    mcp_v: Annotated[float | None, typer.Option(help="Microchannel plate voltage, V; else its nominal one.")] = None,
+    gain_control: Annotated[
+        float | None, typer.Option(help="Control word of the tube's gain, counts.", min=0.0)
+    ] = None,
+    automatic_gain: Annotated[bool | None, typer.Option("--automatic-gain", help="Camera's gain control on.")] = None,
+    brightness_control: Annotated[
+        bool | None, typer.Option("--brightness-control", help="Tube's brightness control on.")
+    ] = None,
+    gate_ns: Gate = None,
+    temperature_c: Annotated[float | None, typer.Option(help="Temperature of the camera, C; else 25.")] = None,
+    illuminance_lux: Lux = None,
+    frequency: Annotated[float | None, typer.Option(help="Bench: frequency of bars, cy/px.")] = None,
+    stage_images: Annotated[
+        Path | None, typer.Option(help="Folder for the image after each stage: float TIFFs and a contact sheet.")
+    ] = None,
+    events: options.Events = False,
+) -> None:
+    """Light through a camera, stage by stage, into a session that every measuring verb takes.
+
+    Example: charact simulate bench.toml frames --sensor pulnix-ag5745ef3 --kind edge
+
+    Example: charact simulate house.tif frames --sensor gen3-digital-iccd --photoelectrons-per-dn 0.01
+    """
+    interrupted = f"interrupted; the frames so far are kept in {out}"
+    with bad_input_ends(str(source), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
+        from charact.cli.simulated_conditions import conditions_of
+        from charact.cli.simulating import Asked, described, save_frames, save_stage_images, shot_of
+        from labdata.target import Target
+
+        camera = described(sensor, phosphor)
+        conditions = conditions_of(
+            camera,
+            gain=gain,
+            mcp_v=mcp_v,
+            gain_control=gain_control,
+            automatic_gain=automatic_gain,
+            brightness_control=brightness_control,
+            gate_ns=gate_ns,
+            temperature_c=temperature_c,
+            illuminance_lux=illuminance_lux,
+        )
+        asked = Asked(
+            source=source,
+            kind=None if kind is None else options.parsed_kind(kind),
+            target=Target(frequency_cy_per_px=frequency),
+            photoelectrons_per_dn=photoelectrons_per_dn,
+            black_dn=black_dn,
+        )
+        shot = shot_of(asked, camera, conditions)
+        said = (
+            f"camera {camera.name}",
+            *(() if gain is None else (f"asked for the gain {gain:g}",)),
+            *(
+                ()
+                if temperature_c is not None
+                else ("no temperature asked for: dark emission and current as described",)
+            ),
+        )
+        save_frames(shot, camera, out, frames=frames, seed=seed, notes=said, progress=progress)
+        if stage_images is not None:
+            stages = save_stage_images(shot, camera, stage_images, seed=seed)
+            print(f"{stage_images}: {stages} stages")
+        further = f"{out}/sensor.toml is its camera" if shot.kind == "scene" else f"Next: charact measure {out}"
+        print(f"{out}: {frames} frames\n{further}")

@@ -1,0 +1,268 @@
+"""`charact simulate` end to end: a picture, a cube and a bench scene become sessions that say how they came about."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+from typer.testing import CliRunner, Result
+
+from charact.cli.application import app
+from labdata.phosphors import load_phosphor
+from labdata.sensors import load_camera, save_sensor
+from labdata.session import open_session
+
+ROWS, COLS = 48, 64
+CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
+
+
+def charact(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def assert_one_sentence(done: Result, *words: str) -> None:
+    assert done.exit_code == 1, done.output
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    sentence = done.stderr.strip()
+    assert len(sentence.splitlines()) == 1, sentence
+    for word in words:
+        assert word in sentence, sentence
+
+
+@pytest.fixture(scope="module")
+def cameras(tmp_path_factory) -> dict[str, Path]:
+    """Every shipped camera with a small chip, as a file."""
+    folder = tmp_path_factory.mktemp("cameras")
+    for name in CAMERAS:
+        camera = load_camera(name)
+        save_sensor(replace(camera, ccd=replace(camera.ccd, rows=ROWS, columns=COLS)), folder / f"{name}.toml")
+    return {name: folder / f"{name}.toml" for name in CAMERAS}
+
+
+@pytest.fixture
+def picture(tmp_path) -> Path:
+    """Half of it dark at 20 DN, half lit at 120 DN."""
+    image = np.full((ROWS, COLS), 20, np.uint16)
+    image[:, COLS // 2 :] = 120
+    tifffile.imwrite(tmp_path / "half.tif", image)
+    return tmp_path / "half.tif"
+
+
+PLAIN = {
+    "photocathode.halo_fraction": 0.0,
+    "microchannel_plate.strip_current_ua_per_cm2": 1e9,
+    "microchannel_plate.ion_event_rate_per_s_cm2": 0.0,
+    "microchannel_plate.pattern_contrast": 0.0,
+    "phosphor.gain_nonuniformity": 0.0,
+    "taper.pattern_contrast": 0.0,
+    "taper.distortion_fraction": 0.0,
+    "ccd.prnu": 0.0,
+    "ccd.dsnu_e": 0.0,
+    "ccd.full_well_e": 1e6,
+    "ccd.smear_fraction": 0.0,
+    "register.clock_induced_e": 0.0,
+}
+SCALE = ("--photoelectrons-per-dn", 0.1, "--black-dn", 20)
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_a_picture_comes_out_as_bright_as_its_photoelectrons_make_it(tmp_path, cameras, picture, name):
+    """10 photoelectrons per pixel as read, without halo, saturation and patterns: within 4 standard errors.
+
+    The mean over a patch away from the edge, above a dark one; 1 % is left for what the tube blurs across.
+    """
+    plain = load_camera(cameras[name])
+    plain = plain.with_values({path: value for path, value in PLAIN.items() if path in plain.parameters()})
+    save_sensor(plain, tmp_path / "plain.toml")
+    gain = ("--gain", 100, "--temperature-c", -70) if name == "emccd-512" else ("--temperature-c", 25)
+    sensor = ("--sensor", tmp_path / "plain.toml")
+    done = charact("simulate", picture, tmp_path / "out", *sensor, *SCALE, "--frames", 24, *gain)
+    assert done.exit_code == 0, done.output
+    frames = open_session(tmp_path / "out").stack("scene").read().data.astype(float)
+    assert frames.shape == (24, ROWS, COLS)
+    inner = slice(8, -8)
+    lit = frames[:, inner, COLS - 20 : COLS - 8] - frames[:, inner, 8:20]
+    known = plain.parameters()
+    per_e = float(known["video.conversion_gain_dn_per_e"])
+    if name == "emccd-512":
+        per_pe, excess = 100.0 * per_e, 2.0
+    else:
+        lumens = float(known["phosphor.luminous_efficacy_lm_per_w"]) * float(known["phosphor.photon_energy_ev"])
+        sensitivity = float(known["photocathode.luminous_sensitivity_ua_per_lm"]) * 1e-6
+        photons = float(known["tube.luminous_gain"]) / lumens / sensitivity
+        per_pe = photons * float(known["taper.transmission"]) * float(known["ccd.quantum_efficiency"]) * per_e
+        excess = 2.0 / float(known["microchannel_plate.detection_probability"])
+    # Counts in the patch and all frames; rows of an interlaced frame share half of theirs, and the patch is 12 wide.
+    electrons = 10.0 * 24 * (ROWS - 16) * 12 * (0.5 if name == "pulnix-ag5745ef3" else 1.0)
+    error = 10.0 * per_pe * np.sqrt(excess / electrons)
+    assert lit.mean() == pytest.approx(10.0 * per_pe, abs=4.0 * error + 0.01 * 10.0 * per_pe)
+
+
+def test_the_session_records_camera_settings_and_how_the_light_came_about(tmp_path, cameras, picture):
+    options = ("--gain", 7500, "--gate-ns", 5e6, "--temperature-c", 10, "--seed", 3, "--phosphor", "P43", "--frames", 2)
+    done = charact("simulate", picture, tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"], *SCALE, *options)
+    assert done.exit_code == 0, done.output
+    session = open_session(tmp_path / "out")
+    assert session.sensor is not None
+    assert session.sensor.phosphor == load_phosphor("p43")
+    (stack,) = session.stacks
+    assert (stack.kind, stack.finished, session.is_interlaced, stack.bit_depth) == ("scene", True, True, 8)
+    asked = stack.conditions
+    gain = float(session.sensor.tube.luminous_gain) * (asked.mcp_v / 800.0) ** 10.0
+    assert gain == pytest.approx(7500.0, rel=1e-9)
+    assert (asked.gate_ns, asked.temperature_c) == (5e6, 10.0)
+    said = " | ".join(stack.notes)
+    for words in ("seed 3", "half.tif", "0.1 photoelectrons per DN above 20 DN", "PULNiX", "gain 7500"):
+        assert words in said
+    frames = stack.read()
+    assert list(frames.frame_number) == [0, 1]
+    assert frames.time_s[1] == pytest.approx(2.0 / 59.94)
+
+
+def test_the_same_seed_gives_the_same_frames_and_more_frames_begin_with_them(tmp_path, cameras, picture):
+    for name, options in {"a": (3, 5), "b": (2, 5), "c": (2, 6)}.items():
+        frames, seed = options
+        done = charact(
+            *("simulate", picture, tmp_path / name, "--sensor", cameras["gen3-digital-iccd"], *SCALE),
+            *("--frames", frames, "--seed", seed),
+        )
+        assert done.exit_code == 0, done.output
+    a, b, c = (open_session(tmp_path / name).stack("scene").read().data for name in "abc")
+    assert np.array_equal(a[:2], b)
+    assert not np.array_equal(b, c)
+
+
+def test_a_small_picture_stands_in_the_middle_and_the_session_says_so(tmp_path, cameras):
+    tifffile.imwrite(tmp_path / "spot.tif", np.full((16, 16), 1000, np.uint16))
+    done = charact(
+        *("simulate", tmp_path / "spot.tif", tmp_path / "out", "--sensor", cameras["emccd-512"]),
+        *("--photoelectrons-per-dn", 0.1, "--gain", 100, "--temperature-c", -70, "--frames", 2),
+    )
+    assert done.exit_code == 0, done.output
+    stack = open_session(tmp_path / "out").stack("scene")
+    assert any("16 x 16 pixels stands centred on the 48 x 64 of the frame" in note for note in stack.notes)
+    mean = stack.read().data.mean(axis=0)
+    row, col = np.mgrid[:ROWS, :COLS]
+    weight = np.where(mean > mean.max() / 4, mean, 0.0)
+    assert (weight * row).sum() / weight.sum() == pytest.approx((ROWS - 1) / 2, abs=0.3)
+    assert (weight * col).sum() / weight.sum() == pytest.approx((COLS - 1) / 2, abs=0.3)
+
+
+def test_twice_the_radiance_is_twice_the_light_and_black_is_dark(tmp_path, cameras):
+    wavelength_nm = np.linspace(450.0, 900.0, 10)
+    means = []
+    for number, radiance in enumerate((0.0, 2e-9, 4e-9)):
+        cube = np.full((10, ROWS, COLS), radiance)
+        np.savez(tmp_path / f"{number}.npz", wavelength_nm=wavelength_nm, radiance=cube)
+        done = charact(
+            *(
+                "simulate",
+                tmp_path / f"{number}.npz",
+                tmp_path / f"s{number}",
+                "--sensor",
+                cameras["gen3-digital-iccd"],
+            ),
+            *("--frames", 4),
+        )
+        assert done.exit_code == 0, done.output
+        means.append(open_session(tmp_path / f"s{number}").stack("scene").read().data.mean())
+    assert means[1] - means[0] > 50.0
+    assert (means[2] - means[0]) / (means[1] - means[0]) == pytest.approx(2.0, rel=0.1)
+
+
+def test_a_bench_scene_is_still_measured_as_before(tmp_path, cameras):
+    done = charact(
+        *("simulate", "bench", tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"]),
+        *("--kind", "flat", "--illuminance-lux", 2e-4, "--frames", 2),
+    )
+    assert done.exit_code == 0, done.output
+    assert "Next: charact measure" in done.output
+    stack = open_session(tmp_path / "out").stack("flat")
+    assert stack.conditions.illuminance_lux == 2e-4
+    assert stack.read().data.mean() > 20.0
+
+
+def test_a_simulated_dark_is_measured_by_the_noise_verb(tmp_path, cameras):
+    np.save(tmp_path / "black.npy", np.zeros((ROWS, COLS), np.uint8))
+    done = charact(
+        *("simulate", tmp_path / "black.npy", tmp_path / "out", "--sensor", cameras["gen3-digital-iccd"]),
+        *("--photoelectrons-per-dn", 1, "--kind", "dark", "--frames", 8),
+    )
+    assert done.exit_code == 0, done.output
+    noise = charact("noise", tmp_path / "out", "--json")
+    assert noise.exit_code in (0, 1), noise.output
+    printed = json.loads(noise.stdout)
+    assert "error" in printed or printed["measurements"]
+
+
+@pytest.mark.parametrize(
+    ("file", "options", "words"),
+    [
+        ("half.tif", (), ("needs --photoelectrons-per-dn",)),
+        ("half.tif", ("--photoelectrons-per-dn", 0), ("must be positive, got 0",)),
+        ("half.tif", ("--photoelectrons-per-dn", -2), ("must be positive, got -2",)),
+        ("half.tif", (*SCALE, "--illuminance-lux", 1), ("--illuminance-lux belongs to a bench scene",)),
+        ("half.tif", (*SCALE, "--frequency", 0.1), ("--frequency belongs to the bars of a bench scene",)),
+        ("half.tif", (*SCALE, "--phosphor", "P11"), ("a phosphor must be one of p20, p43, p46, p47",)),
+        ("half.tif", (*SCALE, "--kind", "house"), ("--kind must be one of dark, flat",)),
+        ("half.tif", (*SCALE, "--gain", 0), ("--gain must be positive",)),
+        ("half.tif", (*SCALE, "--gain", 5000, "--mcp-v", 700), ("the gain must be set once",)),
+        ("half.tif", (*SCALE, "--gate-ns", 1e9), ("gate_ns", "at most one exposure")),
+        ("negative.npy", SCALE, ("no negative pixel, got -1",)),
+        ("nan.npy", SCALE, ("every pixel must be finite",)),
+        ("letter.tif", SCALE, ("letter.tif",)),
+        ("missing.tif", SCALE, ("must exist", "missing.tif")),
+        ("picture.xyz", SCALE, (".xyz", ".tif")),
+        ("cube.npz", (), ("must be a whole .npz file",)),
+        ("cube.npz", SCALE, ("--photoelectrons-per-dn belongs to a picture",)),
+        ("bench", SCALE, ("--photoelectrons-per-dn belongs to a picture",)),
+        ("missing.toml", (), ("must exist",)),
+    ],
+)
+def test_what_cannot_be_simulated_is_one_sentence_and_leaves_no_session(
+    tmp_path, cameras, picture, file, options, words
+):
+    np.save(tmp_path / "negative.npy", np.full((ROWS, COLS), -1.0))
+    np.save(tmp_path / "nan.npy", np.full((ROWS, COLS), np.nan))
+    (tmp_path / "letter.tif").write_text("Dear lab")
+    (tmp_path / "picture.xyz").write_text("Dear lab")
+    (tmp_path / "cube.npz").write_text("Dear lab")
+    source = file if file == "bench" else tmp_path / file
+    done = charact("simulate", source, tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"], *options)
+    assert_one_sentence(done, *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_camera_without_a_tube_has_no_screen_and_no_place_on_the_bench(tmp_path, cameras, picture):
+    sensor = ("--sensor", cameras["emccd-512"])
+    for options, words in (
+        ((picture, tmp_path / "out", *SCALE, "--phosphor", "p43"), "--phosphor needs a camera with a tube"),
+        ((picture, tmp_path / "out", *SCALE, "--gain", 2000), "must lie between 1 and 1000, got 2000"),
+        ((picture, tmp_path / "out", *SCALE, "--gain-control", 10), "--gain-control needs a camera with a tube"),
+        (("bench", tmp_path / "out"), "a bench scene needs a camera with a tube"),
+    ):
+        assert_one_sentence(charact("simulate", *options, *sensor), words)
+
+
+def test_a_folder_that_holds_a_session_is_left_alone(tmp_path, cameras, picture):
+    arguments = ("simulate", picture, tmp_path / "out", "--sensor", cameras["emccd-512"], *SCALE, "--frames", 1)
+    assert charact(*arguments).exit_code == 0
+    before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*"))
+    assert_one_sentence(charact(*arguments), "a new session needs a folder without one")
+    assert sorted(path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")) == before
+
+
+def test_automatic_gain_needs_a_camera_that_has_it(tmp_path, cameras, picture):
+    done = charact(
+        "simulate", picture, tmp_path / "a", "--sensor", cameras["gen3-digital-iccd"], *SCALE, "--automatic-gain"
+    )
+    assert_one_sentence(done, "--automatic-gain needs a camera that has it")
+    done = charact(
+        *("simulate", picture, tmp_path / "b", "--sensor", cameras["pulnix-ag5745ef3"], *SCALE),
+        *("--automatic-gain", "--brightness-control", "--frames", 2),
+    )
+    assert done.exit_code == 0, done.output
+    asked = open_session(tmp_path / "b").stack("scene").conditions
+    assert (asked.automatic_gain, asked.brightness_control) == (True, True)

@@ -1,0 +1,219 @@
+"""Before and after the physics of `charact simulate`: pictures become light, options conditions, stages files."""
+
+import numpy as np
+import pytest
+import tifffile
+from numpy.testing import assert_allclose, assert_array_equal
+
+from charact.cli.picture_light import centred, cube_of, photoelectrons_of
+from charact.cli.simulated_conditions import conditions_of
+from charact.cli.stage_pictures import SHEET, save_stages, sheet
+from labdata import BadInput
+from labdata.sensors import load_camera, load_sensor
+
+
+@pytest.fixture(scope="module")
+def tube():
+    return load_sensor("pulnix-ag5745ef3")
+
+
+@pytest.fixture(scope="module")
+def emccd():
+    return load_camera("emccd-512")
+
+
+def saved(folder, picture, name="picture.npy"):
+    np.save(folder / name, picture)
+    return folder / name
+
+
+def test_every_dn_above_black_is_so_many_photoelectrons(tmp_path):
+    picture = np.array([[10.0, 12.0], [20.0, 10.0]])
+    image, notes = photoelectrons_of(saved(tmp_path, picture), photoelectrons_per_dn=0.5, black_dn=10.0, shape=(2, 2))
+    assert_allclose(image, [[0.0, 1.0], [5.0, 0.0]])
+    assert image.dtype == np.float32
+    assert "0.5 photoelectrons per DN above 10 DN" in notes[0]
+
+
+def test_what_lies_below_black_is_dark_and_counted(tmp_path):
+    image, notes = photoelectrons_of(
+        saved(tmp_path, np.array([[3, 4], [5, 6]], np.uint8)), photoelectrons_per_dn=1.0, black_dn=5.0, shape=(2, 2)
+    )
+    assert_array_equal(image, [[0, 0], [0, 1]])
+    assert any("2 pixels below 5 DN count as dark" in note for note in notes)
+
+
+def test_the_first_frame_of_several_is_taken_and_said_so(tmp_path):
+    stack = np.stack([np.full((2, 2), 7), np.full((2, 2), 9)]).astype(np.uint16)
+    image, notes = photoelectrons_of(saved(tmp_path, stack), photoelectrons_per_dn=1.0, black_dn=0.0, shape=(2, 2))
+    assert_array_equal(image, 7.0)
+    assert any("the first of 2 frames" in note for note in notes)
+
+
+@pytest.mark.parametrize("rows", [3, 4, 5, 8, 9])
+@pytest.mark.parametrize("cols", [3, 6, 7, 10])
+def test_a_picture_stands_in_the_middle_of_the_frame_to_half_a_pixel(rows, cols):
+    picture = np.arange(1.0, rows * cols + 1).reshape(rows, cols)
+    frame, notes = centred(picture, (5, 7))
+    row, col = np.mgrid[:5, :7]
+    lit = frame > 0
+    # Where neither side was cropped unevenly, the lit rectangle's centre is the frame's.
+    assert abs(row[lit].mean() - 2.0) <= 0.5
+    assert abs(col[lit].mean() - 3.0) <= 0.5
+    assert set(frame[lit]) <= set(picture.ravel())
+    assert lit.sum() == min(rows, 5) * min(cols, 7)
+    inner = np.diff(frame[lit].reshape(min(rows, 5), min(cols, 7)), axis=1)
+    assert_array_equal(inner, 1.0)
+    assert ("cropped" in " ".join(notes)) == (rows > 5 or cols > 7)
+    assert ("darkness" in " ".join(notes)) == (rows < 5 or cols < 7)
+
+
+@pytest.mark.parametrize(
+    ("picture", "options", "sentence"),
+    [
+        (np.ones((2, 2)), {"photoelectrons_per_dn": None}, "a picture needs --photoelectrons-per-dn"),
+        (np.ones((2, 2)), {"photoelectrons_per_dn": 0.0}, "--photoelectrons-per-dn must be positive, got 0"),
+        (np.ones((2, 2)), {"photoelectrons_per_dn": -1.0}, "--photoelectrons-per-dn must be positive, got -1"),
+        (np.ones((2, 2)), {"photoelectrons_per_dn": float("nan")}, "must be positive, got nan"),
+        (np.ones((2, 2)), {"photoelectrons_per_dn": float("inf")}, "must be positive, got inf"),
+        (np.ones((2, 2)), {"black_dn": float("nan")}, "--black-dn must be a number, got nan"),
+        (-np.ones((2, 2)), {}, "a picture must have no negative pixel, got -1 in picture.npy"),
+        (np.array([[np.nan, 1.0]]), {}, "every pixel must be finite"),
+        (np.array([[np.inf, 1.0]]), {}, "every pixel must be finite"),
+    ],
+)
+def test_what_is_no_light_is_refused(tmp_path, picture, options, sentence):
+    keys = {"photoelectrons_per_dn": 1.0, "black_dn": 0.0, "shape": (2, 2), **options}
+    with pytest.raises(BadInput) as error:
+        photoelectrons_of(saved(tmp_path, picture), **keys)
+    assert sentence in str(error.value)
+
+
+def test_a_cube_is_read_as_it_was_written(tmp_path):
+    radiance = np.random.default_rng(0).random((3, 4, 5))
+    np.savez(tmp_path / "c.npz", wavelength_nm=np.array([500.0, 600.0, 700.0]), radiance=radiance)
+    cube = cube_of(tmp_path / "c.npz")
+    assert_array_equal(cube.radiance, radiance)
+    assert_array_equal(cube.wavelength_nm, [500.0, 600.0, 700.0])
+
+
+@pytest.mark.parametrize(
+    ("arrays", "sentence"),
+    [
+        ({"radiance": np.ones((1, 2, 2))}, "must hold wavelength_nm and radiance, got no wavelength_nm"),
+        ({"wavelength_nm": np.ones(1), "radiance": -np.ones((1, 2, 2))}, "must be finite and nowhere negative"),
+        ({"wavelength_nm": np.ones(1), "radiance": np.full((1, 2, 2), np.nan)}, "must be finite and nowhere negative"),
+        ({"wavelength_nm": np.array([2.0, 1.0]), "radiance": np.ones((2, 2, 2))}, "wavelengths must ascend"),
+        ({"wavelength_nm": np.ones(2), "radiance": np.ones((1, 2, 2))}, "axes (band, row, col) with 2 bands"),
+        ({"wavelength_nm": np.array(["a"]), "radiance": np.ones((1, 2, 2))}, "must be numbers"),
+    ],
+)
+def test_what_is_no_radiance_is_refused(tmp_path, arrays, sentence):
+    np.savez(tmp_path / "c.npz", **arrays)
+    with pytest.raises(BadInput) as error:
+        cube_of(tmp_path / "c.npz")
+    assert sentence in str(error.value)
+
+
+def test_a_file_that_is_no_cube_is_refused(tmp_path):
+    for name, content in (("text.npz", b"radiance"), ("empty.npz", b""), ("cut.npz", b"PK\x03\x04 and no more")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(BadInput, match=r"must be a whole \.npz file, got " + name.replace(".", r"\.")):
+            cube_of(tmp_path / name)
+    whole = tmp_path / "whole.npz"
+    np.savez_compressed(whole, wavelength_nm=np.arange(2.0), radiance=np.random.default_rng(0).random((2, 40, 40)))
+    spoilt = bytearray(whole.read_bytes())
+    spoilt[len(spoilt) // 2 : len(spoilt) // 2 + 400] = bytes(400)
+    whole.write_bytes(spoilt)
+    np.save(tmp_path / "array", np.ones(3))
+    for name in ("whole.npz", "array.npy"):
+        with pytest.raises(BadInput, match=r"must be a whole \.npz file"):
+            cube_of(tmp_path / name)
+    with pytest.raises(BadInput, match="must exist to be read"):
+        cube_of(tmp_path / "none.npz")
+
+
+def test_a_luminous_gain_is_the_voltage_that_gives_it(tube):
+    """G = G0 (V/V0)^m with G0 = 15,000, V0 = 800 V and m = 10: half the gain is 746.4 V."""
+    assert conditions_of(tube, gain=15000.0).mcp_v == pytest.approx(800.0)
+    assert conditions_of(tube, gain=7500.0).mcp_v == pytest.approx(800.0 * 0.5**0.1)
+    assert conditions_of(tube).mcp_v == 800.0
+
+
+def test_what_is_left_open_is_nominal_and_recorded(tube, emccd):
+    asked = conditions_of(tube, temperature_c=10.0, automatic_gain=None)
+    assert asked.gate_ns == pytest.approx(1e9 / 59.94)
+    assert asked.exposure_s == pytest.approx(1.0 / 59.94)
+    assert (asked.temperature_c, asked.automatic_gain, asked.em_gain) == (10.0, None, None)
+    plain = conditions_of(emccd)
+    assert (plain.em_gain, plain.mcp_v, plain.gate_ns) == (1000.0, None, None)
+    assert conditions_of(emccd, gain=300.0).em_gain == 300.0
+
+
+def test_a_control_word_stands_alone(tube):
+    asked = conditions_of(tube, gain_control=102.0)
+    assert (asked.gain_control, asked.mcp_v) == (102.0, None)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"gain": 0.0}, "--gain must be positive, got 0"),
+        ({"gain": float("nan")}, "--gain must be positive, got nan"),
+        ({"gain": 100.0, "mcp_v": 700.0}, "the gain must be set once, got --mcp-v and --gain"),
+        ({"gain_control": 10.0, "mcp_v": 700.0}, "the gain must be set once, got --mcp-v and --gain-control"),
+        ({"gate_ns": -1.0}, "gate_ns must not be negative, got -1"),
+    ],
+)
+def test_settings_that_no_tube_takes_are_refused(tube, options, sentence):
+    with pytest.raises(BadInput) as error:
+        conditions_of(tube, **options)
+    assert str(error.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"gain": 2000.0}, "--gain of 'EMCCD 512' must lie between 1 and 1000, got 2000"),
+        ({"gain": 0.5}, "--gain of 'EMCCD 512' must lie between 1 and 1000, got 0.5"),
+        ({"mcp_v": 800.0}, "--mcp-v needs a camera with a tube, got 'EMCCD 512'"),
+        ({"gate_ns": 100.0}, "--gate-ns needs a camera with a tube, got 'EMCCD 512'"),
+        ({"brightness_control": True}, "--brightness-control needs a camera with a tube, got 'EMCCD 512'"),
+        ({"automatic_gain": True}, "--automatic-gain needs a camera that has it, got 'EMCCD 512'"),
+    ],
+)
+def test_settings_of_a_tube_are_refused_where_there_is_none(emccd, options, sentence):
+    with pytest.raises(BadInput) as error:
+        conditions_of(emccd, **options)
+    assert str(error.value) == sentence
+
+
+def stages():
+    rng = np.random.default_rng(0)
+    yield "photocathode", "photoelectrons per cell", rng.poisson(3.0, (20, 30)).astype(float)
+    yield "microchannel plate", "electrons per cell", rng.exponential(1e5, (20, 30))
+    yield "ccd", "charge, e-", np.zeros((10, 15))
+
+
+def test_every_stage_is_a_file_in_the_order_of_the_light(tmp_path):
+    assert save_stages(stages(), tmp_path / "out", "a tube") == 3
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["01-photocathode.tif", "02-microchannel-plate.tif", "03-ccd.tif", SHEET]
+    for file, (name, quantity, image) in zip(names, stages(), strict=False):
+        with tifffile.TiffFile(tmp_path / "out" / file) as page:
+            assert page.pages.first.description == f"{name}: {quantity}"
+            assert page.asarray().dtype == np.float32
+            assert_array_equal(page.asarray(), image.astype(np.float32))
+
+
+def test_every_panel_of_the_sheet_has_its_picture_its_scale_and_its_unit():
+    figure = sheet([(name, quantity, image.astype(np.float32)) for name, quantity, image in stages()], "a tube")
+    pictures = [axes for axes in figure.axes if axes.images]
+    bars = [axes for axes in figure.axes if axes.get_label() == "<colorbar>"]
+    assert [axes.get_title(loc="left") for axes in pictures] == ["photocathode", "microchannel plate", "ccd"]
+    assert [axes.get_ylabel() for axes in bars] == [quantity for _, quantity, _ in stages()]
+    for axes, (_, _, image) in zip(pictures, stages(), strict=True):
+        low, high = axes.images[0].get_clim()
+        assert low < high
+        assert np.mean((image < low) | (image > high)) <= 0.006
+    assert all(axes.get_visible() == (axes in pictures or axes in bars) for axes in figure.axes)
