@@ -1,4 +1,4 @@
-"""The cathode and its supply: the gate leaks by its ratio, bright light lowers the gap's voltage and widens its blur."""
+"""The cathode and its supply: the gate leaks by its ratio, bright light lowers the gap voltage and widens its blur."""
 
 import numpy as np
 import pytest
