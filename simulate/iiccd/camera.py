@@ -184,6 +184,11 @@ class IntensifiedCamera:
         lit = replace(cathode, ebi_per_s_cm2=0.0).mean(photons_per_s)
         return self.received(lit, conditions)
 
+    def cathode_lux(self, photoelectrons: Light) -> float:
+        """Illuminance of 2856 K light, averaged over cathode and time, that frees these per cell and exposure, lux."""
+        per_s_cm2 = photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
+        return per_s_cm2 / (photons.photoelectrons_per_lumen_s(self.sensor) * 1e-4)
+
     def received(self, photoelectrons: Light, conditions: Conditions) -> Light:
         """Return the expected photoelectrons at the plate of those that light frees from the cathode in one exposure.
 
@@ -195,8 +200,7 @@ class IntensifiedCamera:
             Gate and temperature.
         """
         cathode = self.photocathode(conditions)
-        per_s_cm2 = photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
-        lux = per_s_cm2 / (photons.photoelectrons_per_lumen_s(self.sensor) * 1e-4)
+        lux = self.cathode_lux(photoelectrons)
         dark = np.float32(cathode.ebi_per_s_cm2 * cathode.open_s * self.scene_cells.cell_area_cm2)
         behind = self.chain(conditions, cathode_lux=lux).part("gap", "microchannel plate").without("microchannel plate")
         return behind.mean(photoelectrons.with_values(photoelectrons.values + dark))

@@ -1,8 +1,9 @@
 """Stages that fit each other, in order: a chain refuses a misfit and gives every stage its own random numbers."""
 
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -29,11 +30,11 @@ class Stage(Protocol):
         """The quantity it emits."""
         ...
 
-    def mean(self, light: Light) -> Light:
-        """What comes out on average."""
+    def mean(self, light: Any) -> Light:
+        """What comes out on average; takes light, or the scene's radiance where it is a lens."""
         ...
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: Any, rng: np.random.Generator) -> Light:
         """What comes out this time."""
         ...
 
@@ -79,20 +80,26 @@ class Chain:
         """Return the chain with one stage left out; refused where its neighbours then do not fit."""
         return Chain(tuple(stage for stage in self.stages if stage.name != name))
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: Any) -> Light:
         """Return what comes out without any noise."""
         for stage in self.stages:
             light = stage.mean(light)
         return light
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: Any, rng: np.random.Generator) -> Light:
         """Return what comes out this time.
 
         Every stage draws from a generator that follows from `rng` and its own name: to change, add or remove one
         stage leaves the random numbers of all others as they were.
         """
+        for after in self.steps(light, rng):
+            light = after
+        return light
+
+    def steps(self, light: Any, rng: np.random.Generator) -> Iterator[Light]:
+        """Yield what comes out this time after each stage; the random numbers are those of `draw`."""
         entropy = int(rng.integers(2**63))
         for stage in self.stages:
             child = np.random.SeedSequence(entropy, spawn_key=(zlib.crc32(stage.name.encode()),))
             light = stage.draw(light, np.random.Generator(np.random.PCG64(child)))
-        return light
+            yield light

@@ -1,4 +1,4 @@
-"""The taper brings light where its fibres lead: distortion conserves light, shear is fixed and whole multi-fibres move."""
+"""The taper brings light where its fibres lead: distortion conserves light, shear is fixed and moves hexagons whole."""
 
 from dataclasses import replace
 

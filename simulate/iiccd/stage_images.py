@@ -1,0 +1,120 @@
+"""One frame looked at after every stage, for teaching and for finding faults."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Chain
+from simulate.iiccd.light import Light
+from simulate.iiccd.phosphor import lingering
+from simulate.iiccd.solid_state import SiliconCamera
+from simulate.radiance.cube import RadianceCube
+
+StageImage = tuple[str, str, NDArray[np.float32]]
+
+# What is seen after each stage, with its unit; cells are those of the grid at that place.
+QUANTITIES = {
+    "optics": "photons per s and cell, of the wavelength detected best",
+    "photocathode": "photoelectrons per exposure and cell, expected",
+    "gap": "photoelectrons at the plate per exposure and cell, expected",
+    "fibre geometry": "photoelectrons at the plate per exposure and cell, expected where they will be seen",
+    "microchannel plate": "electrons per exposure and cell",
+    "phosphor": "photons per exposure and cell",
+    "taper": "photons per exposure and cell",
+    "pixels": "photons per exposure and pixel",
+    "afterglow": "photons per exposure and pixel",
+    "scan": "photons per exposure and pixel as read",
+    "silicon": "photoelectrons per exposure and cell, expected",
+    "ccd": "electrons per pixel",
+    "register": "electrons per pixel behind the register",
+    "video": "DN",
+}
+
+
+def stage_images(
+    camera: IntensifiedCamera | SiliconCamera, light: Light | RadianceCube, conditions: Conditions, seed: int
+) -> Iterator[StageImage]:
+    """Yield what one frame is after each stage.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    light
+        Spectral radiance of the scene, seen from the lens on; or expected photoelectrons at the plate, on `cells`, seen
+        from the plate on.
+    conditions
+        Gate, voltage and temperature; automatic controls stand untouched.
+    seed
+        Seed of the frame.
+
+    Yields
+    ------
+    tuple
+        Name of the stage, quantity with its unit, and image (row, col), float32: of the frame's last field as far as
+        fields are apart, of the whole frame from the scan on. Images on cells are cut to the picture, and blurs that
+        the chain computes only later are computed for them.
+    """
+    at_plate = light
+    if isinstance(light, RadianceCube):
+        at_plate = yield from _before_the_draw(camera, light, conditions)
+    assert isinstance(at_plate, Light)
+    if isinstance(camera, SiliconCamera):
+        behind = camera.chain(conditions).part("pixels", "video")
+        yield from _seen(behind, at_plate, np.random.default_rng([seed, 1, 0]))
+        return
+    yield from _field_and_frame(camera, at_plate, conditions, seed)
+
+
+def _before_the_draw(camera: IntensifiedCamera | SiliconCamera, cube: RadianceCube, conditions: Conditions):
+    """Stages up to the plate or the chip, which see expectations; returns the light that leaves them."""
+    names = [stage.name for stage in camera.chain(conditions).stages]
+    last = names[names.index("silicon" if isinstance(camera, SiliconCamera) else "microchannel plate") - 1]
+    photons_per_s = camera.lens().mean(cube)
+    yield _shown("optics", photons_per_s)
+    if isinstance(camera, SiliconCamera):
+        in_chip = camera.detected(photons_per_s, conditions)
+        yield _shown("silicon", in_chip)
+        return in_chip
+    light = camera.photocathode(conditions).mean(photons_per_s)
+    yield _shown("photocathode", light)
+    lux = camera.cathode_lux(light)
+    for stage in camera.chain(conditions, cathode_lux=lux).part("gap", last).stages:
+        light = stage.mean(light)
+        yield _shown(stage.name, light)
+    return light
+
+
+def _field_and_frame(
+    camera: IntensifiedCamera, at_plate: Light, conditions: Conditions, seed: int
+) -> Iterator[StageImage]:
+    """Plate to pixels for the last field drawn, the glow of all before it, and the frame that is read of them."""
+    chain, glow = camera.chain(conditions), camera.afterglow(conditions)
+    screen = chain.part("microchannel plate", "pixels")
+    earlier = [
+        screen.draw(at_plate, np.random.default_rng([seed, 0, number])).values
+        for number in range(glow.memory + camera.fields_per_frame - 1)
+    ]
+    last = list(_seen(screen, at_plate, np.random.default_rng([seed, 0, len(earlier)])))
+    yield from last
+    shown = lingering(np.stack([*earlier, last[-1][2]]), glow.weights)
+    yield "afterglow", QUANTITIES["afterglow"], shown[-1]
+    yield from _seen(chain.part("scan", "video"), Light(values=shown), np.random.default_rng([seed, 1, 0]))
+
+
+def _seen(chain: Chain, light: Light, rng: np.random.Generator) -> Iterator[StageImage]:
+    for stage, after in zip(chain.stages, chain.steps(light, rng), strict=True):
+        yield _shown(stage.name, after)
+
+
+def _shown(name: str, light: Light) -> StageImage:
+    """The image as it is, without the margins of its cells and with the blurs that it still owes."""
+    image, grid = light.paid().values, light.grid
+    image = image[-1] if image.ndim > 2 else image
+    if grid is not None:
+        top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column
+        image = image[top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]
+    return name, QUANTITIES[name], np.ascontiguousarray(image, np.float32)

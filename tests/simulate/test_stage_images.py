@@ -1,0 +1,68 @@
+"""Images after each stage show the light on its way: every stage once, in order, with its levels and its noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labdata.conditions import Conditions
+from labdata.sensors import load_camera
+from simulate.cameras import camera_of
+from simulate.iiccd import truth
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.exposure import from_photoelectrons, from_radiance
+from simulate.iiccd.stage_images import stage_images
+from simulate.radiance.cube import RadianceCube
+from simulate.radiance.photometry import planck
+
+NM = np.arange(400.0, 1000.0, 50.0)
+CUBE = RadianceCube(wavelength_nm=NM, radiance=np.tile(1e-11 * planck(NM, 2856.0)[:, None, None], (1, 30, 44)))
+
+
+def _small(name: str):
+    description = load_camera(name)
+    return camera_of(replace(description, ccd=replace(description.ccd, rows=30, columns=44)))
+
+
+@pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"])
+def test_every_stage_of_the_chain_is_shown_once_in_its_order(name):
+    camera, conditions = _small(name), Conditions(temperature_c=-20.0)
+    images = list(stage_images(camera, CUBE, conditions, seed=1))
+    assert [stage for stage, _, _ in images] == [stage.name for stage in camera.chain(conditions).stages]
+    assert all(image.dtype == np.float32 and image.ndim == 2 and quantity for _, quantity, image in images)
+    assert images[-1][2].shape == camera.shape
+    assert images[-1][1] == "DN"
+
+
+def test_light_at_the_plate_is_that_of_the_exposure():
+    camera = _small("pulnix-ag5745ef3")
+    shown = {stage: image for stage, _, image in stage_images(camera, CUBE, Conditions(), seed=1)}
+    at_plate = from_radiance(camera, CUBE, Conditions())
+    grid = at_plate.grid
+    assert grid is not None
+    top, left = grid.margin_rows * 2, grid.margin_columns * 2
+    whole = at_plate.values[top : top + 2 * grid.rows, left : left + 2 * grid.columns]
+    assert shown["fibre geometry"] == pytest.approx(whole, rel=1e-4)
+
+
+def test_levels_grow_by_the_gains_of_the_stages(plain):
+    sensor = plain(60, 88, phosphor__fast_decay_ms=1e-9, phosphor__slow_decay_ms=1e-9)
+    camera = IntensifiedCamera(sensor)
+    light = from_photoelectrons(camera, np.full(camera.shape, 200.0), Conditions())
+    shown = {stage: image.mean(dtype=float) for stage, _, image in stage_images(camera, light, Conditions(), seed=1)}
+    chain = {stage.name: stage for stage in camera.chain(Conditions()).stages}
+    assert shown["phosphor"] / shown["microchannel plate"] == pytest.approx(
+        chain["phosphor"].photons_per_electron, rel=1e-2
+    )
+    assert shown["taper"] / shown["phosphor"] == pytest.approx(chain["taper"].transmission, rel=1e-2)
+    assert shown["pixels"] / shown["taper"] == pytest.approx(8.0, rel=2e-2)
+    assert shown["ccd"] / shown["scan"] == pytest.approx(float(sensor.ccd.quantum_efficiency), rel=1e-2)
+    k = truth.quantities(sensor)["photoelectron_gain"]
+    assert shown["video"] - 400.0 == pytest.approx(200.0 * k, rel=2e-2)
+
+
+def test_same_seed_shows_the_same_frame_and_another_another():
+    camera = _small("pulnix-ag5745ef3")
+    first, again, other = (list(stage_images(camera, CUBE, Conditions(), seed=n))[-1][2] for n in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
