@@ -1,22 +1,29 @@
-"""Every stage meets the same demands: draws average to its mean, follow the seed, keep the shape; misfits refused."""
+"""Every stage of every kind of camera: draws average to its mean, follow the seed, keep the shape; misfits refused."""
 
 import zlib
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.sensor import Sensor
+from labdata.sensors import load_camera
+from simulate.cameras import Camera, camera_of
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain, Stage
 from simulate.iiccd.light import Light
+from simulate.radiance.cube import RadianceCube
 
 DRAWS = 60
-NAMES = (
+# Every stage there is: of a tube with video, of a tube with a digital back end, and of silicon alone.
+TUBE = (
     "optics",
     "photocathode",
     "gap",
+    "fibre geometry",
     "microchannel plate",
     "phosphor",
     "taper",
@@ -26,20 +33,34 @@ NAMES = (
     "ccd",
     "video",
 )
+SILICON = ("optics", "silicon", "pixels", "ccd", "register", "video")
+STAGES = (
+    *(("tube", name) for name in TUBE),
+    ("depleted tube", "microchannel plate"),
+    ("digital tube", "video"),
+    *(("silicon", name) for name in SILICON),
+    ("radiometric", "optics"),
+)
+NOISY = ("microchannel plate", "ccd", "register")
 
 
-def _light_for(camera: IntensifiedCamera, name: str) -> Light:
+def _light_for(camera: Camera, stage: Stage) -> Light | RadianceCube:
     """An uneven image of the kind that reaches a stage, far from any limit."""
     rng = np.random.default_rng(5)
-    if name in ("optics", "photocathode", "gap"):
+    if stage.takes == "radiance":
+        return RadianceCube(wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=1e-9 * rng.random((3, 24, 40)))
+    if stage.name in ("optics", "photocathode", "gap", "silicon"):
         shape, grid, level = camera.scene_cells.shape, camera.scene_cells, 50.0
-    elif name in ("microchannel plate", "phosphor", "taper", "pixels"):
+    elif stage.name in ("fibre geometry", "microchannel plate", "phosphor", "taper", "pixels"):
         shape, grid, level = camera.cells.shape, camera.cells, 3.0
-    elif name in ("afterglow", "scan"):
+    elif stage.name in ("afterglow", "scan"):
         shape, grid, level = (4, *camera.shape), None, 2000.0
     else:
         shape, grid, level = (2, *camera.shape), None, 2000.0
-    return Light(values=(level * (0.5 + rng.random(shape))).astype(np.float32), grid=grid)
+    values = level * (0.5 + rng.random(shape))
+    # Wells and registers hold whole electrons.
+    values = np.rint(values) if stage.takes == "charge in the wells" else values
+    return Light(values=values.astype(np.float32), grid=grid)
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +68,48 @@ def camera(plain) -> IntensifiedCamera:
     return IntensifiedCamera(plain(24, 40, microchannel_plate__ion_event_rate_per_s_cm2=1e6))
 
 
-@pytest.fixture(params=NAMES)
-def stage(request, camera) -> Stage:
-    (found,) = (s for s in camera.chain(Conditions()).stages if s.name == request.param)
-    return found
+@pytest.fixture(scope="module")
+def cameras(plain, camera) -> dict[str, Camera]:
+    """Small cameras of every kind, with the fixed patterns and line noises that the plain one lacks."""
+    patterned = plain(
+        24,
+        40,
+        microchannel_plate__pattern_contrast=0.05,
+        ccd__dsnu_e=5.0,
+        ccd__prnu=0.02,
+        video__sync_jitter_ns=4.0,
+        video__line_noise_dn=0.3,
+        video__aperture_correction_db=4.0,
+    )
+    digital, emccd = (
+        replace(found, ccd=replace(found.ccd, rows=24, columns=40))
+        for found in (load_camera("gen3-digital-iccd"), load_camera("emccd-512"))
+    )
+    assert isinstance(digital, Sensor)
+    return {
+        "tube": IntensifiedCamera(patterned, geometry=True),
+        "depleted tube": IntensifiedCamera(
+            plain(24, 40, microchannel_plate__strip_current_ua_per_cm2=0.6), local_depletion=True
+        ),
+        "digital tube": IntensifiedCamera(digital),
+        "silicon": camera_of(emccd.with_values({"register.em_gain": 20.0, "video.conversion_gain_dn_per_e": 0.5})),
+        "radiometric": camera,
+    }
 
 
-def test_draws_average_to_the_stated_mean(stage, camera, seed):
-    light = _light_for(camera, stage.name)
+@pytest.fixture(params=STAGES, ids=[f"{kind}: {name}" for kind, name in STAGES])
+def found(request, cameras) -> tuple[Stage, Light | RadianceCube]:
+    """A stage and light for it."""
+    kind, name = request.param
+    owner = cameras[kind]
+    if kind == "radiometric":
+        return owner.lens(), _light_for(owner, owner.lens())
+    (stage,) = (s for s in owner.chain(Conditions()).stages if s.name == name)
+    return stage, _light_for(owner, stage)
+
+
+def test_draws_average_to_the_stated_mean(found, seed):
+    stage, light = found
     rng = np.random.default_rng([seed, zlib.crc32(stage.name.encode())])
     draws = np.stack([stage.draw(light, rng).values for _ in range(DRAWS)]).astype(float)
     mean = stage.mean(light).values.astype(float)
@@ -67,22 +122,39 @@ def test_draws_average_to_the_stated_mean(stage, camera, seed):
         assert np.all(np.abs(profiles.mean(axis=0)) < 6.0 * error + floor * (25.0 if stage.emits == "DN" else 1.0))
 
 
-def test_same_seed_gives_same_bytes_and_another_seed_others(stage, camera):
-    light = _light_for(camera, stage.name)
+def test_same_seed_gives_same_bytes_and_another_seed_others(found):
+    stage, light = found
     first, again, other = (stage.draw(light, np.random.default_rng(n)).values for n in (3, 3, 4))
     assert first.tobytes() == again.tobytes()
-    if stage.name in ("microchannel plate", "ccd"):
+    if stage.name in NOISY:
         assert first.tobytes() != other.tobytes()
 
 
-def test_shape_is_that_of_the_mean_and_the_light_given_is_untouched(stage, camera):
-    light = _light_for(camera, stage.name)
-    before = light.values.copy()
+def test_shape_is_that_of_the_mean_and_the_light_given_is_untouched(found):
+    stage, light = found
+    before = _values(light).copy()
     drawn = stage.draw(light, np.random.default_rng(1))
     assert drawn.values.shape == stage.mean(light).values.shape
-    assert np.array_equal(light.values, before)
-    if stage.name not in ("gap", "pixels", "scan"):
-        assert drawn.values.shape == light.values.shape
+    assert np.array_equal(_values(light), before)
+    if stage.name not in ("gap", "pixels", "scan", "silicon") and stage.takes != "radiance":
+        assert drawn.values.shape == _values(light).shape
+
+
+def test_stages_are_values_that_name_what_they_take_and_emit(found):
+    stage, _ = found
+    assert stage.takes and stage.emits and stage.name
+    assert replace(stage) == stage
+    with pytest.raises(FrozenInstanceError):
+        stage.name = "another"
+
+
+def test_chains_of_every_kind_of_camera_are_the_stages_in_order(cameras):
+    assert tuple(s.name for s in cameras["tube"].chain(Conditions()).stages) == TUBE
+    assert tuple(s.name for s in cameras["silicon"].chain(Conditions()).stages) == SILICON
+
+
+def _values(light: Light | RadianceCube) -> np.ndarray:
+    return light.radiance if isinstance(light, RadianceCube) else light.values
 
 
 def test_a_chain_refuses_neighbours_that_do_not_fit(camera):
@@ -99,12 +171,12 @@ def test_a_chain_refuses_neighbours_that_do_not_fit(camera):
 
 def test_changing_one_stage_leaves_the_noise_of_the_others(camera):
     chain = camera.chain(Conditions()).part("microchannel plate", "taper")
-    light = _light_for(camera, "microchannel plate")
+    light = _light_for(camera, camera.plate(Conditions()))
     whole = chain.draw(light, np.random.default_rng(9)).values
     without = chain.without("taper").draw(light, np.random.default_rng(9)).values
     assert np.allclose(whole, without * chain.stages[-1].transmission, rtol=1e-6)
     gap, plate = camera.chain(Conditions()).part("gap", "microchannel plate").stages
-    light = _light_for(camera, "gap")
+    light = _light_for(camera, gap)
     behind_gap = Chain((gap, plate)).draw(light, np.random.default_rng(9)).values
     alone = Chain((plate,)).draw(gap.mean(light), np.random.default_rng(9)).values
     assert behind_gap.tobytes() == alone.tobytes()
@@ -113,7 +185,7 @@ def test_changing_one_stage_leaves_the_noise_of_the_others(camera):
 def test_parts_of_an_exposure_add_up_to_the_whole(camera):
     """Ions and the load of the plate included."""
     plate = camera.chain(Conditions()).stages[3]
-    light = _light_for(camera, "microchannel plate")
+    light = _light_for(camera, camera.plate(Conditions()))
     half = plate.under_load(light, parts=2).mean(light.with_values(light.values / 2)).values
     assert np.allclose(2.0 * half, plate.mean(light).values, rtol=1e-5)
 
