@@ -3,8 +3,7 @@
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
-from itertools import count
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +23,17 @@ from simulate.iiccd.lens import RadiometricLens
 from simulate.iiccd.light import Light
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.optics import Optics
-from simulate.iiccd.phosphor import Afterglow, Phosphor, lingering
+from simulate.iiccd.phosphor import Afterglow, Phosphor
 from simulate.iiccd.photocathode import Photocathode, ProximityGap
 from simulate.iiccd.pixels import Collection, Scan
 from simulate.iiccd.taper import Taper
 from simulate.iiccd.transfer import FibreTaper, Halo, Lens, TubeShare, VideoFilter
 from simulate.iiccd.video import Video
+
+if TYPE_CHECKING:
+    from simulate.iiccd.streamed.engine import Stream
+
+Tier = Literal["streamed", "by-cell"]
 
 # The picture of a target is needed this far beyond the frame: the halo reaches 23 pixels.
 SCENE_MARGIN_PX = 40
@@ -424,7 +428,7 @@ class IntensifiedCamera:
             yield state
             brightness, factor = 1.0, 1.0
             if control is not None:
-                output = self._screen(conditions, state).stages[0].mean(at_plate).values.sum(dtype=float) / cm2_s
+                output = self.screen(conditions, state).stages[0].mean(at_plate).values.sum(dtype=float) / cm2_s
                 brightness = control.next(state.brightness, output)
             if gain is not None:
                 level = np.minimum(self.mean_frame(at_plate, conditions, state), 2**self.sensor.video.bit_depth - 1)
@@ -446,97 +450,72 @@ class IntensifiedCamera:
         state
             Where the automatic controls stand; untouched if None.
         """
-        pixels = self._screen(conditions, state).mean(at_plate)
+        pixels = self.screen(conditions, state).mean(at_plate)
         steady = pixels.with_values(np.repeat(pixels.values[None], self.fields_per_frame, axis=0))
-        return self._readout(conditions, state).mean(steady).values[0]
+        return self.readout(conditions, state).mean(steady).values[0]
 
     def frames(
-        self, at_plate: Light, conditions: Conditions, *, seed: int, first_frame: int = 0
+        self,
+        at_plate: Light,
+        conditions: Conditions,
+        *,
+        seed: int,
+        first_frame: int = 0,
+        tier: Tier = "streamed",
+        threads: int = 1,
     ) -> Iterator[NDArray[np.unsignedinteger]]:
         """Yield the frames of a steady scene, one after the other, shape (row, col), DN; never ends.
 
-        A frame depends on the seed and its own number alone: the fields that it still glows from are drawn again,
-        whichever frame comes first. Automatic controls that were on start untouched in frame 0 and settle from there.
+        Parameters
+        ----------
+        at_plate
+            Expected photoelectrons at the plate per cell and exposure, on `cells`.
+        conditions
+            Gate, voltage and temperature.
+        seed
+            Seed. A frame depends on it and on its own number alone: the fields that it still glows from are drawn again,
+            whichever frame comes first. Automatic controls that were on start untouched in frame 0 and settle from there.
+        first_frame
+            Number of the first frame.
+        tier
+            "streamed": at video rate, see `simulate.iiccd.streamed`. "by-cell": every stage on cells of half a pixel.
+        threads
+            Threads that share a streamed frame; frames do not depend on their number.
+        """
+        if tier == "streamed":
+            return self._streamed(at_plate, conditions, seed=seed, threads=threads).frames(first_frame)
+        return self._frames_by_cell(at_plate, conditions, seed=seed, first_frame=first_frame)
+
+    def _streamed(self, at_plate: Light, conditions: Conditions, *, seed: int, threads: int) -> "Stream":
+        from simulate.iiccd.streamed.prepare import Stages, stream
+
+        states = _Run(self, at_plate, at_plate, conditions)
+        stages = Stages.of(self.chain(conditions), self.fields_per_frame)
+        return stream(stages, at_plate, states.state, seed=seed, threads=threads)
+
+    def _frames_by_cell(
+        self, at_plate: Light, conditions: Conditions, *, seed: int, first_frame: int
+    ) -> Iterator[NDArray[np.unsignedinteger]]:
+        """Draw frames cell by cell.
+
         Pulses are drawn on cells one row high; what those blur away of the scene is added without noise, so that frames
         average to `mean_frame`.
         """
-        glow = self.afterglow(conditions)
-        coarse = at_plate.in_whole_rows()
-        halves = coarse.with_values(np.repeat(0.5 * coarse.values[None], 2, axis=0))
-        remembered = glow.memory + self.fields_per_frame
-        recent = np.empty((remembered, 2, *self.shape), np.float32)
-        field = self.fields_per_frame * first_frame - glow.memory
-        states = _Run(self, at_plate, coarse, conditions)
-        for frame in count(first_frame):
-            while field < self.fields_per_frame * (frame + 1):
-                screen = states.screen(max(field // self.fields_per_frame, 0))
-                recent[field % remembered] = screen.draw(halves, _field_rng(seed, field)).values
-                field += 1
-            order = np.arange(field - remembered, field) % remembered
-            shown = lingering(recent, glow.halves, order) + states.finer(frame)
-            readout = states.readout(frame)
-            yield readout.draw(Light(values=shown), np.random.default_rng([seed, 1, frame])).values[0]
+        from simulate.iiccd.steady import steady_frames
 
-    def _screen(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
+        return steady_frames(self, at_plate, conditions, seed=seed, first_frame=first_frame)
+
+    def screen(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
+        """Return the chain from the plate to the pixels, with the brightness control where it stands."""
         screen = self.chain(conditions).part("microchannel plate", "pixels")
         if state is None or state.brightness == 1.0:
             return screen
         plate = self.plate(conditions)
         return Chain((replace(plate, gain=plate.gain * state.brightness), *screen.stages[1:]))
 
-    def _readout(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
+    def readout(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
+        """Return the chain from the scan to the digitiser, with the automatic gain where it stands."""
         readout = self.chain(conditions).part("scan", "video")
         if state is None or state.gain == 1.0:
             return readout
         return Chain((*readout.stages[:-1], replace(self.video(), gain=state.gain)))
-
-
-class _Run:
-    """The stages of a steady run, frame by frame: always the same unless automatic controls are on."""
-
-    def __init__(self, camera: IntensifiedCamera, at_plate: Light, coarse: Light, conditions: Conditions) -> None:
-        self._camera, self._at_plate, self._coarse, self._conditions = camera, at_plate, coarse, conditions
-        controlled = conditions.automatic_gain or conditions.brightness_control
-        self._coming = camera.automatic_states(at_plate, conditions) if controlled else None
-        self._known = [AutomaticState()] if self._coming is None else [next(self._coming)]
-        self._screen = lru_cache(maxsize=2)(self._screen_at)
-        self._finer = lru_cache(maxsize=1)(self._finer_at)
-        self._readout = lru_cache(maxsize=1)(self._readout_at)
-
-    def _state(self, frame: int) -> AutomaticState:
-        if self._coming is None:
-            return self._known[0]
-        while len(self._known) <= frame:
-            self._known.append(next(self._coming))
-        return self._known[frame]
-
-    def screen(self, frame: int) -> Chain:
-        """From the plate, under the whole exposure's load, to the pixels."""
-        return self._screen(self._state(frame).brightness)
-
-    def finer(self, frame: int) -> NDArray[np.float32]:
-        """What cells one row high blur away of the expected picture."""
-        return self._finer(self._state(frame).brightness)
-
-    def readout(self, frame: int) -> Chain:
-        """From the scan to the digitiser."""
-        return self._readout(self._state(frame).gain)
-
-    def _screen_at(self, brightness: float) -> Chain:
-        plate, *behind = self._camera._screen(self._conditions, AutomaticState(brightness=brightness)).stages
-        assert isinstance(plate, MicrochannelPlate)
-        # A map of the load must lie on the cells of the draw.
-        load = self._coarse if self._camera.local_depletion else self._at_plate
-        return Chain((plate.under_load(load, parts=2), *behind))
-
-    def _finer_at(self, brightness: float) -> NDArray[np.float32]:
-        screen = self._camera._screen(self._conditions, AutomaticState(brightness=brightness))
-        return screen.mean(self._at_plate).values - screen.mean(self._coarse).values
-
-    def _readout_at(self, gain: float) -> Chain:
-        return self._camera._readout(self._conditions, AutomaticState(gain=gain))
-
-
-def _field_rng(seed: int, field: int) -> np.random.Generator:
-    # Fields before the first frame, whose light it still shows, have numbers below zero; seeds may not.
-    return np.random.default_rng([seed, 0, field + 1024])
