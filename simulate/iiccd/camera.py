@@ -1,7 +1,7 @@
 """The intensified camera: a sensor description turned into a chain of stages, and the chain run field by field."""
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -29,11 +29,6 @@ from simulate.iiccd.pixels import Collection, Scan
 from simulate.iiccd.taper import Taper
 from simulate.iiccd.transfer import FibreTaper, Halo, Lens, TubeShare, VideoFilter
 from simulate.iiccd.video import Video
-
-if TYPE_CHECKING:
-    from simulate.iiccd.streamed.engine import Stream
-
-Tier = Literal["streamed", "by-cell"]
 
 # The picture of a target is needed this far beyond the frame: the halo reaches 23 pixels.
 SCENE_MARGIN_PX = 40
@@ -436,6 +431,20 @@ class IntensifiedCamera:
                 factor = gain.next(state.gain, above)
             state = AutomaticState(brightness=brightness, gain=factor)
 
+    def automatic_state_of(self, at_plate: Light, conditions: Conditions) -> Callable[[int], AutomaticState]:
+        """Return where the automatic controls stand in a frame of a steady scene, by its number."""
+        if not (conditions.automatic_gain or conditions.brightness_control):
+            return lambda frame: AutomaticState()
+        coming = self.automatic_states(at_plate, conditions)
+        known: list[AutomaticState] = []
+
+        def state_of(frame: int) -> AutomaticState:
+            while len(known) <= frame:
+                known.append(next(coming))
+            return known[frame]
+
+        return state_of
+
     def mean_frame(
         self, at_plate: Light, conditions: Conditions, state: AutomaticState | None = None
     ) -> NDArray[np.float32]:
@@ -455,55 +464,16 @@ class IntensifiedCamera:
         return self.readout(conditions, state).mean(steady).values[0]
 
     def frames(
-        self,
-        at_plate: Light,
-        conditions: Conditions,
-        *,
-        seed: int,
-        first_frame: int = 0,
-        tier: Tier = "streamed",
-        threads: int = 1,
+        self, at_plate: Light, conditions: Conditions, *, seed: int, first_frame: int = 0
     ) -> Iterator[NDArray[np.unsignedinteger]]:
-        """Yield the frames of a steady scene, one after the other, shape (row, col), DN; never ends.
+        """Yield the frames of a steady scene; see `simulate.iiccd.tiers.frames`, whose default tier this is.
 
-        Parameters
-        ----------
-        at_plate
-            Expected photoelectrons at the plate per cell and exposure, on `cells`.
-        conditions
-            Gate, voltage and temperature.
-        seed
-            Seed. A frame depends on it and on its own number alone: the fields that it still glows from are drawn again,
-            whichever frame comes first. Automatic controls that were on start untouched in frame 0 and settle from there.
-        first_frame
-            Number of the first frame.
-        tier
-            "streamed": at video rate, see `simulate.iiccd.streamed`. "by-cell": every stage on cells of half a pixel.
-        threads
-            Threads that share a streamed frame; frames do not depend on their number.
+        A frame depends on the seed and its own number alone. Automatic controls that were on start untouched in frame 0
+        and settle from there.
         """
-        if tier == "streamed":
-            return self._streamed(at_plate, conditions, seed=seed, threads=threads).frames(first_frame)
-        return self._frames_by_cell(at_plate, conditions, seed=seed, first_frame=first_frame)
+        from simulate.iiccd import tiers
 
-    def _streamed(self, at_plate: Light, conditions: Conditions, *, seed: int, threads: int) -> "Stream":
-        from simulate.iiccd.streamed.prepare import Stages, stream
-
-        states = _Run(self, at_plate, at_plate, conditions)
-        stages = Stages.of(self.chain(conditions), self.fields_per_frame)
-        return stream(stages, at_plate, states.state, seed=seed, threads=threads)
-
-    def _frames_by_cell(
-        self, at_plate: Light, conditions: Conditions, *, seed: int, first_frame: int
-    ) -> Iterator[NDArray[np.unsignedinteger]]:
-        """Draw frames cell by cell.
-
-        Pulses are drawn on cells one row high; what those blur away of the scene is added without noise, so that frames
-        average to `mean_frame`.
-        """
-        from simulate.iiccd.steady import steady_frames
-
-        return steady_frames(self, at_plate, conditions, seed=seed, first_frame=first_frame)
+        return tiers.frames(self, at_plate, conditions, seed=seed, first_frame=first_frame)
 
     def screen(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
         """Return the chain from the plate to the pixels, with the brightness control where it stands."""

@@ -62,31 +62,31 @@ class Ccd:
 
     def mean(self, light: Light) -> Light:
         """Return the charge without noise, e-; wells clip the mean, not the average of clipped draws."""
-        charge = self._generated(light.values)
+        charge = self.generated(light.values)
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
-            charge = charge + (self._dark(charge.shape[-2:]) - np.float32(self.dark_e))
-        held = self._held(charge)
+            charge = charge + (self.dark(charge.shape[-2:]) - np.float32(self.dark_e))
+        held = self.held(charge)
         return light.with_values(held if self.clamped else held + np.float32(self.dark_e))
 
     def draw(self, light: Light, rng: np.random.Generator) -> Light:
         """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read noise."""
         from simulate.iiccd import draws
 
-        expected = self._generated(light.values)
-        expected += self._dark(expected.shape[-2:])
-        held = self._held(draws.poisson_charge(rng, expected))
+        expected = self.generated(light.values)
+        expected += self.dark(expected.shape[-2:])
+        held = self.held(draws.poisson_charge(rng, expected))
         if self.read_noise_e > 0.0:
             held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
         return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
 
-    def _dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
-        """Mean dark charge of each pixel, e-."""
+    def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
+        """Return the mean dark charge of each pixel, e-; one number where all are alike."""
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
             return pattern.dark_signal(shape, self.dark_e, self.dsnu_e, self.specimen)
         return np.float32(self.dark_e)
 
-    def _generated(self, photons: NDArray) -> NDArray[np.float32]:
-        """Mean charge of the light, e-, with smear; an image that ripples below zero holds no charge there."""
+    def generated(self, photons: NDArray) -> NDArray[np.float32]:
+        """Return the mean charge of the light, e-, with smear; an image that ripples below zero holds no charge there."""
         charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
         if self.prnu > 0.0:
             charge *= pattern.pixel_response(charge.shape[-2:], self.prnu, self.specimen)
@@ -95,8 +95,8 @@ class Ccd:
             charge += np.float32(self.smear_fraction / tenth) * charge.sum(axis=-2, keepdims=True)
         return charge
 
-    def _held(self, charge: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Charge that the wells hold, each field on its own."""
+    def held(self, charge: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the charge that the wells hold, e-, each field on its own."""
         if not (charge > self.full_well_e).any():
             return charge
         held = np.array(charge, np.float32)

@@ -128,14 +128,14 @@ class MicrochannelPlate:
             return None
         return pattern.multifibres(light.grid, self.pattern_contrast, self.pattern_pitch_um * 1e-3, self.line_um * 1e-3)
 
-    def _ions_per_cell(self, light: Light) -> float:
+    def ions_per_cell(self, light: Light) -> float:
         area = 0.0 if light.grid is None else light.grid.cell_area_cm2
         return self.ion_events_per_s_cm2 * self.gate_s * area
 
     def mean(self, light: Light) -> Light:
         """Return the expected electrons per cell."""
         gain = self.saturated_gain(light).astype(np.float32)
-        ions = self._ions_per_cell(light) * self.ion_event_size_pe / self.detection_probability
+        ions = self.ions_per_cell(light) * self.ion_event_size_pe / self.detection_probability
         electrons = (light.values + np.float32(ions)) * gain
         if (multifibres := self._multifibres(light)) is not None:
             electrons *= multifibres
@@ -151,7 +151,7 @@ class MicrochannelPlate:
 
         detected = light.values * np.float32(self.detection_probability)
         pulses = draws.pulse_sums(rng, detected, self.pulse_height_shape)
-        self._add_ions(pulses, self._ions_per_cell(light), rng)
+        self._add_ions(pulses, self.ions_per_cell(light), rng)
         height = (self.saturated_gain(light) / self.detection_probability).astype(np.float32)
         if detected.min() < 0.0:
             pulses += np.minimum(detected, 0.0)

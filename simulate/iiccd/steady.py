@@ -72,19 +72,10 @@ class _Stages:
 
     def __init__(self, camera: IntensifiedCamera, at_plate: Light, coarse: Light, conditions: Conditions) -> None:
         self._camera, self._at_plate, self._coarse, self._conditions = camera, at_plate, coarse, conditions
-        controlled = conditions.automatic_gain or conditions.brightness_control
-        self._coming = camera.automatic_states(at_plate, conditions) if controlled else None
-        self._known = [AutomaticState()] if self._coming is None else [next(self._coming)]
+        self._state = camera.automatic_state_of(at_plate, conditions)
         self._screen = lru_cache(maxsize=2)(self._screen_at)
         self._finer = lru_cache(maxsize=1)(self._finer_at)
         self._readout = lru_cache(maxsize=1)(self._readout_at)
-
-    def _state(self, frame: int) -> AutomaticState:
-        if self._coming is None:
-            return self._known[0]
-        while len(self._known) <= frame:
-            self._known.append(next(self._coming))
-        return self._known[frame]
 
     def screen(self, frame: int) -> Chain:
         """From the plate, under the whole exposure's load, to the pixels."""

@@ -1,0 +1,204 @@
+"""A steady scene made ready for the stream: light on cells becomes pulses, gains and the mean charge of every pixel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.iiccd import pattern
+from simulate.iiccd.back_end import DigitalBackEnd
+from simulate.iiccd.ccd import Ccd
+from simulate.iiccd.chain import Chain
+from simulate.iiccd.light import Light
+from simulate.iiccd.microchannel import MicrochannelPlate
+from simulate.iiccd.phosphor import Afterglow
+from simulate.iiccd.streamed.engine import Readout, Steady
+from simulate.iiccd.streamed.kernel import COARSE, REACH, noise_kernel
+from simulate.iiccd.streamed.law import normal_law, pulse_law
+from simulate.iiccd.video import Video
+
+# Light that has not come out after the fields that are remembered is less than this share.
+FORGOTTEN = 1e-3
+# Third moments of the lattice may be off by this share; one cell a column is then enough.
+SKEWNESS_TOLERANCE = 0.012
+# Below this mean per pixel single pulses show where in a cell they fell.
+SPARSE_PE_PER_PX = 0.4
+# Skewness of the charge's own shot noise, over the whole noise, above which counts are drawn one by one.
+COUNTED_SKEWNESS = 0.01
+# Shares of an impulse response below this are left out.
+SHORTEST_TAP = 1e-6
+EMPTY = np.zeros((1, 1), np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stages:
+    """The stages of a camera that frames of a steady scene pass, as its chain has them."""
+
+    plate: MicrochannelPlate
+    behind_plate: Chain
+    collection: Chain
+    afterglow: Afterglow
+    ccd: Ccd
+    video: Video | DigitalBackEnd
+    fields: int
+
+    @classmethod
+    def of(cls, chain: Chain, fields: int) -> "Stages":
+        """Pick them from a chain."""
+        plate, ccd, video = (chain.part(name, name).stages[0] for name in ("microchannel plate", "ccd", "video"))
+        afterglow = chain.part("afterglow", "afterglow").stages[0]
+        assert isinstance(plate, MicrochannelPlate) and isinstance(ccd, Ccd) and isinstance(afterglow, Afterglow)
+        assert isinstance(video, Video | DigitalBackEnd)
+        return cls(
+            plate=plate,
+            behind_plate=chain.part("phosphor", "taper"),
+            collection=chain.part("pixels", "pixels"),
+            afterglow=afterglow,
+            ccd=ccd,
+            video=video,
+            fields=fields,
+        )
+
+
+def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Steady:
+    """Return a steady scene ready for the stream.
+
+    Parameters
+    ----------
+    stages
+        The camera's stages.
+    at_plate
+        Expected photoelectrons at the plate, per cell and exposure, two cells per column and row.
+    normal
+        Whether a normal law of the same mean and variance stands for the law of a cell's charge.
+    """
+    grid = at_plate.grid
+    if grid is None or (grid.per_column, grid.per_row) != (2, 2):
+        raise ValueError("a scene is made ready from two cells per column and row")
+    height = 2 if stages.fields == 2 else 1
+    screen = stages.behind_plate.mean(stages.plate.mean(at_plate))
+    per_px = max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * height
+    impulse, sparse = _impulse(stages.video), per_px < SPARSE_PE_PER_PX
+    kernel = noise_kernel(screen.owed, grid, height, impulse, SKEWNESS_TOLERANCE, sparse=sparse)
+    photoelectrons, photons = (_planes(values, kernel.divisions) for values in (at_plate.values, screen.values))
+    expected = _cut(np.maximum(photoelectrons, 0.0), grid, height) * stages.plate.detection_probability
+    overall = photons.sum() / max(photoelectrons.sum(), 1e-300)
+    each = np.divide(photons, photoelectrons, out=np.full(photons.shape, overall), where=photoelectrons > 0.0)
+    gain = _cut(each, grid, height) * stages.ccd.quantum_efficiency / stages.plate.detection_probability
+    law = normal_law(expected) if normal else pulse_law(stages.plate.pulse_height_shape, expected)
+    light, dark = _mean_charge(stages, stages.collection.mean(screen))
+    decay, memory = decay_of(stages.afterglow)
+    return Steady(
+        expected=expected.astype(np.float32),
+        inverse=law.inverse,
+        rows=law.rows,
+        gain=gain.astype(np.float32),
+        shape=stages.plate.pulse_height_shape,
+        quantiles=law.quantiles,
+        ions_per_field=stages.plate.ions_per_cell(at_plate) * 4 * expected[0].size,
+        ion_size=stages.plate.ion_event_size_pe,
+        kernel=kernel,
+        light_e=light,
+        dark_pattern_e=dark,
+        response=_response(stages.ccd, light.shape),
+        decay=decay,
+        memory=memory,
+        fields=stages.fields,
+    )
+
+
+def _impulse(video: Video | DigitalBackEnd) -> tuple[float, ...]:
+    """The filter along a line as it matters, (tap,)."""
+    taps = video.low_pass.impulse_response()
+    return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > SHORTEST_TAP)[-1] + 1])
+
+
+def _planes(values: NDArray[np.floating], divisions: tuple[int, int]) -> NDArray[np.float64]:
+    """Gather cells, two a pixel both ways, into planes of so many cells a row and a column, shape (plane, row, col)."""
+    down, along = divisions
+    rows, cols = values.shape[0] // 2, values.shape[1] // 2
+    cells = values.reshape(rows, down, 2 // down, cols, along, 2 // along).sum(axis=(2, 5), dtype=np.float64)
+    return cells.transpose(1, 3, 0, 2).reshape(down * along, rows, cols)
+
+
+def _cut(planes: NDArray, grid, height: int) -> NDArray:
+    """Cells under the kernels of the frame's pixels, filled up with empty ones to whole coarse cells."""
+    top, left = grid.margin_rows - REACH, grid.margin_columns - REACH
+    cut = planes[:, top : top + grid.rows + 2 * REACH, left : left + grid.columns + 2 * REACH]
+    missing = [(-n) % COARSE for n in cut.shape[1:]]
+    return np.pad(cut, ((0, 0), (0, missing[0]), (0, missing[1])))
+
+
+def _mean_charge(stages: Stages, pixels: Light) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean charge of the light, and the fixed pattern of the dark charge about its mean, e-."""
+    light = np.ascontiguousarray(stages.ccd.generated(pixels.values), np.float32)
+    dark = stages.ccd.dark(light.shape) - np.float32(stages.ccd.dark_e)
+    return light, np.ascontiguousarray(dark) if np.ndim(dark) == 2 else EMPTY
+
+
+def _response(ccd: Ccd, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    if ccd.prnu == 0.0:
+        return EMPTY
+    return pattern.pixel_response((shape[0], shape[1]), ccd.prnu, ccd.specimen)
+
+
+def readout_of(stages: Stages, scene: Steady) -> Readout:
+    """Return what reads a scene."""
+    ccd, video = stages.ccd, stages.video
+    overflows = float(scene.light_e.max()) + 12.0 * np.sqrt(float(_variance(scene, ccd).max())) > ccd.full_well_e
+    counted = _skewness(scene, ccd) > COUNTED_SKEWNESS
+    return Readout(
+        dark_e=ccd.dark_e,
+        read_noise_e=ccd.read_noise_e,
+        counted=counted,
+        held=ccd.held if overflows else None,
+        impulse=np.array(_impulse(video), np.float32),
+        jitter_px=video.sync_jitter_px if isinstance(video, Video) else 0.0,
+        line_noise_dn=video.line_noise_dn if isinstance(video, Video) else 0.0,
+        gain_dn_per_e=video.conversion_gain_dn_per_e,
+        black_dn=video.black_level_dn,
+        gamma=video.gamma,
+        top_dn=video.full_scale_dn,
+    )
+
+
+def _variance(scene: Steady, ccd: Ccd) -> NDArray[np.float64]:
+    """Variance of the charge of a pixel of each mean, from none to the brightest, e-^2."""
+    mean = np.linspace(0.0, max(float(scene.light_e.max()), 1.0), 200)
+    return mean * (1.0 + _charge_of_a_pulse(scene)) + ccd.dark_e + ccd.read_noise_e**2
+
+
+def _charge_of_a_pulse(scene: Steady) -> float:
+    """Variance over mean of what pulses bring, e-."""
+    kernel = scene.kernel
+    squares = float(np.einsum("prj,prk,psj,psk->", kernel.down, kernel.along, kernel.down, kernel.along))
+    return float(scene.gain.mean()) * (1.0 + 1.0 / scene.shape) * squares / (kernel.height * len(kernel.down))
+
+
+def _skewness(scene: Steady, ccd: Ccd) -> float:
+    """Skewness that the charge's own shot noise brings to the noise, at most."""
+    mean = np.linspace(0.0, max(float(scene.light_e.max()), 1.0), 200)
+    return float(((mean + ccd.dark_e) / np.maximum(_variance(scene, ccd), 1e-30) ** 1.5).max())
+
+
+def decay_of(afterglow: Afterglow) -> tuple[NDArray[np.float32], int]:
+    """Return what the passes need of the screen's decay: (later, spread, kept) of each component, and the memory.
+
+    Notes
+    -----
+    A pulse that arrives u before its field ends leaves a_i exp(-u/tau_i) of its light to later fields. The spread of
+    each component over arrival times is its regression on what all leave together, so that the variance of the field
+    and its covariance with later ones are exact.
+    """
+    tau = np.maximum(np.array([afterglow.fast_decay_ms, afterglow.slow_decay_ms]) * 1e-3, 1e-12)
+    share = np.array([afterglow.fast_fraction, 1.0 - afterglow.fast_fraction]) * tau
+    arrival = afterglow.gate_s * (np.arange(2000) + 0.5) / 2000
+    left = share[:, None] / share.sum() * np.exp(-(afterglow.field_s - arrival) / tau[:, None])
+    later, together = left.mean(axis=1), left.sum(axis=0)
+    scatter = float(together.std())
+    spread = (left - later[:, None]) @ together / together.size / (scatter or 1.0)
+    kept = np.exp(-afterglow.field_s / tau)
+    seen = later > 1e-6
+    remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
+    memory = 1 + int(np.argmax(remaining < FORGOTTEN)) if seen.any() else 0
+    return np.stack([later, spread, kept]).astype(np.float32)[:, seen], memory
