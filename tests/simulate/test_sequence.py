@@ -1,4 +1,4 @@
-"""Scenes that change: steady ones are as any steady run, lag fades as the screen does, channels and controls recover."""
+"""Scenes that change: steady ones are as any steady run, lag fades as the screen does, channels and gains recover."""
 
 from dataclasses import replace
 from itertools import islice
@@ -13,6 +13,7 @@ from simulate.iiccd.automatic import SET_LEVEL
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.exposure import from_photoelectrons
 from simulate.iiccd.sequence import Memory, next_frame, rested, sequence, settled
+from simulate.iiccd.steady import steady_frames
 
 NONE = Conditions()
 
@@ -33,7 +34,7 @@ def test_a_steady_sequence_is_the_steady_run(plain, local):
     """The same draws; sums in another order may round a few pixels to the next code."""
     camera = IntensifiedCamera(plain(30, 44, microchannel_plate__strip_current_ua_per_cm2=0.6), local_depletion=local)
     scene = _scene(camera, 20.0)
-    steady = islice(camera.frames(scene, NONE, seed=7), 4)
+    steady = islice(steady_frames(camera, scene, NONE, seed=7), 4)
     start = settled(camera, scene, NONE, seed=7)
     changing = sequence(camera, [scene] * 8, NONE, seed=7, memory=start)
     for one, other in zip(steady, changing, strict=True):
