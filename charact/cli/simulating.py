@@ -13,6 +13,7 @@ from labdata.session import Kind
 from labdata.target import Target
 
 if TYPE_CHECKING:
+    from charact.cli.stage_pictures import Stage
     from labdata.sensor import Sensor
     from labdata.solid_state import SolidStateCamera
 
@@ -49,12 +50,25 @@ class Asked:
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """A camera, the light that reaches it, and what is known of both."""
+    """A camera, the light that reaches it, and what is known of both.
+
+    Parameters
+    ----------
+    camera
+        The simulated camera.
+    light
+        Expected photoelectrons at the plate, or in the chip of a camera without a tube.
+    kind, conditions, target, notes
+        As the session records them.
+    seen
+        What went before the light that the camera draws from: a picture in photoelectrons, a radiance cube, or None.
+    """
 
     camera: Any
     light: Any
     kind: Kind
     conditions: Conditions
+    seen: Any = None
     target: Target = field(default_factory=Target)
     notes: tuple[str, ...] = ()
 
@@ -115,7 +129,7 @@ def _of_picture(asked: Asked, description: "Description", conditions: Conditions
         shape=camera.shape,
     )
     light = from_photoelectrons(camera, image, conditions)
-    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, notes=notes)
+    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, seen=image, notes=notes)
 
 
 def _of_cube(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
@@ -125,9 +139,10 @@ def _of_cube(asked: Asked, description: "Description", conditions: Conditions) -
 
     _no_picture(asked)
     camera = camera_of(description)
-    light = from_radiance(camera, cube_of(asked.source), conditions)
+    cube = cube_of(asked.source)
+    light = from_radiance(camera, cube, conditions)
     notes = (f"spectral radiance of {asked.source.name}",)
-    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, notes=notes)
+    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, seen=cube, notes=notes)
 
 
 def _no_picture(asked: Asked) -> None:
@@ -167,9 +182,29 @@ def save_frames(
 
 def save_stage_images(shot: Shot, description: "Description", folder: Path, *, seed: int) -> int:
     """Keep the image after each stage, as files for teaching and for finding faults; return how many."""
-    from simulate.iiccd.stage_images import stage_images
-
     from charact.cli.stage_pictures import save_stages
 
-    title = f"{description.name}, one exposure through the chain, seed {seed}"
-    return save_stages(stage_images(shot.camera, shot.light, shot.conditions, seed), folder, title)
+    title = f"{description.name}, one frame through the chain, seed {seed}"
+    return save_stages(_stages(shot, seed), folder, title)
+
+
+def _stages(shot: Shot, seed: int) -> "Iterator[Stage]":
+    """The picture and what the camera expects of it, or the radiance from the lens on; then every stage's image."""
+    from simulate.iiccd.stage_images import stage_images
+    from simulate.radiance.cube import RadianceCube
+
+    if isinstance(shot.seen, RadianceCube):
+        yield from stage_images(shot.camera, shot.seen, shot.conditions, seed)
+        return
+    if shot.seen is not None:
+        yield "picture", "photoelectrons per exposure and pixel, expected", shot.seen
+    place = "at the plate" if hasattr(shot.camera, "plate") else "in the chip"
+    yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", _inside(shot.light)
+    yield from stage_images(shot.camera, shot.light, shot.conditions, seed)
+
+
+def _inside(light: Any) -> Any:
+    """The cells of the picture, without those beyond its border."""
+    grid = light.grid
+    top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column
+    return light.values[..., top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]

@@ -1,6 +1,7 @@
 """The image after each stage of a camera as files: one float TIFF a stage and a contact sheet with scales and units."""
 
 import math
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ Stage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, c
 
 SHEET = "stages.png"
 PANEL_INCHES = 3.4
+LABEL_LETTERS = 36
 # A panel has about so many dots along its longer side; finer images are averaged, for a skipped cell is a lost pulse.
 PANEL_DOTS = 420
 # The brightest few in a thousand may be single pulses: the scale ends below them and says so.
@@ -73,7 +75,7 @@ def _panel(figure: Any, axes: Any, name: str, quantity: str, image: NDArray[np.f
     ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
     beyond = ends[bool(image.min() < low), bool(image.max() > high)]
     bar = figure.colorbar(drawn, ax=axes, extend=beyond, shrink=0.9, pad=0.02)
-    bar.set_label(quantity, fontsize=8)
+    bar.set_label(textwrap.fill(quantity, LABEL_LETTERS), fontsize=8)
     bar.ax.tick_params(labelsize=7)
     bar.formatter.set_powerlimits((-3, 4))
     bar.formatter.set_useMathText(True)

@@ -11,7 +11,7 @@ from labdata.sensor import Sensor
 # A range holds its value with 95 % probability: 1.96 standard deviations on either side.
 TWO_SIDED_95 = 1.959964
 
-# The parameters in which specimens differ; the rest are the type's.
+# The parameters in which specimens differ, where the camera has them; the rest are the type's.
 VARIED = (
     "optics.aberration_blur_um",
     "photocathode.luminous_sensitivity_ua_per_lm",
@@ -53,7 +53,7 @@ def draw_truth(sensor: Sensor, seed: int) -> Sensor:
     what the sheet calls possible would be another camera.
     """
     known = sensor.parameters()
-    drawn = {path: _within(known[path], _stream(seed, path)) for path in VARIED}
+    drawn = {path: _within(known[path], _stream(seed, path)) for path in VARIED if path in known}
     specimen = sensor.with_values({path: value for path, value in drawn.items() if value is not None})
     note = f"A specimen drawn within the ranges of {sensor.name} with the seed {seed}."
     return replace(specimen, name=f"{sensor.name}, specimen {seed}", notes=(*sensor.notes, note))

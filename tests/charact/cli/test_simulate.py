@@ -266,3 +266,47 @@ def test_automatic_gain_needs_a_camera_that_has_it(tmp_path, cameras, picture):
     assert done.exit_code == 0, done.output
     asked = open_session(tmp_path / "b").stack("scene").conditions
     assert (asked.automatic_gain, asked.brightness_control) == (True, True)
+
+
+STAGES = {
+    "pulnix-ag5745ef3": ("photoelectrons-at-the-plate", "microchannel-plate", "phosphor", "taper", "ccd", "video"),
+    "gen3-digital-iccd": ("photoelectrons-at-the-plate", "microchannel-plate", "phosphor", "taper", "ccd", "video"),
+    "emccd-512": ("photoelectrons-in-the-chip", "ccd", "register", "video"),
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_the_image_after_each_stage_is_a_file_of_its_quantity(tmp_path, cameras, picture, name):
+    folder = tmp_path / "stages"
+    done = charact(
+        *("simulate", picture, tmp_path / "out", "--sensor", cameras[name], *SCALE, "--frames", 1),
+        *("--stage-images", folder),
+    )
+    assert done.exit_code == 0, done.output
+    files = sorted(path.name for path in folder.glob("*.tif"))
+    assert files[0] == "01-picture.tif"
+    assert [file[:2] for file in files] == [f"{number:02d}" for number in range(1, len(files) + 1)]
+    places = [next(i for i, file in enumerate(files) if file[3:-4] == stage) for stage in STAGES[name]]
+    assert places == sorted(places)
+    seen = tifffile.imread(folder / files[0])
+    assert seen.shape == (ROWS, COLS)
+    assert (seen.min(), seen.max()) == (0.0, pytest.approx(10.0))
+    # As many photoelectrons arrive as were in the picture: what the halo and the blur carry over its borders, few.
+    arrived = tifffile.imread(folder / files[places[0]]).astype(float).sum()
+    rows_summed = 2 if name == "pulnix-ag5745ef3" else 1
+    assert arrived == pytest.approx(seen.astype(float).sum() / rows_summed, rel=0.12)
+    last = tifffile.imread(folder / files[-1])
+    assert last.shape == (ROWS, COLS)
+    assert np.array_equal(last, np.rint(last))
+    assert (folder / "stages.png").stat().st_size > 10_000
+
+
+def test_a_cube_is_seen_from_the_lens_on(tmp_path, cameras):
+    cube = {"wavelength_nm": np.array([500.0, 900.0]), "radiance": np.full((2, ROWS, COLS), 1e-8)}
+    np.savez(tmp_path / "c.npz", **cube)
+    sensor = ("--sensor", cameras["gen3-digital-iccd"])
+    done = charact(
+        *("simulate", tmp_path / "c.npz", tmp_path / "out", *sensor, "--frames", 1, "--stage-images", tmp_path / "s")
+    )
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in (tmp_path / "s").glob("0[12]*")) == ["01-optics.tif", "02-photocathode.tif"]
