@@ -49,6 +49,8 @@ class Steady:
     decay
         Mean share stored, its standard deviation, and share kept, of each component of the screen's decay, shape
         (3, component).
+    lateness
+        Skewness of what pulses leave to later exposures, over their times of arrival, dimensionless.
     memory
         Exposures after which the screen has forgotten.
     fields
@@ -68,6 +70,7 @@ class Steady:
     response: NDArray[np.float32]
     dark_pattern_e: NDArray[np.float32]
     decay: NDArray[np.float32]
+    lateness: float
     memory: int
     fields: int
 
@@ -164,7 +167,7 @@ class Stream:
         scene = self._scene
         brightness = self._states(max(field // scene.fields, 0)).brightness
         self._coarse[:] = 0.0
-        law = scene.quantiles, np.float32(scene.shape), np.float32(brightness), np.float32(self._ion_pulses_per_cell)
+        law = scene.quantiles, *_single(scene.shape, scene.lateness, brightness, self._ion_pulses_per_cell)
         ions = self._ions(field)
 
         def work(first: int, last: int) -> None:

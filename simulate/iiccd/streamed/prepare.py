@@ -87,7 +87,7 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
     gain = _cut(each, grid, height) * stages.ccd.quantum_efficiency / stages.plate.detection_probability
     law = normal_law(expected) if normal else pulse_law(stages.plate.pulse_height_shape, expected)
     light, dark = _mean_charge(stages, stages.collection.mean(screen))
-    decay, memory = decay_of(stages.afterglow)
+    decay, lateness, memory = decay_of(stages.afterglow)
     return Steady(
         expected=expected.astype(np.float32),
         inverse=law.inverse,
@@ -102,6 +102,7 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
         dark_pattern_e=dark,
         response=_response(stages.ccd, light.shape),
         decay=decay,
+        lateness=lateness,
         memory=memory,
         fields=stages.fields,
     )
@@ -181,8 +182,8 @@ def _skewness(scene: Steady, ccd: Ccd) -> float:
     return float(((mean + ccd.dark_e) / np.maximum(_variance(scene, ccd), 1e-30) ** 1.5).max())
 
 
-def decay_of(afterglow: Afterglow) -> tuple[NDArray[np.float32], int]:
-    """Return what the passes need of the screen's decay: (later, spread, kept) of each component, and the memory.
+def decay_of(afterglow: Afterglow) -> tuple[NDArray[np.float32], float, int]:
+    """Return what the passes need of the screen's decay: (later, spread, kept) of each component, lateness and memory.
 
     Notes
     -----
@@ -201,4 +202,5 @@ def decay_of(afterglow: Afterglow) -> tuple[NDArray[np.float32], int]:
     seen = later > 1e-6
     remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
     memory = 1 + int(np.argmax(remaining < FORGOTTEN)) if seen.any() else 0
-    return np.stack([later, spread, kept]).astype(np.float32)[:, seen], memory
+    lateness = float(np.mean((together - together.mean()) ** 3)) / (scatter or 1.0) ** 3
+    return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, memory
