@@ -40,6 +40,14 @@ class LabBench:
         Description of the camera, whose values are taken as the truth.
     scene
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
+
+    Notes
+    -----
+    The bench states the illuminance *at the photocathode* of the target's brightest large area, as a meter in its place
+    would read it. What the lens does to the light on its way there is therefore left out, its blur and veiling glare
+    excepted: loss, fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the frame, and
+    protection from bright sources, since the bench stays far below a lux. For these, see
+    `simulate.iiccd.exposure.from_radiance`.
     """
 
     def __init__(self, sensor: Sensor, scene: LabScene | str | Path | None = None) -> None:

@@ -78,6 +78,7 @@ def test_with_brightness_control_the_charge_stays_constant_above_the_threshold(c
     for times in (0.1, 0.5, 2.0, 8.0, 32.0):
         light = _lit(camera, times * threshold)
         state = list(islice(camera.automatic_states(light, on), 200))[-1]
+        assert state.brightness == pytest.approx(min(1.0, 1.0 / times), rel=2e-3)
         levels.append(float(camera.mean_frame(light, on, state).mean(dtype=float)) - 400.0)
     assert levels[1] / levels[0] == pytest.approx(5.0, rel=1e-3)
     assert levels[3:] == pytest.approx([levels[2]] * 2, rel=2e-3)

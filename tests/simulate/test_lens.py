@@ -154,6 +154,14 @@ def test_each_wavelength_is_blurred_by_its_own_focus(lens):
         assert found == pytest.approx(np.abs(lens.transfer(nm, frequency[near])), abs=1e-3)
 
 
+def test_focus_shifts_by_its_length_from_500_to_925_nm(lens):
+    shifted = replace(lens, focal_shift_um=60.0, focus_nm=500.0)
+    frequency = np.linspace(0.0, 60.0, 30)
+    for nm, off_um in ((500.0, 0.0), (925.0, 60.0), (712.5, 30.0)):
+        extra = Defocus(shift_um=off_um, f_number=1.4).transfer(frequency, np.zeros_like(frequency))
+        assert shifted.transfer(nm, frequency) == pytest.approx(lens.transfer(nm, frequency) * extra, abs=1e-9)
+
+
 def test_few_shapes_stand_for_all_bands(lens):
     defocused = replace(lens, focal_shift_um=60.0, aberration_blur_um=4.0)
     frequency = np.linspace(0.0, 300.0, 400)

@@ -66,6 +66,16 @@ def test_register_is_that_of_electrons_multiplied_stage_by_stage(seed):
         assert np.quantile(ours, level) == pytest.approx(np.quantile(electrons, level), rel=0.04, abs=1.0)
 
 
+def test_clamp_takes_the_mean_of_dark_and_clocked_charge_and_leaves_their_noise(seed):
+    register = Register(gain=50.0, stages=536, clock_induced_e=2.0, dark_e=3.0)
+    wells = Light(values=np.random.default_rng(seed).poisson(3.0, (500, 500)).astype(np.float32))
+    out = register.draw(wells, np.random.default_rng(seed + 1)).values.astype(float)
+    expected = 50.0**2 * register.excess_noise_factor * 5.0
+    assert abs(out.mean()) < 4.5 * np.sqrt(expected / out.size)
+    squares = out**2
+    assert abs(squares.mean() - expected) < 4.5 * squares.std() / np.sqrt(out.size)
+
+
 def test_excess_noise_grows_from_one_to_two():
     factors = [Register(gain=gain).excess_noise_factor for gain in (1.0, 2.0, 10.0, 1000.0)]
     assert factors == sorted(factors)
