@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 from simulate.iiccd import photons
 from simulate.iiccd.automatic import SET_LEVEL, AutomaticGain, AutomaticState, BrightnessControl
@@ -53,11 +54,18 @@ class IntensifiedCamera:
         frame.
     local_depletion
         Whether a plate's gain falls place by place under its own load; otherwise all of the plate falls alike.
+    left_out
+        Names of effects that are left out, see `simulate.iiccd.effects`.
     """
 
     sensor: Sensor
     geometry: bool = False
     local_depletion: bool = False
+    left_out: frozenset[str] = frozenset()
+
+    def _unless(self, effect: str, value: Parameter | float) -> float:
+        """The value of an effect that is kept, nothing of one that is left out."""
+        return 0.0 if effect in self.left_out else float(value)
 
     @property
     def interlaced(self) -> bool:
@@ -157,7 +165,7 @@ class IntensifiedCamera:
             self._optics(),
             self.photocathode(conditions),
             self._gap(cathode_lux),
-            *((self._fibre_geometry(),) if self.geometry else ()),
+            *((self._fibre_geometry(),) if self.geometry and "fibre geometry" not in self.left_out else ()),
             self.plate(conditions),
             self._phosphor(),
             self._taper(),
@@ -169,19 +177,24 @@ class IntensifiedCamera:
         )
         return Chain(stages)
 
-    def detected(self, photons_per_s: Light, conditions: Conditions) -> Light:
-        """Return the expected photoelectrons at the plate, per cell and exposure, of photons on the photocathode.
+    def freed(self, photons_per_s: Light, conditions: Conditions) -> Light:
+        """Return the photoelectrons that light frees from the cathode, expected per cell and exposure.
 
         Parameters
         ----------
         photons_per_s
             Photons per s and cell on `scene_cells`, referred to the wavelength of peak efficiency.
         conditions
-            Gate and temperature.
+            Gate.
         """
-        cathode = self.photocathode(conditions)
-        lit = replace(cathode, ebi_per_s_cm2=0.0).mean(photons_per_s)
-        return self.received(lit, conditions)
+        return replace(self.photocathode(conditions), ebi_per_s_cm2=0.0).mean(photons_per_s)
+
+    def detected(self, photons_per_s: Light, conditions: Conditions) -> Light:
+        """Return the expected photoelectrons at the plate, per cell and exposure, of photons on the photocathode.
+
+        Arguments as for `freed`; dark photoelectrons are added.
+        """
+        return self.received(self.freed(photons_per_s, conditions), conditions)
 
     def cathode_lux(self, photoelectrons: Light) -> float:
         """Illuminance of 2856 K light, averaged over cathode and time, that frees these per cell and exposure, lux."""
@@ -210,7 +223,7 @@ class IntensifiedCamera:
         return Photocathode(
             quantum_efficiency=float(photons.quantum_efficiency(self.sensor, table).max()),
             gate_s=self.gate_s(conditions),
-            ebi_per_s_cm2=photons.ebi_per_s_cm2(self.sensor, conditions.temperature_c),
+            ebi_per_s_cm2=self._unless("dark emission", photons.ebi_per_s_cm2(self.sensor, conditions.temperature_c)),
             on_off_ratio=float(self.sensor.photocathode.gate_on_off_ratio),
             field_s=self.field_s,
         )
@@ -220,8 +233,8 @@ class IntensifiedCamera:
         phosphor = self.sensor.phosphor
         return Afterglow(
             fast_fraction=float(phosphor.fast_fraction),
-            fast_decay_ms=float(phosphor.fast_decay_ms),
-            slow_decay_ms=float(phosphor.slow_decay_ms),
+            fast_decay_ms=self._unless("afterglow", phosphor.fast_decay_ms),
+            slow_decay_ms=self._unless("afterglow", phosphor.slow_decay_ms),
             gate_s=self.gate_s(conditions),
             field_s=self.field_s,
         )
@@ -253,12 +266,13 @@ class IntensifiedCamera:
     def _gap(self, cathode_lux: float) -> ProximityGap:
         cathode = self.sensor.photocathode
         halo = Halo(
-            fraction=float(cathode.halo_fraction),
+            fraction=self._unless("halo", cathode.halo_fraction),
             gap_mm=float(cathode.gap_mm),
             elastic_share=float(cathode.halo_elastic_share),
         )
         spread = self._share(1.0 - float(self.sensor.tube.post_gain_share))
-        protection = self.bright_source_protection().blur(cathode_lux)
+        protected = "bright-source protection" not in self.left_out
+        protection = self.bright_source_protection().blur(cathode_lux) if protected else None
         return ProximityGap(spread=spread, halo=halo, grid=self.cells, protection=protection)
 
     def plate(self, conditions: Conditions) -> MicrochannelPlate:
@@ -271,18 +285,24 @@ class IntensifiedCamera:
             detection_probability=float(plate.detection_probability),
             pulse_height_shape=float(plate.pulse_height_shape),
             gain=gain * photons.gain_factor(self.sensor, conditions.mcp_v, conditions.gain_control),
-            saturation_e_per_s_cm2=strip / photons.ELEMENTARY_CHARGE_C,
+            saturation_e_per_s_cm2=np.inf
+            if "plate saturation" in self.left_out
+            else strip / photons.ELEMENTARY_CHARGE_C,
             field_s=self.field_s,
-            ion_events_per_s_cm2=float(plate.ion_event_rate_per_s_cm2),
+            ion_events_per_s_cm2=self._unless("ion events", plate.ion_event_rate_per_s_cm2),
             ion_event_size_pe=float(plate.ion_event_size_pe),
             gate_s=self.gate_s(conditions),
             stages=plate.stages,
-            pattern_contrast=float(plate.pattern_contrast),
+            pattern_contrast=self._unless("multi-fibre pattern", plate.pattern_contrast),
             pattern_pitch_um=float(plate.pattern_pitch_um),
             line_um=float(plate.channel_pitch_um),
-            depletion_blur_um=float(plate.saturation_blur_um) if self.local_depletion else None,
+            depletion_blur_um=float(plate.saturation_blur_um) if self._depletes_locally else None,
             recovery_ms=float(plate.channel_recovery_ms),
         )
+
+    @property
+    def _depletes_locally(self) -> bool:
+        return self.local_depletion and "local depletion" not in self.left_out
 
     def _fibre_geometry(self) -> FibreGeometry:
         taper = self.sensor.taper
@@ -298,7 +318,7 @@ class IntensifiedCamera:
         return Phosphor(
             photons_per_electron=float(self.sensor.phosphor.photons_per_electron),
             spread=self._share(float(self.sensor.tube.post_gain_share)),
-            gain_nonuniformity=float(self.sensor.phosphor.gain_nonuniformity),
+            gain_nonuniformity=self._unless("screen mottle", self.sensor.phosphor.gain_nonuniformity),
             specimen=self.specimen,
         )
 
@@ -312,7 +332,7 @@ class IntensifiedCamera:
         return Taper(
             transmission=float(taper.transmission),
             blur=blur,
-            pattern_contrast=float(taper.pattern_contrast),
+            pattern_contrast=self._unless("chicken wire", taper.pattern_contrast),
             pattern_pitch_um=float(taper.pattern_pitch_um),
             line_um=float(taper.fibre_pitch_um),
             demagnification=float(taper.demagnification),
@@ -322,15 +342,16 @@ class IntensifiedCamera:
         ccd = self.sensor.ccd
         warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
         warmth = 2.0 ** (warmer / float(ccd.dark_current_doubling_k))
+        dark = float(ccd.dark_current_e_per_s) * warmth * self.field_s * (2 if self.interlaced else 1)
         return Ccd(
             quantum_efficiency=float(ccd.quantum_efficiency),
-            full_well_e=float(ccd.full_well_e),
+            full_well_e=np.inf if "overflow" in self.left_out else float(ccd.full_well_e),
             antibloom_ratio=float(ccd.antibloom_ratio),
-            dark_e=float(ccd.dark_current_e_per_s) * warmth * self.field_s * (2 if self.interlaced else 1),
-            dsnu_e=float(ccd.dsnu_e) * warmth,
-            read_noise_e=float(ccd.read_noise_e),
-            prnu=float(ccd.prnu),
-            smear_fraction=float(ccd.smear_fraction),
+            dark_e=self._unless("dark charge", dark),
+            dsnu_e=self._unless("dark pattern", ccd.dsnu_e) * warmth,
+            read_noise_e=self._unless("read noise", ccd.read_noise_e),
+            prnu=self._unless("unequal pixels", ccd.prnu),
+            smear_fraction=self._unless("smear", ccd.smear_fraction),
             interlaced=self.interlaced,
             specimen=self.specimen,
         )
@@ -358,8 +379,8 @@ class IntensifiedCamera:
             black_level_dn=float(video.black_level_dn),
             gamma=float(video.gamma),
             bit_depth=video.bit_depth,
-            sync_jitter_px=float(video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz,
-            line_noise_dn=float(video.line_noise_dn or 0.0),
+            sync_jitter_px=self._unless("sync jitter", video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz,
+            line_noise_dn=self._unless("line noise", video.line_noise_dn or 0.0),
         )
 
     def automatic_gain(self, conditions: Conditions) -> AutomaticGain | None:

@@ -86,7 +86,7 @@ class Ccd:
         return np.float32(self.dark_e)
 
     def generated(self, photons: NDArray) -> NDArray[np.float32]:
-        """Return the mean charge of the light, e-, with smear; an image that ripples below zero holds no charge there."""
+        """Return the mean charge of the light, e-, with smear; where an image ripples below zero there is no charge."""
         charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
         if self.prnu > 0.0:
             charge *= pattern.pixel_response(charge.shape[-2:], self.prnu, self.specimen)

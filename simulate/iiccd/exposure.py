@@ -19,17 +19,41 @@ def from_radiance(
     *,
     distance_m: float | None = None,
 ) -> Light:
-    """Return the expected photoelectrons at the plate, per cell and exposure, of a scene of known radiance.
+    """Return the expected photoelectrons at the plate, or in a chip without a tube, of a scene of known radiance.
+
+    Arguments as for `freed_by_radiance`; dark photoelectrons are added, the gap spreads all.
+    """
+    return camera.received(freed_by_radiance(camera, cube, conditions, distance_m=distance_m), conditions)
+
+
+def from_photoelectrons(
+    camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating], conditions: Conditions
+) -> Light:
+    """Return the expected photoelectrons at the plate, or in a chip without a tube, of a picture in photoelectrons.
+
+    Arguments as for `freed_by_picture`; gate and temperature decide the dark emission that is added.
+    """
+    return camera.received(freed_by_picture(camera, image_pe), conditions)
+
+
+def freed_by_radiance(
+    camera: IntensifiedCamera | SiliconCamera,
+    cube: RadianceCube,
+    conditions: Conditions,
+    *,
+    distance_m: float | None = None,
+) -> Light:
+    """Return the photoelectrons that a scene of known radiance frees, expected per cell of `scene_cells` and exposure.
 
     Parameters
     ----------
     camera
-        The camera; without a tube the photoelectrons are those in its chip.
+        The camera.
     cube
         Spectral radiance of the scene; its pixels, of any number, cover the frame exactly, as a lens without distortion
         would image them. Beyond the frame it goes on as it ends there.
     conditions
-        Gate or exposure, and temperature.
+        Gate or exposure.
     distance_m
         Distance of the scene from the lens; far away if None. It enters the magnification alone, m = f/(d - f).
 
@@ -44,13 +68,11 @@ def from_radiance(
         if not distance_m > 2.0 * focal_m:
             raise BadInput(f"a scene must lie beyond twice the focal length, {2.0 * focal_m:g} m, got {distance_m:g} m")
         lens = camera.lens(focal_m / (distance_m - focal_m))
-    return camera.detected(lens.mean(cube), conditions)
+    return camera.freed(lens.mean(cube), conditions)
 
 
-def from_photoelectrons(
-    camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating], conditions: Conditions
-) -> Light:
-    """Return the expected photoelectrons at the plate, per cell and exposure, of a picture in photoelectrons.
+def freed_by_picture(camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating]) -> Light:
+    """Return the photoelectrons of a picture in photoelectrons, expected per cell of `scene_cells` and exposure.
 
     Parameters
     ----------
@@ -61,8 +83,6 @@ def from_photoelectrons(
         frame: shape (row, col) of `camera.shape`. A flat picture of x gives x per pixel as read. Rows of an interlaced
         frame sum two rows of the chip and overlap by one: each row of the picture is laid between the middles of the
         two, and half of what its pixel reads is its own, a quarter each neighbour's.
-    conditions
-        Gate and temperature, which decide the dark emission that is added; the picture has its own exposure.
 
     Raises
     ------
@@ -77,4 +97,4 @@ def from_photoelectrons(
     cells = camera.scene_cells
     per_pixel = cells.per_column * cells.per_row * (2 if camera.interlaced else 1)
     spread = placing.spread(image_pe, cells, row_pairs=camera.interlaced) / np.float32(per_pixel)
-    return camera.received(Light(values=spread, grid=cells), conditions)
+    return Light(values=spread, grid=cells)

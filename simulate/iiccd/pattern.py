@@ -55,9 +55,12 @@ def honeycomb(
 def multifibres(grid: Grid, contrast: float, pitch_mm: float, line_mm: float) -> NDArray[np.float32]:
     """Return the gain of a plate of multi-fibres, mean 1, lower on the lines where its hexagons meet.
 
-    Pitch and width are at the photocathode, where the cells are.
+    Pitch and width are at the photocathode, where the cells are. Lines narrower than a cell are as wide and as shallow
+    as a cell's average makes them.
     """
-    lines = honeycomb(grid, contrast, pitch_mm, line_mm, 1.0)
+    cell_mm = np.sqrt(grid.cell_area_cm2) * 10.0
+    averaged_mm = np.sqrt(line_mm**2 + cell_mm**2 / 3.0)
+    lines = honeycomb(grid, contrast * line_mm / averaged_mm, pitch_mm, averaged_mm, 1.0)
     return read_only((lines / lines.mean(dtype=np.float64)).astype(np.float32))
 
 

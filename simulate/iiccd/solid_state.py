@@ -202,6 +202,13 @@ class SiliconCamera:
         """Return the expected photoelectrons in the chip, per cell of `cells` and exposure, of photons on it."""
         return self.silicon(conditions).mean(photons_per_s)
 
+    def freed(self, photons_per_s: Light, conditions: Conditions) -> Light:
+        """Return the photoelectrons that light frees in the chip, expected per cell of `scene_cells` and exposure."""
+        silicon = self.silicon(conditions)
+        return photons_per_s.with_values(
+            photons_per_s.values * np.float32(silicon.quantum_efficiency * silicon.exposure_s)
+        )
+
     def received(self, photoelectrons: Light, conditions: Conditions) -> Light:
         """Return them of the expected photoelectrons of one exposure on `scene_cells`."""
         return photoelectrons.resampled(self.cells)

@@ -1,4 +1,4 @@
-"""Charge that spreads along one column until no pixel holds more than its limit, compiled."""
+"""Charge that spreads along one column until no pixel holds more than its limit: solved directly, compiled."""
 
 import numpy as np
 from numba import njit
@@ -14,32 +14,50 @@ def spilled(column_e: NDArray[np.float64], limit_e: float) -> NDArray[np.float64
         Charge, shape (row,), e-.
     limit_e
         Charge that a pixel takes, e-.
+
+    Notes
+    -----
+    Half up and half down is a walk: what a run of full pixels sheds arrives at its two ends in inverse proportion to
+    the distance (gambler's ruin; Feller, An Introduction to Probability Theory, 3rd ed., XIV.2). Which pixels end up
+    full follows from one pass along the column with a stack, as for a convex hull: a pixel that would then hold too
+    much joins the run on either side of it. The ends of the column are pixels that take everything.
     """
-    return _relaxed(np.ascontiguousarray(column_e, np.float64), float(limit_e))
+    return _settled(np.ascontiguousarray(column_e, np.float64), float(limit_e))
 
 
 @njit(cache=True)
-def _relaxed(column, limit):
-    """Move each pixel's excess in turn, down the column and up again; over-relaxed while the pixel stays full."""
-    q = column.copy()
-    moved = np.zeros(q.size)
-    factor = 1.9
-    tolerance = 1e-9 * limit
-    for _ in range(200_000):
-        largest = 0.0
-        for step in range(2 * q.size):
-            i = step if step < q.size else 2 * q.size - 1 - step
-            # Taking back no more than was ever moved keeps the result that of plain moves in any order.
-            excess = max(factor * (q[i] - limit), -moved[i])
-            if excess == 0.0 or (excess < 0.0 and moved[i] == 0.0):
-                continue
-            moved[i] += excess
-            q[i] -= excess
-            if i > 0:
-                q[i - 1] += 0.5 * excess
-            if i < q.size - 1:
-                q[i + 1] += 0.5 * excess
-            largest = max(largest, abs(excess))
-        if largest < tolerance:
-            break
-    return q
+def _settled(column, limit):
+    count = column.size
+    # Pixels that are not full so far, -1 and count the drains at the ends; of the full run below each of them, the
+    # excess and its first moment about pixel 0.
+    kept = np.empty(count + 2, np.int64)
+    excess = np.zeros(count + 2)
+    moment = np.zeros(count + 2)
+    kept[0] = -1
+    top = 0
+    for row in range(count + 1):
+        run_excess, run_moment = 0.0, 0.0
+        while top > 0:
+            last, before = kept[top], kept[top - 1]
+            from_below = (moment[top] - excess[top] * before) / (last - before)
+            from_above = (run_excess * row - run_moment) / (row - last)
+            own = column[last] - limit
+            if own + from_below + from_above <= 0.0:
+                break
+            run_excess += excess[top] + own
+            run_moment += moment[top] + own * last
+            top -= 1
+        top += 1
+        kept[top], excess[top], moment[top] = row, run_excess, run_moment
+    settled = column.copy()
+    for place in range(1, top + 1):
+        before, last = kept[place - 1], kept[place]
+        if last - before == 1:
+            continue
+        settled[before + 1 : last] = limit
+        upward = (moment[place] - excess[place] * before) / (last - before)
+        if last < count:
+            settled[last] += upward
+        if before >= 0:
+            settled[before] += excess[place] - upward
+    return settled

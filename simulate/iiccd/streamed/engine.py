@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import count
+from itertools import count, pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -222,7 +223,7 @@ class Stream:
                 start, last, scene.fields, self._key(CHARGE, frame), self._shown, kernel, wing, scene.light_e, patterns,
                 noise, normal_quantiles(), self._charge,
             )  # fmt: skip
-            largest.append(found)
+            largest.append(float(found))
 
         self._shared(work, len(scene.light_e), 1)
         return max(largest)
@@ -261,7 +262,7 @@ class Stream:
             work(0, rows)
             return
         borders = np.linspace(0, -(-rows // block), self._threads + 1).round().astype(int) * block
-        bands = [(int(a), int(min(b, rows))) for a, b in zip(borders, borders[1:], strict=False) if a < b]
+        bands = [(int(a), int(min(b, rows))) for a, b in pairwise(borders) if a < b]
         for done in [_pool(self._threads).submit(work, *band) for band in bands]:
             done.result()
 
@@ -288,7 +289,8 @@ def far_wing(
     size = coarse.shape[0] + kernel.wing.shape[0], coarse.shape[1] + kernel.wing.shape[1]
     transform = _transform(kernel.wing.tobytes(), kernel.wing.shape, size)
     middle = kernel.wing.shape[0] // 2
-    spread = fft.irfft2(fft.rfft2(coarse, size) * transform, size)
+    spectrum: Any = fft.rfft2(coarse, size)
+    spread: Any = fft.irfft2(spectrum * transform, size)
     spread = spread[middle : middle + coarse.shape[0], middle : middle + coarse.shape[1]]
     rows, left, share = _places(coarse.shape, kernel.height, shape)
     return spread[:, left] * (1 - share) + spread[:, left + 1] * share, rows
@@ -298,7 +300,7 @@ def far_wing(
 def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, int]) -> NDArray[np.complex64]:
     from scipy import fft
 
-    transform: NDArray[np.complex64] = fft.rfft2(np.frombuffer(wing, np.float32).reshape(shape), size)
+    transform: Any = fft.rfft2(np.frombuffer(wing, np.float32).reshape(shape), size)
     return transform
 
 

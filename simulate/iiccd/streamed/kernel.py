@@ -1,4 +1,4 @@
-"""How the light of a cell spreads over the pixels: a kernel on the lattice that has the covariance of the continuous blur.
+"""How the light of a cell spreads over pixels: a kernel on the lattice with the covariance of the continuous blur.
 
 Pulses fall anywhere; cells gather them on a lattice. Sampled on the lattice, the blur's transfer H would lose or gain
 variance (an eighth at a blur of half a pixel). The kernel is therefore the transform of sqrt(sum_m |H(f + m)|^2), whose
@@ -41,7 +41,12 @@ class Kernel:
     down, along
         Separable parts, shape (plane, rank, tap).
     wing
-        What reaches farther than `REACH`, averaged over coarse cells, shape (coarse row, coarse col), centre in the middle.
+        What reaches farther than `REACH`, averaged over coarse cells, shape (coarse row, coarse col), centre in the
+        middle.
+    blur_factor
+        Variance of the pulses' noise over its covariance sum, as read, dimensionless.
+    third_factor
+        Its third moment over that of pulses that each fall into one pixel, as read, dimensionless.
     skewness_ratio
         Third moment of the lattice's pulses, as read, over that of pulses that fall anywhere, dimensionless.
     """
@@ -51,6 +56,8 @@ class Kernel:
     down: NDArray[np.float32]
     along: NDArray[np.float32]
     wing: NDArray[np.float32]
+    blur_factor: float
+    third_factor: float
     skewness_ratio: float
 
 
@@ -91,16 +98,19 @@ def _on_lattice(
     transfer: NDArray[np.float64], height: int, divisions: tuple[int, int], impulse: tuple[float, ...], exact: float
 ) -> Kernel:
     matched = _matched(transfer, height, divisions)
-    whole = np.fft.ifft2(matched).real * divisions[0] * divisions[1] * height
+    cells = divisions[0] * divisions[1]
+    whole = np.fft.ifft2(matched).real * cells * height
     parts = [_separated(plane) for plane in _compact(whole, height, divisions)]
-    read = np.fft.ifft2(_read(matched, impulse, divisions[1])).real * divisions[0] * divisions[1]
+    read = np.fft.ifft2(_read(matched, impulse, divisions[1])).real * cells
     return Kernel(
         divisions=divisions,
         height=height,
         down=_stacked([down for down, _ in parts]),
         along=_stacked([along for _, along in parts]),
         wing=_wing(whole, height, divisions),
-        skewness_ratio=float(np.sum(read**3) / (divisions[0] * divisions[1]) / exact),
+        blur_factor=float(np.sum(read**2) / cells) * height,
+        third_factor=float(np.sum(read**3) / cells) * height**2,
+        skewness_ratio=float(np.sum(read**3) / cells / exact),
     )
 
 
@@ -110,11 +120,12 @@ def _fine_transfer(blurs: tuple[Blur, ...], pitch_x_mm: float, pitch_y_mm: float
     return product(blurs, fx, fy)
 
 
-def _read(transfer: NDArray[np.floating], impulse: tuple[float, ...], per_column: int) -> NDArray[np.complex128]:
+def _read(transfer: NDArray, impulse: tuple[float, ...], per_column: int) -> NDArray[np.complex128]:
     """The transfer with that of a filter along lines."""
     frequency = np.fft.fftfreq(SIDE * per_column, 1.0 / per_column)
     phase = np.exp(-2j * np.pi * np.multiply.outer(frequency, np.arange(len(impulse))))
-    return transfer * (phase @ np.array(impulse))
+    filtered: NDArray[np.complex128] = transfer * (phase @ np.array(impulse))
+    return filtered
 
 
 def _third_moment(transfer: NDArray[np.complex128]) -> float:

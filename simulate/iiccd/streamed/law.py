@@ -1,10 +1,10 @@
 """The charge of a cell as a table: quantiles of a Poisson number of gamma pulses, at any mean, looked up in one step.
 
 A cell that expects N detected photoelectrons holds the sum of Poisson(N) pulses of mean 1 and gamma shape k. The sum is
-zero with probability exp(-N); given that it is not, its standardised law changes slowly with N. That law is kept as rows
-of quantiles, one for every two per cent of N; zero probability, mean and variance are those of the cell's own N. Quantiles
-stand at probabilities that are evenly spaced in each octave towards both ends, so that the exponent and leading bits of a
-single-precision number are the index.
+zero with probability exp(-N); given that it is not, its standardised law changes slowly with N. That law is kept as
+rows of quantiles, one for every two per cent of N; zero probability, mean and variance are those of the cell's own N.
+Quantiles stand at probabilities that are evenly spaced in each octave towards both ends, so that the exponent and
+leading bits of a single-precision number are the index.
 """
 
 from dataclasses import dataclass

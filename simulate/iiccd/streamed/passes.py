@@ -25,7 +25,7 @@ UNIFORM = f4(np.sqrt(12.0) * 2.0**-16)
 MIDDLE = f4(32767.5)
 ZERO, HALF_ONE, ONE, TWO = f4(0.0), f4(0.5), f4(1.0), f4(2.0)
 # Variance of u^2 - 1, and inverse of the third moment that adding a little of it to a uniform u brings.
-FOUR_FIFTHS, PER_LEAN = f4(0.8), f4(1.0 / 2.4)
+FOUR_FIFTHS, PER_LEAN, MOST_LEAN = f4(0.8), f4(1.0 / 2.4), f4(0.9)
 
 FAST = {"nogil": True, "fastmath": True, "error_model": "numpy", "cache": True}
 
@@ -113,9 +113,9 @@ def _scatter(charge, mean, shape, lateness, uniform):
     """Random scatter of a sum's pulses over the exposure, as a share of the sum: its variance and third moment.
 
     n pulses of gamma shape k that add up to x have a sum of squares of mean x^2 (k + 1)/(n k + 1), and of cubes
-    x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)). Given x, 1/(n k + 1) is on average about 1/(c + sqrt((k + 1 - c)^2 + (k m)^2))
-    with m = N^(1/(k+1)) x^(k/(k+1)), c = 1 - k/(2 (k + 1)): exact for few pulses, for many, and in Amos' bound on the
-    ratio of Bessel functions (Math. Comp. 28, 239, 1974) for exponential pulses in between.
+    x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)). Given x, 1/(n k + 1) is about 1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)) on average,
+    with m = N^(1/(k+1)) x^(k/(k+1)) and c = 1 - k/(2 (k + 1)): exact for few pulses and for many; for exponential ones
+    in between it is Amos' bound on a ratio of Bessel functions (Math. Comp. 28, 239, 1974).
     """
     half = HALF_ONE * (shape - ONE) / (shape + ONE)
     # (x/N)^half by its (1, 1) Pade approximant.
@@ -125,6 +125,8 @@ def _scatter(charge, mean, shape, lateness, uniform):
     many = shape * shape * charge * mean * power * power
     pulses = few + np.sqrt((shape + ONE - few) * (shape + ONE - few) + many)
     lean = lateness * (shape + TWO) / np.sqrt(shape + ONE) * np.sqrt(pulses) / (pulses + ONE) * PER_LEAN
+    # More lateness than this the few bits do not carry; screens that have it leave next to nothing.
+    lean = min(lean, MOST_LEAN)
     straight = np.sqrt(ONE - FOUR_FIFTHS * lean * lean)
     return np.sqrt((shape + ONE) / pulses) * (straight * uniform + lean * (uniform * uniform - ONE))
 
@@ -143,9 +145,8 @@ def glow_rows(first, last, key, expected, inverse, rows, gain, law, ions, decay,
         Mean number of pulses, the inverse of the probability of any, the row of the law, and electrons per mean pulse,
         shape (row, col).
     law
-        (quantiles, shape, lateness, brightness, ions): the law's rows, flat; gamma shape of pulses; skewness of what pulses
-        leave to later exposures; factor of the gain; mean number
-        of pulses that ions bring to a cell.
+        (quantiles, shape, lateness, brightness, ions): the law's rows, flat; gamma shape of pulses; skewness of what
+        pulses leave to later exposures; factor of the gain; mean number of pulses that ions bring to a cell.
     ions
         (rows, columns, pulses) of the ion events of this exposure, each of shape (event,).
     decay
@@ -226,16 +227,16 @@ def charge_rows(first, last, step, key, shown, kernel, wing, light, patterns, no
     kernel
         (down, along): separable kernels, shape (plane, rank, tap).
     wing
-        (wide, places): what the kernel's far wing brings, on coarse rows and the frame's columns, shape (coarse row, col);
-        and for every row of the frame the coarse row above it, fraction included, shape (row,).
+        (wide, places): what the kernel's far wing brings, on coarse rows and the frame's columns, shape (coarse row,
+        col); and for every row of the frame the coarse row above it, fraction included, shape (row,).
     light
         Mean charge of the light, shape (row, col), e-.
     patterns
-        (response, dark): response of the pixels, mean 1, and dark charge about its mean, e-, each of shape (row, col), or
-        (1, 1) where all pixels are alike.
+        (response, dark): response of the pixels, mean 1, and dark charge about its mean, e-, each of shape (row, col),
+        or (1, 1) where all pixels are alike.
     noise
-        (brightness, counted, variance): factor of the light; whether the charge's own noise is drawn elsewhere, as whole
-        electrons; and the variance of noise besides that of the light's own charge, e-^2.
+        (brightness, counted, variance): factor of the light; whether the charge's own noise is drawn elsewhere, as
+        whole electrons; and the variance of noise besides that of the light's own charge, e-^2.
     normal
         Quantiles of the normal law.
     charge
@@ -337,7 +338,7 @@ def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
 
 @njit(**FAST)
 def _late(impulse, late, gain, weights):
-    """Weights of the next pixel, this one and those before, of a line that starts late: a parabola through three pixels."""
+    """Weights of the next pixel, this one and those before in a line that starts late: a parabola through three."""
     ahead, behind = gain * HALF_ONE * (late * late - late), gain * HALF_ONE * (late * late + late)
     middle = gain * (ONE - late * late)
     weights[:] = ZERO
