@@ -182,3 +182,14 @@ def test_impossible_depletion_is_refused(change):
     given = {"saturation_e_per_s_cm2": 1.0, "blur_um": 45.0, "recovery_ms": 10.0, "field_s": 0.0167}
     with pytest.raises(BadInput):
         Depletion(**given | change)
+
+
+def test_lines_narrower_than_a_cell_take_as_much_light_wherever_they_fall():
+    """Lines of 6 um on cells of 10 and of 5 um: hexagons of pitch p have 2/p of border per area."""
+    lost = []
+    for per_pixel in (2, 4):
+        grid = padded_grid(200, 300, per_pixel=per_pixel, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+        lines = pattern.multifibres(grid, 0.5, 0.7, 0.006)
+        lost.append(1.0 - 1.0 / lines.max())
+    # Across a line the loss is a Gaussian of 3 um standard deviation.
+    assert lost == pytest.approx([0.5 * 0.003 * np.sqrt(2.0 * np.pi) * 2.0 / 0.7] * 2, rel=0.02)
