@@ -113,7 +113,8 @@ def _scatter(charge, mean, shape, lateness, uniform):
     """Random scatter of a sum's pulses over the exposure, as a share of the sum: its variance and third moment.
 
     n pulses of gamma shape k that add up to x have a sum of squares of mean x^2 (k + 1)/(n k + 1), and of cubes
-    x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)). Given x, 1/(n k + 1) is about 1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)) on average,
+    x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)). Given x, 1/(n k + 1) is on average near
+    1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)),
     with m = N^(1/(k+1)) x^(k/(k+1)) and c = 1 - k/(2 (k + 1)): exact for few pulses and for many; for exponential ones
     in between it is Amos' bound on a ratio of Bessel functions (Math. Comp. 28, 239, 1974).
     """
