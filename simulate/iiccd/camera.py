@@ -276,7 +276,15 @@ class IntensifiedCamera:
         return ProximityGap(spread=spread, halo=halo, grid=self.cells, protection=protection)
 
     def plate(self, conditions: Conditions) -> MicrochannelPlate:
-        """Return the plate at the voltage or control word of the conditions."""
+        """Return the plate at the voltage or control word of the conditions.
+
+        Raises
+        ------
+        BadInput
+            If the conditions set the plate twice, or a gain that a tube does not have.
+        """
+        if conditions.em_gain is not None:
+            raise BadInput(f"em_gain must be left out of a camera with a tube, got {conditions.em_gain:g}")
         plate = self.sensor.microchannel_plate
         per_electron = float(self.sensor.phosphor.photons_per_electron)
         strip = float(plate.strip_current_ua_per_cm2) * float(plate.saturation_fraction) * 1e-6

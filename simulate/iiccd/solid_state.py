@@ -97,7 +97,12 @@ class SiliconCamera:
         return min(shortest, self.frame_s)
 
     def em_gain(self, conditions: Conditions) -> float:
-        """Gain of the register: that of the conditions, or the highest it has."""
+        """Gain of the register: that of the conditions, or the highest it has; a tube's gain is refused."""
+        if conditions.mcp_v is not None or conditions.gain_control is not None:
+            raise BadInput(
+                f"mcp_v and gain_control must be left out of a camera without a tube, "
+                f"got {conditions.mcp_v} and {conditions.gain_control}"
+            )
         highest = float(self.description.register.em_gain)
         if conditions.em_gain is None:
             return highest

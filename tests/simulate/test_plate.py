@@ -41,6 +41,8 @@ def test_control_word_sets_the_gain_of_the_plate(sheet):
     assert camera.plate(Conditions(gain_control=187.5)).gain == pytest.approx(1.95 * nominal, rel=1e-3)
     with pytest.raises(BadInput, match="same gain"):
         camera.chain(Conditions(gain_control=100.0, mcp_v=800.0))
+    with pytest.raises(BadInput, match="em_gain"):
+        camera.chain(Conditions(em_gain=100.0))
 
 
 def test_stack_has_the_gain_and_variance_of_pulses_sent_through_both_plates(seed):

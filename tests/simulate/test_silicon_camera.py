@@ -147,6 +147,8 @@ def test_exposure_and_gain_out_of_reach_are_refused(description):
         Conditions(exposure_s=0.0),
         Conditions(exposure_s=1.0),
         Conditions(automatic_gain=True),
+        Conditions(mcp_v=800.0),
+        Conditions(gain_control=100.0),
     ):
         with pytest.raises(BadInput):
             camera.chain(conditions)
