@@ -10,6 +10,8 @@ from labdata.sensor import Sensor
 
 _NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
 _SPARE_BYTES = 64 << 20
+# Conditions that no driver sets or reads back: the record would repeat what was asked as if it had been in force.
+_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control")
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
@@ -28,7 +30,7 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     ------
     BadInput
         At the first rule broken: a label that is no file name, light on a dark, a target without its numbers, a gate
-        wider than the exposure, or a disk too small.
+        wider than the exposure, a condition that no driver sets, or a disk too small.
     """
     for step in plan.steps:
         _check_step(step, sensor)
@@ -64,12 +66,20 @@ def _check_step(step: Step, sensor: Sensor | None) -> None:
     for name in _NEEDED[step.kind]:
         if getattr(step.target, name) is None:
             raise BadInput(f"a {step.kind} target must have its {name}, got none in {step.label!r}")
+    _check_settable(step)
     exposure_s = asked.exposure_s or (1.0 / float(sensor.video.field_rate_hz) if sensor else None)
     # A gate of one field time is written rounded; one per mille more than the exposure is still that.
     if asked.gate_ns is not None and exposure_s is not None and asked.gate_ns > exposure_s * 1e9 * 1.001:
         raise BadInput(
             f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got {asked.gate_ns:g} in {step.label!r}"
         )
+
+
+def _check_settable(step: Step) -> None:
+    for name in _SET_BY_NOBODY:
+        value = getattr(step.conditions, name)
+        if value is not None:
+            raise BadInput(f"{name} must be left out of a plan, as no driver sets it, got {value} in {step.label!r}")
 
 
 def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:

@@ -33,6 +33,9 @@ QUANTITIES = {
     "video": "DN",
 }
 
+# Without a tube the pixels collect what the chip has already detected.
+IN_CHIP = {**QUANTITIES, "pixels": "photoelectrons per exposure and pixel, expected"}
+
 
 def stage_images(
     camera: IntensifiedCamera | SiliconCamera, light: Light | RadianceCube, conditions: Conditions, seed: int
@@ -64,7 +67,7 @@ def stage_images(
     assert isinstance(at_plate, Light)
     if isinstance(camera, SiliconCamera):
         behind = camera.chain(conditions).part("pixels", "video")
-        yield from _seen(behind, at_plate, np.random.default_rng([seed, 1, 0]))
+        yield from _seen(behind, at_plate, np.random.default_rng([seed, 1, 0]), IN_CHIP)
         return
     yield from _field_and_frame(camera, at_plate, conditions, seed)
 
@@ -105,16 +108,18 @@ def _field_and_frame(
     yield from _seen(chain.part("scan", "video"), Light(values=shown), np.random.default_rng([seed, 1, 0]))
 
 
-def _seen(chain: Chain, light: Light, rng: np.random.Generator) -> Iterator[StageImage]:
+def _seen(
+    chain: Chain, light: Light, rng: np.random.Generator, quantities: dict[str, str] = QUANTITIES
+) -> Iterator[StageImage]:
     for stage, after in zip(chain.stages, chain.steps(light, rng), strict=True):
-        yield _shown(stage.name, after)
+        yield _shown(stage.name, after, quantities)
 
 
-def _shown(name: str, light: Light) -> StageImage:
+def _shown(name: str, light: Light, quantities: dict[str, str] = QUANTITIES) -> StageImage:
     """The image as it is, without the margins of its cells and with the blurs that it still owes."""
     image, grid = light.paid().values, light.grid
     image = image[-1] if image.ndim > 2 else image
     if grid is not None:
         top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column
         image = image[top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]
-    return name, QUANTITIES[name], np.ascontiguousarray(image, np.float32)
+    return name, quantities[name], np.ascontiguousarray(image, np.float32)

@@ -30,6 +30,16 @@ def step(label: str, *, frames: int = 4, kind: str = "flat", lux: float | None =
 PLAN = Plan(name="series", steps=(step("dark", kind="dark", lux=None), step("low"), step("high", mcp_v=800.0)))
 
 
+# What no driver sets: on or off, a record of it would be a claim.
+UNSETTABLE = (
+    {"automatic_gain": True},
+    {"automatic_gain": False},
+    {"brightness_control": True},
+    {"em_gain": 300.0},
+    {"gain_control": 102.0},
+)
+
+
 def take(rig, folder, plan=PLAN, **options):
     return acquire(plan, folder, camera=rig.camera, bench=rig.bench, operator=rig.operator, **options)
 
@@ -185,6 +195,7 @@ def test_a_judges_complaint_becomes_a_note_of_its_stack(tmp_path):
         (step("bars", kind="bars"), "must have its bars"),
         (step("gate", gate_ns=1.9e7, exposure_s=0.01), "must not exceed the exposure"),
         (step("much", frames=10**12), "disk"),
+        *((step("wish", **wish), f"{name} must be left out") for wish in UNSETTABLE for name in wish),
     ],
 )
 def test_the_whole_plan_is_checked_before_anything_opens(tmp_path, wrong, rule):

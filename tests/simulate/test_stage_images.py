@@ -61,6 +61,15 @@ def test_levels_grow_by_the_gains_of_the_stages(plain):
     assert shown["video"] - 400.0 == pytest.approx(200.0 * k, rel=2e-2)
 
 
+def test_pixels_of_a_camera_without_a_tube_hold_the_photoelectrons_of_the_picture():
+    camera, conditions = _small("emccd-512"), Conditions(temperature_c=-20.0)
+    light = from_photoelectrons(camera, np.full(camera.shape, 7.0), conditions)
+    found = {stage: (what, image) for stage, what, image in stage_images(camera, light, conditions, seed=1)}
+    what, image = found["pixels"]
+    assert what == "photoelectrons per exposure and pixel, expected"
+    assert image == pytest.approx(np.full(camera.shape, 7.0), rel=1e-5)
+
+
 def test_same_seed_shows_the_same_frame_and_another_another():
     camera = _small("pulnix-ag5745ef3")
     first, again, other = (list(stage_images(camera, CUBE, Conditions(), seed=n))[-1][2] for n in (1, 1, 2))
