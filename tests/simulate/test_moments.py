@@ -6,7 +6,7 @@ errors of the samples drawn. CHARACT_TEST_SAMPLES multiplies the samples.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import islice
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
+from simulate.iiccd import tiers
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.light import Light
 from tests.simulate import event_by_event as slow
@@ -35,24 +36,37 @@ EVENTS = {0.05: (192, 6), 0.5: (192, 6), 5.0: (128, 5), 50.0: (64, 5), 500.0: (4
 TOLERANCE = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
 
 
-def _frames(sensor: Sensor, at_plate: Light, frames: int, seed: int) -> NDArray[Any]:
-    camera = IntensifiedCamera(sensor)
-    return np.stack(list(islice(camera.frames(at_plate, Conditions(), seed=seed), frames)))
+# Frames of 240 x 320 pixels in one block of flats that a tier can afford, by level; and what is tried of each tier.
+AFFORDED: dict[tiers.Tier, dict[float, int]] = {
+    "streamed": dict.fromkeys(LEVELS, 25),
+    "by-cell": {0.5: 8, 50.0: 4},
+}
+CASES = [
+    pytest.param(tier, level, shape, id=f"{tier}-{name}-{level:g}")
+    for tier, levels in AFFORDED.items()
+    for level in levels
+    for name, shape in SHAPES.items()
+    if tier == "streamed" or shape == 1.0
+]
 
 
-TIERS: dict[str, Callable[[Sensor, Light, int, int], NDArray[Any]]] = {"frames": _frames}
-# Frames of 240 x 320 pixels in one block of flats that each tier can afford, by level.
-AFFORDED = {"frames": {0.05: 8, 0.5: 8, 5.0: 6, 50.0: 5, 500.0: 4}}
+def drawn(sensor: Sensor, at_plate: Light, frames: int, seed: int, tier: tiers.Tier) -> Iterator[NDArray[Any]]:
+    """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape (frame, row, col)."""
+    stream = tiers.frames(IntensifiedCamera(sensor), at_plate, Conditions(), seed=seed, tier=tier)
+    while True:
+        codes = np.stack([frame.copy() for frame in islice(stream, frames)])
+        assert codes.min() > 0 and codes.max() < 2**sensor.video.bit_depth - 1
+        yield codes.astype(np.float32)
 
 
-def flat_frames(sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: str) -> NDArray[Any]:
-    """Return frames of a flat by one of the simulator's tiers, DN, shape (frame, row, col)."""
+def flat_frames(
+    sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: tiers.Tier
+) -> Iterator[NDArray[Any]]:
+    """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame, row, col)."""
     camera = IntensifiedCamera(sensor)
     cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.interlaced else 1)
     flat = np.full(camera.cells.shape, photoelectrons_per_pixel / cells, np.float32)
-    codes = TIERS[tier](sensor, Light(values=flat, grid=camera.cells), frames, seed)
-    assert codes.min() > 0 and codes.max() < 2**sensor.video.bit_depth - 1
-    return codes.astype(np.float32)
+    return drawn(sensor, Light(values=flat, grid=camera.cells), frames, seed, tier)
 
 
 def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
@@ -70,13 +84,13 @@ def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
 
 
 def measured_flat(
-    sensor: Sensor, level: float, frames: int, seed: int, tier: str
+    sensor: Sensor, level: float, frames: int, seed: int, tier: tiers.Tier
 ) -> tuple[slow.Moments, slow.Moments, float]:
-    """Moments of a simulated flat and their errors, e- above black, and the step of the digitiser, e-."""
+    """Moments of a flat in `BLOCKS` of so many frames, their errors, e- above black, and the digitiser's step, e-."""
     fine = in_fine_steps(sensor, level)
     step_e = 1.0 / float(fine.video.conversion_gain_dn_per_e)
-    codes = flat_frames(fine, level, frames, seed, tier)[:, :, LINE_START_PX:]
-    charge = ((block - BLACK_DN) * step_e for block in np.array_split(codes, BLOCKS))
+    blocks = islice(flat_frames(fine, level, frames, seed, tier), BLOCKS)
+    charge = ((block[:, :, LINE_START_PX:] - BLACK_DN) * step_e for block in blocks)
     return *slow.measured(charge, slow.of_sensor(sensor).charge_e * level), step_e
 
 
@@ -85,9 +99,9 @@ def flats(plain, seed):
     """Moments of flats by tier, level and shape, each drawn once."""
 
     @cache
-    def make(tier: str, level: float, shape: float):
+    def make(tier: tiers.Tier, level: float, shape: float):
         sensor = plain(240, 320, microchannel_plate__pulse_height_shape=shape)
-        frames = BLOCKS * round(AFFORDED[tier][level] * SAMPLES)
+        frames = round(AFFORDED[tier][level] * SAMPLES)
         found, error, step_e = measured_flat(sensor, level, frames, seed, tier)
         return slow.of_sensor(sensor), found, error, step_e
 
@@ -126,19 +140,15 @@ def departures(found: slow.Moments, expected: slow.Moments, *errors: slow.Moment
     return wrong
 
 
-@pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-@pytest.mark.parametrize("tier", TIERS)
-def test_flats_have_the_moments_of_campbells_theorem(tier, shape, level, flats):
+@pytest.mark.parametrize(("tier", "level", "shape"), CASES)
+def test_flats_have_the_moments_of_campbells_theorem(tier, level, shape, flats):
     camera, found, error, step_e = flats(tier, level, shape)
     expected = slow.campbell(camera, level / camera.rows_summed, step_e=step_e)
     assert not departures(found, expected, error)
 
 
-@pytest.mark.parametrize("level", LEVELS)
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-@pytest.mark.parametrize("tier", TIERS)
-def test_flats_have_the_moments_of_single_events(tier, shape, level, flats, event_moments):
+@pytest.mark.parametrize(("tier", "level", "shape"), CASES)
+def test_flats_have_the_moments_of_single_events(tier, level, shape, flats, event_moments):
     camera, found, error, _ = flats(tier, level, shape)
     expected, event_error = event_moments(camera, level)
     assert not departures(found, expected, error, event_error)
@@ -153,7 +163,12 @@ def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain
     assert not departures(found, slow.campbell(camera, level / camera.rows_summed), error)
 
 
-@pytest.mark.parametrize("tier", TIERS)
+# Variance from column to column under stripes eight pixels wide, a tenth of the light in their dark half: where the
+# streamed tier lays its noise a little wider than pulses do.
+STRIPES: dict[tiers.Tier, float] = {"streamed": 0.06, "by-cell": 5e-3}
+
+
+@pytest.mark.parametrize("tier", AFFORDED)
 def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, seed):
     """Light that changes from column to column: blur of means and blur of pulses act on it each in its own way."""
     period, level = 8, 6.0
@@ -166,17 +181,19 @@ def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, seed):
     x_px = (np.arange(cells.shape[1]) + 0.5) / cells.per_column - cells.margin_columns
     per_cell = stripes(x_px) / (2 * cells.per_row * cells.per_column)
     light = np.repeat(per_cell[None].astype(np.float32), cells.shape[0], axis=0)
-    codes = TIERS[tier](sensor, Light(values=light, grid=cells), 60, seed)[:, :, LINE_START_PX:]
+    codes = next(drawn(sensor, Light(values=light, grid=cells), 60, seed, tier))[:, :, LINE_START_PX:]
     charge = (codes - BLACK_DN) / float(sensor.video.conversion_gain_dn_per_e)
     side = 96
     expected = np.repeat(stripes((np.arange(side * slow.PHASES) + 0.5) / slow.PHASES)[None] / 2.0, side, axis=0)
     stream = slow.frames(slow.of_sensor(sensor), expected, shape=(side, side), seed=seed)
     events = np.stack(list(islice(stream, 120)))
-    for power, tolerance in ((1, 1e-3), (2, 5e-3)):
+    for power, tolerance in ((1, 1e-3), (2, STRIPES[tier])):
         ours, our_error = _by_phase(charge, period, power)
         theirs, their_error = _by_phase(events, period, power)
-        assert np.all(np.abs(ours - theirs) < tolerance * theirs + ERRORS * np.hypot(our_error, their_error))
-        assert np.all(np.hypot(our_error, their_error) < 6.0 * tolerance * theirs)
+        off = (ours - theirs) / theirs
+        error = np.hypot(our_error, their_error) / theirs
+        assert np.all(np.abs(off) < tolerance + ERRORS * error), f"off by {off.round(4)}, errors {error.round(4)}"
+        assert np.all(error < 0.01)
 
 
 def _by_phase(frames: NDArray[Any], period: int, power: int) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -212,7 +229,7 @@ def test_the_reference_knows_what_naive_drawing_loses(sigma_px):
 
 
 @pytest.mark.parametrize("sigma_px", NAIVE)
-@pytest.mark.parametrize("tier", TIERS)
+@pytest.mark.parametrize("tier", AFFORDED)
 def test_blur_below_a_pixel_loses_no_variance(tier, sigma_px, plain, seed):
     """Square pixels, no interlace, no decay, no video filter: a flat's variance is k F^2 mu sum h^2, h continuous."""
     level = 20.0
@@ -235,6 +252,6 @@ def test_blur_below_a_pixel_loses_no_variance(tier, sigma_px, plain, seed):
     pulses = level * camera.height_moment(2) * _one_axis(sigma_px)[0] ** 2
     white = level * camera.height_moment(1) + camera.dark_e + camera.read_noise_e**2
     assert slow.campbell(camera, level).variance == pytest.approx(pulses + white, rel=2e-3)
-    found, error, step_e = measured_flat(sensor, level, AFFORDED[tier][5.0] * BLOCKS, seed, tier)
+    found, error, step_e = measured_flat(sensor, level, AFFORDED[tier][50.0], seed, tier)
     assert abs(found.variance - white - step_e**2 / 12.0 - pulses) < 5e-3 * pulses + ERRORS * error.variance
-    assert error.variance < 2e-3 * pulses
+    assert error.variance < 4e-3 * pulses
