@@ -40,6 +40,8 @@ class LabBench:
         Description of the camera, whose values are taken as the truth.
     scene
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
+    left_out
+        Effects of the camera that are left out, see `simulate.iiccd.effects`.
 
     Notes
     -----
@@ -50,8 +52,10 @@ class LabBench:
     `simulate.iiccd.exposure.from_radiance`.
     """
 
-    def __init__(self, sensor: Sensor, scene: LabScene | str | Path | None = None) -> None:
-        self.camera = IntensifiedCamera(sensor)
+    def __init__(
+        self, sensor: Sensor, scene: LabScene | str | Path | None = None, *, left_out: frozenset[str] = frozenset()
+    ) -> None:
+        self.camera = IntensifiedCamera(sensor, left_out=left_out)
         self.scene = scene if isinstance(scene, LabScene) else load_scene(scene or "bench")
         self._pictures: OrderedDict[tuple[Kind, Target], NDArray[np.float32]] = OrderedDict()
 
@@ -121,10 +125,20 @@ class LabBench:
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
             return Light(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
-        if conditions.illuminance_lux is None:
-            raise BadInput(f"illuminance_lux must be given for a stack of kind {kind!r}, got none")
-        lit = self._picture(kind, target) * np.float32(conditions.illuminance_lux * cathode.open_s)
+        lit = self._picture(kind, target) * np.float32(_lit(kind, conditions) * cathode.open_s)
         return Light(values=lit + np.float32(dark), grid=camera.cells)
+
+    def without(self, left_out: frozenset[str]) -> "LabBench":
+        """Return the same bench with effects of the camera left out."""
+        return LabBench(self.camera.sensor, self.scene, left_out=left_out)
+
+    def freed(self, kind: Kind, target: Target, conditions: Conditions) -> Light:
+        """Return the photoelectrons that light frees from the cathode, per scene cell and exposure, before any blur."""
+        cells = self.camera.scene_cells
+        if kind == "dark":
+            return Light(values=np.zeros(cells.shape, np.float32), grid=cells)
+        lux = np.float32(_lit(kind, conditions))
+        return self.camera.freed(Light(values=self._photons(kind, target) * lux, grid=cells), conditions)
 
     def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:
         """Photoelectrons at the plate per s and cell at 1 lux, shape of the camera's cells."""
@@ -180,6 +194,12 @@ class LabBench:
             distance_m=self.scene.distance_m,
             eye_px=(columns / 2.0 - centre_col, (cells.rows / 2.0 - centre_row) * ratio),
         )
+
+
+def _lit(kind: Kind, conditions: Conditions) -> float:
+    if conditions.illuminance_lux is None:
+        raise BadInput(f"illuminance_lux must be given for a stack of kind {kind!r}, got none")
+    return conditions.illuminance_lux
 
 
 @lru_cache(maxsize=6)

@@ -1,5 +1,7 @@
 """Simulated frames as a session: a bench scene, a picture or a radiance cube goes through a camera, frame by frame."""
 
+import json
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from charact.cli.stage_pictures import Stage
     from labdata.sensor import Sensor
     from labdata.solid_state import SolidStateCamera
+    from simulate.economy import Plan
 
     Description = Sensor | SolidStateCamera
 
@@ -39,6 +42,9 @@ class Asked:
         Scale of a picture, see `charact.cli.picture_light`.
     black_dn
         Level of the picture that stands for no light, DN; None: 0.
+    tolerance
+        What effects left out may change together, as a share of the temporal noise; None: nothing is left out and every
+        pulse is drawn by itself.
     """
 
     source: Path
@@ -46,6 +52,7 @@ class Asked:
     target: Target = field(default_factory=Target)
     photoelectrons_per_dn: float | None = None
     black_dn: float | None = None
+    tolerance: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +69,10 @@ class Shot:
         As the session records them.
     seen
         What went before the light that the camera draws from: a picture in photoelectrons, a radiance cube, or None.
+    plan
+        What of the camera this light does not need; None for a camera without a tube, of which all is kept.
+    exact
+        Whether every pulse is drawn by itself.
     """
 
     camera: Any
@@ -71,6 +82,18 @@ class Shot:
     seen: Any = None
     target: Target = field(default_factory=Target)
     notes: tuple[str, ...] = ()
+    plan: "Plan | None" = None
+    exact: bool = False
+
+    def frames(self, *, seed: int) -> "Iterator[Any]":
+        """Yield its frames, without end."""
+        from simulate.iiccd import tiers
+        from simulate.iiccd.camera import IntensifiedCamera
+
+        if not isinstance(self.camera, IntensifiedCamera):
+            return self.camera.frames(self.light, self.conditions, seed=seed)
+        tier, threads = "by-cell" if self.exact else None, min(2, os.cpu_count() or 1)
+        return tiers.frames(self.camera, self.light, self.conditions, seed=seed, tier=tier, threads=threads)
 
 
 def described(sensor: str, phosphor: str | None) -> "Description":
@@ -112,14 +135,32 @@ def _of_bench(asked: Asked, description: "Description", conditions: Conditions) 
     if conditions.illuminance_lux is None:
         conditions = replace(conditions, illuminance_lux=BENCH_LUX)
     kind, bench = asked.kind or "edge", LabBench(description, asked.source)
+    _, planned = _economical(bench.camera, bench.freed(kind, asked.target, conditions), conditions, asked)
+    bench = bench.without(planned["plan"].names)
     light = bench.photoelectrons(kind, asked.target, conditions)
-    return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=asked.target)
+    return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=asked.target, **planned)
+
+
+def _economical(camera: Any, freed: Any, conditions: Conditions, asked: Asked) -> tuple[Any, dict[str, Any]]:
+    """Return the camera without what this light does not need, and the fields of the shot that say so."""
+    from simulate.economy import Plan
+    from simulate.iiccd.camera import IntensifiedCamera
+    from simulate.iiccd.effects import Picture, effects_of, per_pixel, planned
+
+    exact = asked.tolerance is None
+    if not isinstance(camera, IntensifiedCamera):
+        return camera, {"exact": exact}
+    if asked.tolerance is None:
+        effects = effects_of(Picture(camera, per_pixel(camera, freed), conditions))
+        return camera, {"exact": True, "plan": Plan(tolerance=0.0, kept=tuple(effects), left_out=())}
+    camera, plan = planned(camera, freed, conditions, asked.tolerance)
+    return camera, {"exact": False, "plan": plan}
 
 
 def _of_picture(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.picture_light import photoelectrons_of
     from simulate.cameras import camera_of
-    from simulate.iiccd.exposure import from_photoelectrons
+    from simulate.iiccd.exposure import freed_by_picture
 
     camera = camera_of(description)
     image, notes = photoelectrons_of(
@@ -128,21 +169,25 @@ def _of_picture(asked: Asked, description: "Description", conditions: Conditions
         black_dn=asked.black_dn or 0.0,
         shape=camera.shape,
     )
-    light = from_photoelectrons(camera, image, conditions)
-    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, seen=image, notes=notes)
+    freed = freed_by_picture(camera, image)
+    camera, planned = _economical(camera, freed, conditions, asked)
+    light, kind = camera.received(freed, conditions), asked.kind or "scene"
+    return Shot(camera=camera, light=light, kind=kind, conditions=conditions, seen=image, notes=notes, **planned)
 
 
 def _of_cube(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.picture_light import cube_of
     from simulate.cameras import camera_of
-    from simulate.iiccd.exposure import from_radiance
+    from simulate.iiccd.exposure import freed_by_radiance
 
     _no_picture(asked)
     camera = camera_of(description)
     cube = cube_of(asked.source)
-    light = from_radiance(camera, cube, conditions)
+    freed = freed_by_radiance(camera, cube, conditions)
+    camera, planned = _economical(camera, freed, conditions, asked)
+    light, kind = camera.received(freed, conditions), asked.kind or "scene"
     notes = (f"spectral radiance of {asked.source.name}",)
-    return Shot(camera=camera, light=light, kind=asked.kind or "scene", conditions=conditions, seen=cube, notes=notes)
+    return Shot(camera=camera, light=light, kind=kind, conditions=conditions, seen=cube, notes=notes, **planned)
 
 
 def _no_picture(asked: Asked) -> None:
@@ -162,10 +207,11 @@ def save_frames(
     progress: Callable[[str, float], None] = lambda sentence, share: None,
 ) -> None:
     """Expose frames and keep them as a session, each written before the next is drawn."""
+    from labdata.durable import write_durably
     from labdata.sensors import save_sensor
     from labdata.store import SessionWriter
 
-    stream: Iterator[Any] = shot.camera.frames(shot.light, shot.conditions, seed=seed)
+    stream = shot.frames(seed=seed)
     first, video = next(stream), description.video
     with SessionWriter.create(
         out, name=f"simulated {shot.kind}", sensor="sensor.toml", bit_depth=video.bit_depth, interlaced=video.interlaced
@@ -177,7 +223,20 @@ def save_frames(
             for number, frame in enumerate(islice(stream, frames - 1), 1):
                 stack.append(frame, number * shot.camera.frame_s, number)
                 progress(f"frame {number + 1} of {frames}", (number + 1) / frames)
-            stack.finish(notes=(f"simulated by charact {__version__}, seed {seed}", *shot.notes, *notes))
+            stack.finish(
+                notes=(f"simulated by charact {__version__}, seed {seed}", *shot.notes, *_economy(shot), *notes)
+            )
+        if shot.plan is not None:
+            write_durably(out / "economy.json", json.dumps(shot.plan.document(), indent=1).encode())
+
+
+def _economy(shot: Shot) -> tuple[str, ...]:
+    """What was left out, in a sentence for the session."""
+    if shot.plan is None or shot.exact:
+        return ("nothing left out",)
+    names = ", ".join(effect.name for effect in shot.plan.left_out) or "nothing"
+    share = f"{100.0 * shot.plan.influence:.2g} % of the temporal noise, of {100.0 * shot.plan.tolerance:g} % allowed"
+    return (f"left out, together at most {share}: {names}; see economy.json",)
 
 
 def save_stage_images(shot: Shot, description: "Description", folder: Path, *, seed: int) -> int:

@@ -53,6 +53,15 @@ def simulate(
     temperature_c: Annotated[float | None, typer.Option(help="Temperature of the camera, C; else 25.")] = None,
     illuminance_lux: Lux = None,
     frequency: Annotated[float | None, typer.Option(help="Bench: frequency of bars, cy/px.")] = None,
+    within: Annotated[
+        float, typer.Option(help="What leaving effects out may change together, % of the temporal noise.", min=0.0)
+    ] = 10.0,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="Leave nothing out and draw every pulse by itself (slow).")
+    ] = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Print what each effect can change, and what is left out.")
+    ] = False,
     stage_images: Annotated[
         Path | None, typer.Option(help="Folder for the image after each stage: float TIFFs and a contact sheet.")
     ] = None,
@@ -88,6 +97,7 @@ def simulate(
             target=Target(frequency_cy_per_px=frequency),
             photoelectrons_per_dn=photoelectrons_per_dn,
             black_dn=black_dn,
+            tolerance=None if exact else within / 100.0,
         )
         shot = shot_of(asked, camera, conditions)
         said = (
@@ -99,6 +109,8 @@ def simulate(
                 else ("no temperature asked for: dark emission and current as described",)
             ),
         )
+        if explain:
+            print("a camera without a tube: every stage is kept" if shot.plan is None else shot.plan.text())
         save_frames(shot, camera, out, frames=frames, seed=seed, notes=said, progress=progress)
         if stage_images is not None:
             stages = save_stage_images(shot, camera, stage_images, seed=seed)

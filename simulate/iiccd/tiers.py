@@ -30,7 +30,7 @@ def frames(
     *,
     seed: int,
     first_frame: int = 0,
-    tier: Tier = "streamed",
+    tier: Tier | None = None,
     threads: int = 1,
 ) -> Frames:
     """Yield the frames of a steady scene, one after the other, shape (row, col), DN; never ends.
@@ -48,10 +48,12 @@ def frames(
     first_frame
         Number of the first frame.
     tier
-        How pulses are drawn, see `TIERS`.
+        How pulses are drawn, see `TIERS`; None: "streamed", or "normal" where the camera leaves the pulse-height law out.
     threads
         Threads that share a frame of the faster tiers; frames do not depend on their number.
     """
+    if tier is None:
+        tier = "normal" if "pulse-height law" in camera.left_out else "streamed"
     if tier not in TIERS:
         raise BadInput(f"a tier must be one of {', '.join(TIERS)}, got {tier!r}")
     if tier == "by-cell":
