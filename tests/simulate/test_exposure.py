@@ -172,3 +172,28 @@ def test_every_shipped_camera_takes_frames_that_average_to_its_mean(name, seed):
     blocks = means.reshape(10, 6).mean(axis=1)
     expected = float(camera.mean_frame(light, conditions).mean(dtype=float))
     assert abs(means.mean() - expected) < 4.5 * blocks.std(ddof=1) / np.sqrt(10) + 0.02
+
+
+@pytest.mark.parametrize("tier", ["by-cell", "streamed"])
+def test_frames_of_a_depleted_core_average_to_its_mean(plain, tier, seed):
+    """A core that the plate's own load compresses several times, its surroundings little."""
+    from simulate.iiccd.tiers import frames
+
+    sensor = plain(36, 48, microchannel_plate__strip_current_ua_per_cm2=0.05, ccd__full_well_e=1e9)
+    sensor = sensor.with_values({"video.conversion_gain_dn_per_e": 0.02})
+    camera = IntensifiedCamera(sensor, local_depletion=True)
+    image = np.full(camera.shape, 3.0)
+    image[14:22, 20:28] = 3000.0
+    light = from_photoelectrons(camera, image, Conditions())
+    mean = camera.mean_frame(light, Conditions()).astype(float) - 400.0
+    free = IntensifiedCamera(sensor.with_values({"microchannel_plate.strip_current_ua_per_cm2": 1e9}))
+    undiminished = free.mean_frame(light, Conditions()).astype(float) - 400.0
+    core, around = np.s_[15:21, 21:27], np.s_[2:8, 2:12]
+    assert mean[core].mean() < 0.6 * undiminished[core].mean()
+    assert mean[around].mean() > 0.85 * undiminished[around].mean()
+    stream = frames(camera, light, Conditions(), seed=seed, tier=tier)
+    taken = np.stack([next(stream) for _ in range(80)]).astype(float) - 400.0
+    for place in (core, around):
+        per_frame = taken[(slice(None), *place)].mean(axis=(1, 2)).reshape(10, 8).mean(axis=1)
+        error = per_frame.std(ddof=1) / np.sqrt(10)
+        assert abs(per_frame.mean() - mean[place].mean()) < 4.5 * error + 1e-3 * mean[place].mean()
