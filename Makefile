@@ -36,8 +36,10 @@ study: $(READY)
 	  $(BIN)/charact chart $$quantity --update --out study && $(BIN)/charact stability $$quantity --out study || exit 1; \
 	done
 
+# The tree of files, and every picture by simulation.
 docs: $(READY)
 	$(BIN)/python docs/tree.py
+	$(BIN)/python docs/pictures.py
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
