@@ -193,7 +193,7 @@ def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, seed):
         off = (ours - theirs) / theirs
         error = np.hypot(our_error, their_error) / theirs
         assert np.all(np.abs(off) < tolerance + ERRORS * error), f"off by {off.round(4)}, errors {error.round(4)}"
-        assert np.all(error < 0.01)
+        assert np.all(error < 0.015)
 
 
 def _by_phase(frames: NDArray[Any], period: int, power: int) -> tuple[NDArray[Any], NDArray[Any]]:
