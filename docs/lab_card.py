@@ -38,8 +38,23 @@ def luminance(per_pixel: int = 1) -> NDArray[np.float32]:
     return scene.reshape(scene.shape[0] // block, block, scene.shape[1] // block, block).mean(axis=(1, 3))
 
 
-def radiance(sensor: Sensor, cathode_lux: float) -> RadianceCube:
-    """Return the scene under light of 2856 K whose white gives an illuminance on the photocathode, on the axis.
+def card(per_pixel: int = 1) -> NDArray[np.float32]:
+    """Return the card alone, as `luminance` does the scene."""
+    (top, left), (rows, cols) = (tuple(n * per_pixel for n in pair) for pair in (_corner(CARD), CARD))
+    return luminance(per_pixel)[top : top + rows, left : left + cols]
+
+
+def radiance(sensor: Sensor, picture: NDArray[np.floating], cathode_lux: float) -> RadianceCube:
+    """Return a picture under light of 2856 K whose white gives an illuminance on the photocathode, on the axis.
+
+    Parameters
+    ----------
+    sensor
+        The camera, whose lens decides how bright the picture must be.
+    picture
+        Luminance relative to white, shape (row, col).
+    cathode_lux
+        Illuminance of white, lux.
 
     Notes
     -----
@@ -49,7 +64,6 @@ def radiance(sensor: Sensor, cathode_lux: float) -> RadianceCube:
     cd_per_m2 = cathode_lux * 4.0 * float(optics.f_number) ** 2 / (np.pi * float(optics.transmission))
     lamp_cd_per_m2 = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * planck(fine, LAMP_K))
     spectrum = planck(WAVELENGTH_NM, LAMP_K) * (cd_per_m2 / lamp_cd_per_m2)
-    picture = luminance(2)
     return RadianceCube(
         wavelength_nm=WAVELENGTH_NM, radiance=spectrum.astype(np.float32)[:, None, None] * picture[None]
     )

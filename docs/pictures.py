@@ -4,17 +4,18 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from lab_card import luminance, radiance, shown
+import plans
+from lab_card import CARD, card, luminance, radiance, shown
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
-from labdata.sensors import load_sensor
+from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
 from simulate.cameras import camera_of
 from simulate.iiccd import tiers, truth
@@ -40,18 +41,19 @@ Picture = NDArray[np.floating]
 
 
 def main() -> None:
-    """Write all pictures."""
+    """Write all pictures, and the plans printed beside them."""
     sensor = load_sensor(CAMERA)
     FOLDER.mkdir(exist_ok=True)
-    card(FOLDER / "lab-card.tif")
+    tutorial_card(FOLDER / "lab-card.tif")
     frames = dict(exposed(sensor))
     _save(contact_sheet(sensor, frames), FOLDER / "gains-and-levels.png")
     _save(details(sensor, frames), FOLDER / "details.png")
     stage_sheet(sensor, FOLDER / "stages.png")
     tutorial_frame(FOLDER / "tutorial.png")
+    plans.main()
 
 
-def card(path: Path) -> None:
+def tutorial_card(path: Path) -> None:
     """Write the card as a picture of 16 bits, white at `WHITE_DN`."""
     import tifffile
 
@@ -66,17 +68,17 @@ def voltage(sensor: Sensor, luminous_gain: float) -> float:
     return float(plate.reference_v) * relative ** (1.0 / float(plate.gain_exponent))
 
 
-def exposed(sensor: Sensor, count: int = 1) -> Iterator[tuple[tuple[float, float], Picture]]:
-    """Yield the scene's frame, cut to what is shown, DN, for every level and gain; means of `count` frames."""
+def exposed(sensor: Sensor) -> Iterator[tuple[tuple[float, float], Picture]]:
+    """Yield the scene's frame, cut to what is shown, DN, for every level and gain."""
     camera = camera_of(sensor)
-    at_one_lux = freed_by_radiance(camera, radiance(sensor, 1.0), Conditions())
+    at_one_lux = freed_by_radiance(camera, radiance(sensor, luminance(2), 1.0), Conditions())
     for lux in LUX:
         freed = at_one_lux.with_values(at_one_lux.values * np.float32(lux))
         light = camera.received(freed, Conditions())
         for gain in GAINS:
             conditions = Conditions(mcp_v=voltage(sensor, gain))
             stream = tiers.frames(camera, light, conditions, seed=SEED)
-            yield (lux, gain), np.mean([frame[shown()] for frame in islice(stream, count)], axis=0)
+            yield (lux, gain), next(stream)[shown()].astype(float)
 
 
 def contact_sheet(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image.Image:
@@ -148,12 +150,16 @@ def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> tuple[Picture, 
 
 
 def stage_sheet(sensor: Sensor, path: Path) -> None:
-    """Write the contact sheet that `charact simulate` makes of the scene's radiance, smaller."""
+    """Write the contact sheet that `charact simulate --stage-images` makes of the card's radiance, in fewer greys.
+
+    The camera's chip is cut down to the card, so that a panel shows its pixels.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        cube = radiance(sensor, 1e-4)
-        source, stages = Path(folder, "lab-card.npz"), Path(folder, "stages")
+        cube = radiance(sensor, card(2), 1e-4)
+        source, small, stages = (Path(folder, name) for name in ("lab-card.npz", "small-chip.toml", "stages"))
         np.savez(source, wavelength_nm=cube.wavelength_nm, radiance=cube.radiance)
-        _charact("simulate", source, Path(folder, "out"), "--sensor", CAMERA, "--frames", 1, "--stage-images", stages)
+        save_sensor(replace(sensor, ccd=replace(sensor.ccd, rows=CARD[0], columns=CARD[1])), small)
+        _charact("simulate", source, Path(folder, "out"), "--sensor", small, "--frames", 1, "--stage-images", stages)
         with Image.open(stages / "stages.png") as sheet:
             grey = sheet.convert("L")
     _save(grey.resize((STAGES_WIDTH, grey.height * STAGES_WIDTH // grey.width), Image.Resampling.LANCZOS), path)

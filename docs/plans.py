@@ -1,0 +1,45 @@
+"""Prints into docs/simulator.md what the simulator plans to leave out of the tutorial's card, lit and dim."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from lab_card import luminance
+
+from labdata.conditions import Conditions
+from labdata.sensors import load_sensor
+from simulate.cameras import camera_of
+from simulate.iiccd.effects import planned
+from simulate.iiccd.exposure import freed_by_picture
+
+PAGE = Path(__file__).resolve().parent / "simulator.md"
+CAMERA = "pulnix-ag5745ef3"
+BRIGHT_PE, DIM_PE = 10.8, 0.1
+
+
+def main() -> None:
+    """Rewrite the page's two plans."""
+    card = luminance()
+    text = PAGE.read_text()
+    for name, picture in (("lamp", BRIGHT_PE * card), ("dim", DIM_PE * np.minimum(card, 1.0))):
+        text = printed(text, name, plan(picture))
+    PAGE.write_text(text)
+
+
+def plan(image_pe: np.ndarray) -> str:
+    """Return the plan for a picture in photoelectrons per pixel and field, as a table for people."""
+    camera = camera_of(load_sensor(CAMERA))
+    return planned(camera, freed_by_picture(camera, image_pe), Conditions())[1].text()
+
+
+def printed(page: str, name: str, text: str) -> str:
+    """Return a page with a text between the lines that bear its name."""
+    begin, end = f"<!-- plan {name} -->", f"<!-- end {name} -->"
+    new, found = re.subn(f"{begin}.*?{end}", f"{begin}\n```\n{text}\n```\n{end}", page, flags=re.DOTALL)
+    if found != 1:
+        raise ValueError(f"{PAGE.name} must hold the plan {name!r} once, got it {found} times")
+    return new
+
+
+if __name__ == "__main__":
+    main()
