@@ -5,6 +5,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +32,10 @@ WHITE_DN = 60.0
 # Greys of a picture full of noise: more cost bytes and show nothing.
 GREYS = 96
 # Rows and columns of a detail at fourfold size.
-DETAIL = (74, 80)
-FLAT_CONTRAST = 0.06
+DETAIL = (74, 68)
+FLAT_CONTRAST = 0.05
+# Frames of video that the eye sees as one, about a quarter of a second.
+AS_SEEN = 8
 STAGES_WIDTH = 1400
 TUTORIAL = ("--sensor", CAMERA, "--photoelectrons-per-dn", 0.18, "--frames", 16)
 INK, PAPER = 235, 30
@@ -108,45 +111,57 @@ def contact_sheet(sensor: Sensor, frames: dict[tuple[float, float], Picture]) ->
 
 def details(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image.Image:
     """Return parts of those frames and of a flat field enlarged, each on its own scale, which is written above it."""
-    one, steady = flat(sensor, lux=1e-2, luminous_gain=500.0)
-    around = f"{100 * FLAT_CONTRAST:.0f} % about the mean"
     panels = (
         (
-            "single photoelectrons: white card\n1e-6 lux, 60,000 lm/lm, 0 to 200 DN",
+            "single photoelectrons: white card\n1e-6 lux, 60,000 lm/lm, 0 to 100 DN",
             frames[1e-6, 60000.0],
             (112, 30),
             200,
         ),
-        ("halo, electron by electron\n1e-4 lux, 15,000 lm/lm, 0 to 100 DN", frames[1e-4, 15000.0], (116, 114), 100),
-        ("halo of the same pinhole, rim\n1e-3 lux, 2,500 lm/lm, 0 to 60 DN", frames[1e-3, 2500.0], (116, 114), 60),
+        ("halo, electron by electron\n1e-4 lux, 15,000 lm/lm, 0 to 100 DN", frames[1e-4, 15000.0], (116, 121), 100),
+        ("halo of the same pinhole, rim\n1e-3 lux, 2,500 lm/lm, 0 to 60 DN", frames[1e-3, 2500.0], (116, 121), 60),
         ("bars torn where multi-fibres meet\n1e-3 lux, 2,500 lm/lm, 0 to 110 DN", frames[1e-3, 2500.0], (2, 130), 110),
     )
     pictures = [(text, _grey(_window(frame, corner, 4), 0.0, white), 4) for text, frame, corner, white in panels]
-    for text, frame in (
-        (f"flat field, one frame\n1e-2 lux, 500 lm/lm, {around}", one),
-        (f"the same without noise\n{around}", steady),
-    ):
-        mean = float(frame.mean())
-        part = _window(frame, (120, 200), 2)
-        pictures.append((text, _grey(part, mean * (1 - FLAT_CONTRAST), mean * (1 + FLAT_CONTRAST)), 2))
+    plain = with_plain_fibres(sensor)
+    flats = (
+        ("flat field, 1e-2 lux, 500 lm/lm", flat(sensor, lux=1e-2, luminous_gain=500.0)),
+        ("more fibre pattern, less mottle, 1e-2 lux", flat(plain, lux=1e-2, luminous_gain=500.0)),
+        ("the same, 1e-3 lux, 2,500 lm/lm", flat(plain, lux=1e-3, luminous_gain=2500.0)),
+        ("the same, 1e-4 lux, 15,000 lm/lm", flat(plain, lux=1e-4, luminous_gain=15000.0)),
+    )
+    for text, frame in flats:
+        part, mean = _window(frame, (120, 200), 2), float(frame.mean())
+        grey = _grey(part, mean * (1 - FLAT_CONTRAST), mean * (1 + FLAT_CONTRAST))
+        pictures.append((f"{text}\n{AS_SEEN} frames, {100 * FLAT_CONTRAST:.0f} % to either side of the mean", grey, 2))
     rows, cols, gap, top = 4 * DETAIL[0], 4 * DETAIL[1], 6, 36
-    sheet = Image.new("L", (3 * (cols + gap), 2 * (rows + gap + top)), PAPER)
+    sheet = Image.new("L", (4 * (cols + gap), 2 * (rows + gap + top)), PAPER)
     for number, (text, picture, zoom) in enumerate(pictures):
-        place = (number % 3 * (cols + gap), number // 3 * (rows + gap + top))
+        place = (number % 4 * (cols + gap), number // 4 * (rows + gap + top))
         _write(sheet, (place[0] + 4, place[1] + 4), text)
         size = (picture.width * zoom, picture.height * zoom)
         sheet.paste(picture.resize(size, Image.Resampling.NEAREST), (place[0], place[1] + top))
     return sheet
 
 
-def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> tuple[Picture, Picture]:
-    """Return a frame of even light, and the same without noise, DN above black."""
+def with_plain_fibres(sensor: Sensor) -> Sensor:
+    """Return the sensor whose honeycomb is as deep, and whose screen as even, as its description allows."""
+    lines, mottle = sensor.taper.pattern_contrast, sensor.phosphor.gain_nonuniformity
+    return sensor.with_parameters(
+        {
+            "taper.pattern_contrast": replace(lines, value=lines.high),
+            "phosphor.gain_nonuniformity": replace(mottle, value=mottle.low),
+        }
+    )
+
+
+def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> Picture:
+    """Return the mean of `AS_SEEN` frames of even light, DN above black."""
     camera, conditions = camera_of(sensor), Conditions(mcp_v=voltage(sensor, luminous_gain))
     even = np.full(camera.shape, truth.quantities(sensor)["photoelectrons_per_lux"] * lux)
     light = from_photoelectrons(camera, even, conditions)
-    black = float(sensor.video.black_level_dn)
-    one = next(tiers.frames(camera, light, conditions, seed=SEED))
-    return one - black, camera.mean_frame(light, conditions) - black
+    stream = tiers.frames(camera, light, conditions, seed=SEED)
+    return np.mean(list(islice(stream, AS_SEEN)), axis=0) - float(sensor.video.black_level_dn)
 
 
 def stage_sheet(sensor: Sensor, path: Path) -> None:
