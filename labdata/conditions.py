@@ -1,11 +1,16 @@
 """The conditions frames were taken under: gain, gate, exposure, light and temperature."""
 
+import math
 from dataclasses import dataclass, fields
 
 from labdata.errors import BadInput
 
 # On or off; every other condition is a number.
 SWITCHES = ("automatic_gain", "brightness_control")
+
+
+# Temperatures at which a camera can be, degrees Celsius.
+CAMERAS_LIVE_C = (-200.0, 150.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +63,10 @@ class Conditions:
     gain_control: float | None = None
 
     def __post_init__(self) -> None:
+        for item in fields(Conditions):
+            value = getattr(self, item.name)
+            if value is not None and not math.isfinite(value):
+                raise BadInput(f"{item.name} must be a finite number, got {value:g}")
         free = {"camera_gain_db", "temperature_c", *SWITCHES}
         for item in fields(Conditions):
             value = getattr(self, item.name)
@@ -65,3 +74,6 @@ class Conditions:
                 raise BadInput(f"{item.name} must not be negative, got {value:g}")
         if self.em_gain is not None and not self.em_gain >= 1:
             raise BadInput(f"em_gain must be at least 1, got {self.em_gain:g}")
+        coldest, warmest = CAMERAS_LIVE_C
+        if self.temperature_c is not None and not coldest <= self.temperature_c <= warmest:
+            raise BadInput(f"temperature_c must lie between {coldest:g} and {warmest:g}, got {self.temperature_c:g}")

@@ -1,5 +1,6 @@
 """A sensor parameter: a number that knows how well it is known and where it comes from."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -33,6 +34,10 @@ class Parameter:
     source: str = ""
 
     def __post_init__(self) -> None:
+        for name in ("value", "low", "high"):
+            number = getattr(self, name)
+            if number is not None and not math.isfinite(number):
+                raise BadInput(f"a parameter's {name} must be a finite number, got {number:g}")
         if (self.low is None) != (self.high is None):
             raise BadInput(f"low and high must be given together, got {self.low} and {self.high}")
         if self.low is not None and self.high is not None and not self.low <= self.value <= self.high:

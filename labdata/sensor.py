@@ -113,6 +113,8 @@ class MicrochannelPlate:
         must_not_be_negative(self, "gain_exponent", "saturation_blur_um", "gain_control_reference")
         must_not_be_negative(self, "ion_event_rate_per_s_cm2", "ion_event_size_pe")
         must_be_a_count(self, "stages")
+        if not 0.1 <= float(self.pulse_height_shape) <= 1e6:
+            raise BadInput(f"pulse_height_shape must lie between 0.1 and 1e6, got {float(self.pulse_height_shape):g}")
         if not float(self.gain_control_ratio) > 1.0:
             raise BadInput(f"gain_control_ratio must exceed 1, got {float(self.gain_control_ratio):g}")
 
@@ -136,6 +138,8 @@ class Tube:
         must_be_positive(self, "luminous_gain", "limiting_resolution_lp_per_mm", "mtf_frequency_lp_per_mm")
         must_be_positive(self, "mtf_exponent", "magnification", "brightness_control_lux", "brightness_control_s")
         must_be_a_share(self, "post_gain_share")
+        if float(self.mtf_exponent) > 10.0:
+            raise BadInput(f"mtf_exponent must be at most 10, got {float(self.mtf_exponent):g}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -342,7 +342,8 @@ class IntensifiedCamera:
             blur=blur,
             pattern_contrast=self._unless("chicken wire", taper.pattern_contrast),
             pattern_pitch_um=float(taper.pattern_pitch_um),
-            line_um=float(taper.fibre_pitch_um),
+            # Fibres of both multi-fibres are squeezed where they meet.
+            line_um=2.0 * float(taper.fibre_pitch_um),
             demagnification=float(taper.demagnification),
         )
 

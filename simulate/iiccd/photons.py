@@ -1,5 +1,7 @@
 """Photometry of the tube: illuminance and quantum efficiency to photoelectrons, luminous gain to photons."""
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,6 +15,8 @@ JOULE_METRE = 6.62607015e-34 * 2.99792458e8
 LAMP_K = 2856.0
 # Steps of spectral integrals between bands.
 SPECTRAL_STEP_NM = 1.0
+# A control word beyond this many factors of ten is a mistake.
+MOST_DECADES = 30
 
 
 def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -119,6 +123,8 @@ def control_factor(sensor: Sensor, gain_control: float | None) -> float:
         return 1.0
     plate = sensor.microchannel_plate
     steps = (gain_control - float(plate.gain_control_reference)) / float(plate.gain_control_counts)
+    if steps * math.log10(float(plate.gain_control_ratio)) > MOST_DECADES:
+        raise BadInput(f"a control word must raise the gain by at most {MOST_DECADES} decades, got {gain_control:g}")
     return float(plate.gain_control_ratio) ** steps
 
 

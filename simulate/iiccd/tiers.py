@@ -48,7 +48,8 @@ def frames(
     first_frame
         Number of the first frame.
     tier
-        How pulses are drawn, see `TIERS`; None: "streamed", or "normal" where the camera leaves the pulse-height law out.
+        How pulses are drawn, see `TIERS`; None: "normal" where the camera leaves the pulse-height law out, else
+        "streamed".
     threads
         Threads that share a frame of the faster tiers; frames do not depend on their number.
     """
@@ -56,6 +57,8 @@ def frames(
         tier = "normal" if "pulse-height law" in camera.left_out else "streamed"
     if tier not in TIERS:
         raise BadInput(f"a tier must be one of {', '.join(TIERS)}, got {tier!r}")
+    if not np.isfinite(at_plate.values).all():
+        raise BadInput("photoelectrons at the plate must be finite, got some that are not")
     if tier == "by-cell":
         from simulate.iiccd.steady import steady_frames
 

@@ -34,6 +34,8 @@ class RadianceCube:
             )
         if not (np.diff(wavelength) > 0).all():
             raise BadInput(f"wavelengths must ascend, got {wavelength.tolist()}")
+        if not (wavelength > 0).all():
+            raise BadInput(f"wavelengths must be positive, got {wavelength.tolist()}")
         object.__setattr__(self, "wavelength_nm", read_only(wavelength))
         object.__setattr__(self, "radiance", read_only(radiance))
 

@@ -164,8 +164,8 @@ def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain
 
 
 # Variance from column to column under stripes eight pixels wide, a tenth of the light in their dark half: where the
-# streamed tier lays its noise a little wider than pulses do.
-STRIPES: dict[tiers.Tier, float] = {"streamed": 0.06, "by-cell": 5e-3}
+# streamed tier, which lays its noise a little wider than pulses do, is set right but for the finest detail.
+STRIPES: dict[tiers.Tier, float] = {"streamed": 0.015, "by-cell": 5e-3}
 
 
 @pytest.mark.parametrize("tier", AFFORDED)

@@ -50,6 +50,9 @@ class Steady:
     decay
         Mean share stored, its standard deviation, and share kept, of each component of the screen's decay, shape
         (3, component).
+    arrivals
+        What pulses at evenly spaced times of arrival leave in each component beyond its mean, shape (component, time);
+        no times where pulses are so many that mean, variance and third moment of it are enough.
     lateness
         Skewness of what pulses leave to later exposures, over their times of arrival, dimensionless.
     memory
@@ -71,6 +74,7 @@ class Steady:
     response: NDArray[np.float32]
     dark_pattern_e: NDArray[np.float32]
     decay: NDArray[np.float32]
+    arrivals: NDArray[np.float32]
     lateness: float
     memory: int
     fields: int
@@ -122,139 +126,152 @@ class Stream:
         self._seed, self._threads = seed, threads
         planes, rows, cols = scene.gain.shape
         self._stored = np.zeros((planes, scene.decay.shape[1], rows, cols), np.float32)
-        self._shown = np.empty((planes, rows, cols), np.float32)
-        self._coarse = np.empty((rows // COARSE, cols // COARSE), np.float32)
+        self._shown = np.empty((scene.fields, planes, rows, cols), np.float32)
         # What is stored of the mean, relative to a steady scene of untouched brightness.
         self._stored_mean = np.ones(scene.decay.shape[1])
         self._charge = np.empty(scene.light_e.shape, np.float32)
+        self._mean_of: tuple[tuple[float, ...], NDArray[np.float32]] = (), scene.light_e
 
     def frames(self, first_frame: int = 0) -> Iterator[Frame]:
         """Yield frames from a number on; never ends."""
         for frame in count(first_frame - first_frame % SEGMENT_FRAMES):
             if frame % SEGMENT_FRAMES == 0:
                 self._begin_segment(frame)
+            coarse, brightness = self._expose(frame)
             if frame >= first_frame:
-                yield self._frame(frame)
-            else:
-                self._expose_all(frame * self._scene.fields, (frame + 1) * self._scene.fields)
+                yield self._read(frame, coarse, brightness)
 
     def _begin_segment(self, frame: int) -> None:
+        before = -(-self._scene.memory // self._scene.fields)
         self._stored[:] = 0.0
-        field = frame * self._scene.fields
-        self._stored_mean[:] = self._states(max((field - self._scene.memory) // self._scene.fields, 0)).brightness
-        self._expose_all(field - self._scene.memory, field)
+        self._stored_mean[:] = self._states(max(frame - before, 0)).brightness
+        for earlier in range(frame - before, frame):
+            self._expose(earlier)
 
-    def _expose_all(self, first: int, last: int) -> None:
-        for field in range(first, last):
-            self._expose(field)
+    def _expose(self, frame: int) -> tuple[NDArray[np.float32], tuple[float, ...]]:
+        """Draw the pulses of a frame's exposures and let the screen glow.
 
-    def _frame(self, frame: int) -> Frame:
-        largest = 0.0
-        for parity in range(self._scene.fields):
-            brightness = self._expose(frame * self._scene.fields + parity)
-            largest = max(largest, self._collect(frame, parity, brightness))
-        charge = self._charge
-        if self._readout.counted:
-            charge = self._count(charge, frame)
-            largest = np.inf
-        if self._readout.held is not None and largest > 0.0:
-            charge = self._readout.held(charge)
-        return self._read(charge, frame)
-
-    def _expose(self, field: int) -> float:
-        """Draw one exposure's pulses and let the screen glow; the factor of the mean light that it shows."""
+        Returns
+        -------
+        coarse, brightness
+            What each exposure shows beyond the mean, summed over coarse cells, and the factor of its mean light.
+        """
         from simulate.iiccd.streamed.passes import glow_rows
 
-        scene = self._scene
-        brightness = self._states(max(field // scene.fields, 0)).brightness
-        self._coarse[:] = 0.0
-        law = scene.quantiles, *_single(scene.shape, scene.lateness, brightness, self._ion_pulses_per_cell)
-        ions = self._ions(field)
+        scene, planes = self._scene, len(self._scene.gain)
+        factor = self._states(max(frame, 0)).brightness
+        rows, cols = scene.gain.shape[1] // COARSE, scene.gain.shape[2] // COARSE
+        coarse = np.empty((scene.fields, planes, rows, cols), np.float32)
+        law = scene.quantiles, *_single(scene.shape, scene.lateness, self._ion_pulses_per_cell)
+        factors, ions = np.full(scene.fields, factor, np.float32), self._ions(frame)
 
         def work(first: int, last: int) -> None:
-            for plane in range(len(scene.gain)):
+            for plane in range(planes):
+                exposures = self._keys(plane, frame), factors
                 cells = scene.expected[plane], scene.inverse[plane], scene.rows[plane], scene.gain[plane]
-                drawn = ions if plane == 0 else _NO_IONS
-                screen = scene.decay, self._stored[plane], self._shown[plane], self._coarse
-                glow_rows(first, last, self._key(plane, field), *cells, law, drawn, *screen)
+                screen = (scene.decay, scene.arrivals), self._stored[plane], self._shown, coarse
+                glow_rows(first, last, plane, exposures, cells, law, ions if plane == 0 else _NO_IONS, *screen)
 
-        self._shared(work, len(self._coarse) * COARSE, COARSE)
-        return self._mean_shown(brightness)
+        self._shared(work, rows * COARSE, COARSE)
+        return coarse.sum(axis=1), tuple(self._mean_shown(factor) for _ in range(scene.fields))
 
     def _mean_shown(self, brightness: float) -> float:
         later, _, kept = self._scene.decay.astype(float)
-        shown = brightness * (1.0 - later.sum())
-        # Stored light of component i, in a steady scene: later / (1 - kept).
-        shown += float(np.sum(later * self._stored_mean))
+        # Of a steady scene a component stores later / (1 - kept) and gives back later.
+        shown = brightness * (1.0 - later.sum()) + float(np.sum(later * self._stored_mean))
         self._stored_mean = kept * self._stored_mean + (1.0 - kept) * brightness
         return shown
 
     @property
     def _ion_pulses_per_cell(self) -> float:
-        scene = self._scene
-        return scene.ions_per_field * scene.ion_size / scene.gain[0].size / len(scene.gain)
+        return self._scene.ions_per_field * self._scene.ion_size / self._scene.gain.size
 
-    def _ions(self, field: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]:
-        """Rows, columns and pulses of the ion events of one exposure."""
+    def _ions(self, frame: int) -> "Ions":
+        """Exposures, rows, columns and pulses of the ion events of a frame."""
         scene = self._scene
         if scene.ions_per_field == 0.0:
             return _NO_IONS
-        rng = np.random.default_rng([self._seed, ION, field + 2**32])
-        number = rng.poisson(scene.ions_per_field)
-        rows, cols = (rng.integers(n, size=number) for n in scene.gain.shape[1:])
+        rng = np.random.default_rng([self._seed, ION, frame + 2**32])
+        number = rng.poisson(scene.ions_per_field * scene.fields)
+        places = (rng.integers(n, size=number) for n in (scene.fields, *scene.gain.shape[1:]))
         pulses = rng.gamma(rng.poisson(scene.ion_size, size=number) * scene.shape) / scene.shape
-        return rows, cols, pulses.astype(np.float32)
+        exposures, rows, cols = places
+        return exposures, rows, cols, pulses.astype(np.float32)
 
-    def _collect(self, frame: int, parity: int, brightness: float) -> float:
-        """Spread one exposure over the pixels that it is read from; the largest charge, e-."""
-        from simulate.iiccd.streamed.passes import charge_rows
+    def _read(self, frame: int, coarse: NDArray[np.float32], brightness: tuple[float, ...]) -> Frame:
+        """Spread a frame's exposures over the pixels that are read from them, and read these."""
+        from simulate.iiccd.streamed.passes import charge_rows, read_rows
 
-        scene, readout = self._scene, self._readout
-        wing = far_wing(scene.kernel, self._coarse, scene.light_e.shape)
+        scene, readout, normal = self._scene, self._readout, normal_quantiles()
+        codes = np.empty(self._charge.shape, np.uint8 if readout.top_dn < 256 else np.uint16)
+        wing = far_wing(scene.kernel, coarse, scene.light_e.shape)
+        kernel, mean, electronics = (
+            (scene.kernel.down, scene.kernel.along),
+            self._mean(brightness),
+            self._electronics(frame),
+        )
         variance = readout.dark_e + (0.0 if readout.reads_apart else readout.read_noise_e**2)
-        kernel = scene.kernel.down, scene.kernel.along
-        patterns = scene.response, scene.dark_pattern_e
-        noise = np.float32(brightness), readout.counted, np.float32(variance)
-        largest = [0.0]
+        noise = readout.counted, np.float32(variance)
+        key, read_key = self._key(CHARGE, frame), self._key(READ, frame)
 
-        def work(first: int, last: int) -> None:
-            start = first + (parity - first) % scene.fields
-            found = charge_rows(
-                start, last, scene.fields, self._key(CHARGE, frame), self._shown, kernel, wing, scene.light_e, patterns,
-                noise, normal_quantiles(), self._charge,
-            )  # fmt: skip
-            largest.append(float(found))
+        def collect(first: int, last: int) -> None:
+            read = readout.reads_apart, read_key, *electronics
+            charge_rows(
+                first,
+                last,
+                key,
+                self._shown,
+                kernel,
+                wing,
+                mean,
+                scene.response,
+                noise,
+                normal,
+                read,
+                self._charge,
+                codes,
+            )
 
-        self._shared(work, len(scene.light_e), 1)
-        return max(largest)
+        self._shared(collect, len(codes), 1)
+        if readout.reads_apart:
+            charge = self._settled(frame)
+            self._shared(lambda a, b: read_rows(a, b, read_key, charge, *electronics, normal, codes), len(codes), 1)
+        return codes
 
-    def _count(self, charge: NDArray[np.float32], frame: int) -> NDArray[np.float32]:
-        from simulate.iiccd.draws import poisson_charge
+    def _mean(self, brightness: tuple[float, ...]) -> NDArray[np.float32]:
+        """Mean charge of every pixel, the dark charge's pattern included, e-."""
+        if brightness != self._mean_of[0]:
+            factor = np.resize(np.array(brightness, np.float32), len(self._scene.light_e))[:, None]
+            mean = factor * self._scene.light_e + self._scene.dark_pattern_e
+            self._mean_of = brightness, np.ascontiguousarray(mean)
+        return self._mean_of[1]
 
-        dark = np.float32(self._readout.dark_e)
-        rng = np.random.default_rng([self._seed, COUNTED, frame + 2**32])
-        return poisson_charge(rng, charge + dark) - dark
-
-    def _read(self, charge: NDArray[np.float32], frame: int) -> Frame:
-        from simulate.iiccd.streamed.passes import read_rows
-
+    def _electronics(self, frame: int) -> tuple[NDArray[np.float32], tuple[np.float32, ...], tuple[np.float32, ...]]:
+        """Impulse response, noise and levels of reading a frame."""
         readout = self._readout
-        codes = np.empty(charge.shape, np.uint8 if readout.top_dn < 256 else np.uint16)
         read = readout.read_noise_e if readout.reads_apart else 0.0
         gain = readout.gain_dn_per_e * self._states(frame).gain
         noise = _single(read, readout.jitter_px, readout.line_noise_dn)
-        levels = _single(gain, readout.black_dn, readout.top_dn, readout.gamma)
+        return readout.impulse, noise, _single(gain, readout.black_dn, readout.top_dn, readout.gamma)
 
-        def work(first: int, last: int) -> None:
-            key = self._key(READ, frame)
-            read_rows(first, last, key, charge, readout.impulse, noise, levels, normal_quantiles(), codes)
+    def _settled(self, frame: int) -> NDArray[np.float32]:
+        """Charge of whole electrons where there are few, and no more than wells hold."""
+        charge, readout = self._charge, self._readout
+        if readout.counted:
+            from simulate.iiccd.draws import poisson_charge
 
-        self._shared(work, len(charge), 1)
-        return codes
+            dark = np.float32(readout.dark_e)
+            rng = np.random.default_rng([self._seed, COUNTED, frame + 2**32])
+            charge = poisson_charge(rng, charge + dark) - dark
+        return charge if readout.held is None else readout.held(charge)
 
     def _key(self, purpose: int, number: int) -> np.uint64:
         # Exposures before the first frame, whose light it still shows, have numbers below zero; seeds may not.
         return np.random.SeedSequence([self._seed, purpose, number + 2**32]).generate_state(1, np.uint64)[0]
+
+    def _keys(self, plane: int, frame: int) -> NDArray[np.uint64]:
+        fields = self._scene.fields
+        return np.array([self._key(plane, frame * fields + n) for n in range(fields)], np.uint64)
 
     def _shared(self, work: Callable[[int, int], None], rows: int, block: int) -> None:
         """Do all rows in bands of whole blocks, one for each thread."""
@@ -267,7 +284,8 @@ class Stream:
             done.result()
 
 
-_NO_IONS = (np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.float32))
+Ions = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]
+_NO_IONS: Ions = (np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.float32))
 
 
 def far_wing(
@@ -280,20 +298,23 @@ def far_wing(
     kernel
         Spread of the noise.
     coarse
-        Noise summed over coarse cells, shape (coarse row, coarse col).
+        Noise summed over coarse cells, shape (..., coarse row, coarse col).
     shape
         Rows and columns of the frame.
     """
     from scipy import fft
 
-    size = coarse.shape[0] + kernel.wing.shape[0], coarse.shape[1] + kernel.wing.shape[1]
+    rows, cols = coarse.shape[-2:]
+    size = rows + kernel.wing.shape[0], cols + kernel.wing.shape[1]
     transform = _transform(kernel.wing.tobytes(), kernel.wing.shape, size)
     middle = kernel.wing.shape[0] // 2
     spectrum: Any = fft.rfft2(coarse, size)
     spread: Any = fft.irfft2(spectrum * transform, size)
-    spread = spread[middle : middle + coarse.shape[0], middle : middle + coarse.shape[1]]
-    rows, left, share = _places(coarse.shape, kernel.height, shape)
-    return spread[:, left] * (1 - share) + spread[:, left + 1] * share, rows
+    spread = spread[..., middle : middle + rows, middle : middle + cols]
+    places, left, right, share = _places((rows, cols), kernel.height, shape)
+    wide = spread[..., left] * (1 - share) + spread[..., right] * share
+    # A row beyond the last, which the rows of the frame look at with no weight.
+    return np.concatenate([wide, wide[..., -1:, :]], axis=-2), places
 
 
 @lru_cache(maxsize=4)
@@ -307,15 +328,15 @@ def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, int]) -> ND
 @lru_cache(maxsize=4)
 def _places(
     coarse: tuple[int, ...], height: int, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.float32]]:
-    """Places of the frame's rows and columns among the centres of coarse cells, columns as whole and fraction."""
+) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+    """Places of the frame's rows and columns among the centres of coarse cells: columns by the two and the share."""
     centres = REACH + 0.5 * height, REACH + 0.5
     rows, cols = (
-        np.clip((centre + np.arange(n)) / COARSE - 0.5, 0.0, cells - 1.001).astype(np.float32)
+        np.clip((centre + np.arange(n)) / COARSE - 0.5, 0.0, cells - 1.0).astype(np.float32)
         for centre, n, cells in zip(centres, shape, coarse, strict=True)
     )
     left = cols.astype(np.intp)
-    return rows, left, (cols - left).astype(np.float32)
+    return rows, left, np.minimum(left + 1, coarse[1] - 1), (cols - left).astype(np.float32)
 
 
 def _single(*numbers: float) -> tuple[np.float32, ...]:

@@ -6,7 +6,7 @@ squared modulus is exactly that of the samples of the continuous noise: the cova
 distance. What is left is the third moment, and `skewness_ratio` says by how much it is off.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -19,11 +19,13 @@ from simulate.iiccd.transfer import Blur, PixelAperture
 # Half-width of the compact part, pixels; what reaches farther goes by the coarse lattice.
 REACH = 4
 # Pixels on one side of a coarse cell.
-COARSE = 8
+COARSE = 16
 # Side of the lattice on which kernels are computed, pixels, and its finest division.
 SIDE, FINEST = 128, 8
 # Cells per row and per column of the chip, coarsest first.
 DIVISIONS = ((1, 1), (1, 2), (2, 2))
+# Share of the squared kernel's transfer below which light is not sharpened.
+FAINT = 0.05
 # Share of the kernel's square that separable parts may leave out.
 LEFT_OUT = 1e-5
 
@@ -49,6 +51,9 @@ class Kernel:
         Its third moment over that of pulses that each fall into one pixel, as read, dimensionless.
     skewness_ratio
         Third moment of the lattice's pulses, as read, over that of pulses that fall anywhere, dimensionless.
+    sharpening
+        Filter on the lattice, shape (SIDE down, SIDE along), origin first. Light through it has, by this kernel, the
+        variance at every pixel that the light itself has by the continuous blur.
     """
 
     divisions: tuple[int, int]
@@ -59,6 +64,7 @@ class Kernel:
     blur_factor: float
     third_factor: float
     skewness_ratio: float
+    sharpening: NDArray[np.float64] = field(repr=False)
 
 
 @lru_cache(maxsize=8)
@@ -80,13 +86,13 @@ def noise_kernel(
     tolerance
         Error that the third moment may have, dimensionless; the finest lattice has what it has.
     sparse
-        Whether pulses are so rare that each shows where in a pixel it fell: two cells a column, then, at least.
+        Whether pulses are so rare that each shows where in a pixel it fell: the finest lattice then.
     """
     aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
     exact = _third_moment(_read(transfer, impulse, FINEST))
     kernel = None
-    for divisions in DIVISIONS[int(sparse) :]:
+    for divisions in DIVISIONS[-1:] if sparse else DIVISIONS:
         kernel = _on_lattice(transfer, height, divisions, impulse, exact)
         if abs(kernel.skewness_ratio - 1.0) <= tolerance:
             break
@@ -111,6 +117,7 @@ def _on_lattice(
         blur_factor=float(np.sum(read**2) / cells) * height,
         third_factor=float(np.sum(read**3) / cells) * height**2,
         skewness_ratio=float(np.sum(read**3) / cells / exact),
+        sharpening=_sharpening(transfer, matched, height, divisions),
     )
 
 
@@ -138,10 +145,44 @@ def _matched(transfer: NDArray[np.float64], height: int, divisions: tuple[int, i
     down, along = divisions
     power = (transfer**2).reshape(FINEST // down, SIDE * down, FINEST // along, SIDE * along).sum(axis=(0, 2))
     fy, fx = np.fft.fftfreq(SIDE * down, 1.0 / down), np.fft.fftfreq(SIDE * along, 1.0 / along)
-    own = np.ix_(*(np.rint(f * SIDE).astype(int) % (SIDE * FINEST) for f in (fy, fx)))
-    # The pixel's centre lies this far beyond that of its first cell.
-    shift = (0.5 * height - 0.5 / down) * fy[:, None] + (0.5 - 0.5 / along) * fx[None, :]
-    return np.copysign(np.sqrt(power), transfer[own]) * np.exp(2j * np.pi * shift)
+    turned = np.exp(2j * np.pi * _shift(height, divisions, fy, fx))
+    return np.copysign(np.sqrt(power), transfer[_same(fy, fx)]) * turned
+
+
+def _sharpening(
+    transfer: NDArray[np.float64], matched: NDArray[np.complex128], height: int, divisions: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Ratio of the transforms of the squared blur and of the squared kernel, cells of even light between them."""
+    down, along = divisions
+    squared = np.fft.fft2(np.fft.ifft2(transfer).real ** 2).real * FINEST**2
+    fy, fx = np.fft.fftfreq(SIDE * down, 1.0 / down), np.fft.fftfreq(SIDE * along, 1.0 / along)
+    wanted = squared[_same(fy, fx)]
+    back = np.exp(-2j * np.pi * _shift(height, divisions, fy, fx))
+    there = (np.fft.fft2(np.fft.ifft2(matched).real ** 2) * back).real * (down * along)
+    even = np.sinc(fy / down)[:, None] * np.sinc(fx / along)[None, :]
+    reached = there * even
+    # Where the kernel passes next to nothing the ratio means nothing, and light is left as it is.
+    floor = (FAINT * there[0, 0]) ** 2
+    ratio = (wanted * reached + floor) / (reached**2 + floor)
+    near = [
+        np.maximum(1.0 - np.abs(np.fft.fftfreq(n, 1.0 / n)) / (REACH * d), 0.0)
+        for n, d in zip(ratio.shape, divisions, strict=True)
+    ]
+    kernel = np.fft.ifft2(ratio).real * np.sqrt(near[0])[:, None] * np.sqrt(near[1])[None, :]
+    return kernel / kernel.sum()
+
+
+def _same(fy: NDArray[np.floating], fx: NDArray[np.floating]) -> tuple[NDArray[np.int64], ...]:
+    """Places of a lattice's frequencies in the finest transform."""
+    return np.ix_(*(np.rint(f * SIDE).astype(int) % (SIDE * FINEST) for f in (fy, fx)))
+
+
+def _shift(
+    height: int, divisions: tuple[int, int], fy: NDArray[np.floating], fx: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Cycles by which the pixel's centre lies beyond that of its first cell."""
+    down, along = divisions
+    return (0.5 * height - 0.5 / down) * fy[:, None] + (0.5 - 0.5 / along) * fx[None, :]
 
 
 def _offsets(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -24,8 +24,10 @@ PER_WORD = f4(2.0**-32)
 UNIFORM = f4(np.sqrt(12.0) * 2.0**-16)
 MIDDLE = f4(32767.5)
 ZERO, HALF_ONE, ONE, TWO = f4(0.0), f4(0.5), f4(1.0), f4(2.0)
-# Variance of u^2 - 1, and inverse of the third moment that adding a little of it to a uniform u brings.
-FOUR_FIFTHS, PER_LEAN, MOST_LEAN = f4(0.8), f4(1.0 / 2.4), f4(0.9)
+# Half the variance of u^2 - 1, and inverse of the third moment that adding a little of it to a uniform u brings.
+TWO_FIFTHS, PER_LEAN = f4(0.4), f4(1.0 / 2.4)
+# More lateness than this the scatter does not carry; screens that have it leave next to nothing to later exposures.
+MOST_LATENESS, ROOT_THREE = f4(2.1), f4(np.sqrt(3.0))
 
 FAST = {"nogil": True, "fastmath": True, "error_model": "numpy", "cache": True}
 
@@ -87,9 +89,9 @@ def _normal_row(words, quantiles, out, probability, nearer):
 
 
 @njit(**FAST)
-def _pulse_row(key, expected, inverse, rows, gain, law, out, split, high, low, probability, nearer):
+def _pulse_row(key, row, law, brightness, out, split, high, low, probability, nearer):
     """One row's charge beyond its mean, and the random part of its division in time, both in electrons."""
-    quantiles, shape, lateness, brightness, ions = law
+    (expected, inverse, rows, gain), (quantiles, shape, lateness, ions) = row, law
     _fill(key, high, low)
     for c in range(out.size):
         probability[c] = (f4(high[c]) + HALF_ONE) * PER_WORD * inverse[c]
@@ -108,83 +110,166 @@ def _pulse_row(key, expected, inverse, rows, gain, law, out, split, high, low, p
         out[c] = (charge - mean - ions) * scale
 
 
+@njit(**FAST)
+def _sparse_row(key, row, law, brightness, out, split, high, low, probability, nearer):
+    """As `_pulse_row`, where most cells hold nothing; the division in time still lacks the arrivals' own part.
+
+    The time of arrival is the highest byte of `low`.
+    """
+    (expected, inverse, rows, gain), (quantiles, shape, _, ions) = row, law
+    _fill(key, high, low)
+    for c in range(out.size):
+        probability[c] = (f4(high[c]) + HALF_ONE) * PER_WORD * inverse[c]
+        out[c] = -(expected[c] + ions) * brightness * gain[c]
+        split[c] = ZERO
+    for c in range(out.size):
+        if probability[c] < ONE:
+            part = slice(c, c + 1)
+            _to_nearer_end(probability[part], nearer[part])
+            _looked_up(probability[part], nearer[part], rows[part], quantiles, split[part])
+            mean = expected[c]
+            centre = mean * inverse[c]
+            charge = centre + np.sqrt(centre * (ONE + ONE / shape + mean - centre)) * split[c]
+            uniform = (f4(np.int32(low[c] & u4(0xFFFF))) - MIDDLE) * UNIFORM
+            scale = brightness * gain[c]
+            split[c] = scale * charge * _spread(abs(charge), mean, shape, uniform)
+            out[c] += scale * charge
+
+
+@njit(inline="always", **FAST)
+def _likeness(charge, mean, shape):
+    """1/(n k + 1), on average over the numbers n of pulses of gamma shape k that may have added up to a charge.
+
+    n pulses that add up to x have a sum of squares of mean x^2 (k + 1)/(n k + 1). Given x, 1/(n k + 1) is on average
+    near 1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)), m = N^(1/(k+1)) x^(k/(k+1)), c = 1 - k/(2 (k + 1)): exact for few pulses
+    and for many; for exponential ones in between it is Amos' bound on a ratio of Bessel functions (Math. Comp. 28, 239,
+    1974).
+    """
+    half = HALF_ONE * (shape - ONE) / (shape + ONE)
+    power = ONE
+    if half != ZERO:
+        # (x/N)^half by its (1, 1) Pade approximant.
+        more, less = ONE + half, ONE - half
+        power = (more * charge + less * mean) / (less * charge + more * mean + LEAST)
+    few = ONE - HALF_ONE * shape / (shape + ONE)
+    many = shape * shape * charge * mean * power * power
+    return ONE / (few + np.sqrt((shape + ONE - few) * (shape + ONE - few) + many))
+
+
+@njit(inline="always", **FAST)
+def _spread(charge, mean, shape, uniform):
+    """Factor of one arrival's deviation that stands for those of all pulses: exact for one, else in three moments.
+
+    Its square is that of the pulses' heights over the square of their sum; its sign, at random, is turned so often that
+    the third moment is theirs too.
+    """
+    inverse = _likeness(charge, mean, shape)
+    straight = (shape + TWO) / np.sqrt((shape + ONE) * inverse) * inverse / (ONE + inverse)
+    size = np.sqrt((shape + ONE) * inverse)
+    # A uniform number of variance 1 lies below this as often as the sign is kept.
+    return size if uniform < straight * ROOT_THREE else -size
+
+
 @njit(inline="always", **FAST)
 def _scatter(charge, mean, shape, lateness, uniform):
     """Random scatter of a sum's pulses over the exposure, as a share of the sum: its variance and third moment.
 
-    n pulses of gamma shape k that add up to x have a sum of squares of mean x^2 (k + 1)/(n k + 1), and of cubes
-    x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)). Given x, 1/(n k + 1) is on average near
-    1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)),
-    with m = N^(1/(k+1)) x^(k/(k+1)) and c = 1 - k/(2 (k + 1)): exact for few pulses and for many; for exponential ones
-    in between it is Amos' bound on a ratio of Bessel functions (Math. Comp. 28, 239, 1974).
+    The sum of cubes of n pulses that add up to x is x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)) on average.
     """
-    half = HALF_ONE * (shape - ONE) / (shape + ONE)
-    # (x/N)^half by its (1, 1) Pade approximant.
-    more, less = ONE + half, ONE - half
-    power = (more * charge + less * mean) / (less * charge + more * mean + LEAST)
-    few = ONE - HALF_ONE * shape / (shape + ONE)
-    many = shape * shape * charge * mean * power * power
-    pulses = few + np.sqrt((shape + ONE - few) * (shape + ONE - few) + many)
-    lean = lateness * (shape + TWO) / np.sqrt(shape + ONE) * np.sqrt(pulses) / (pulses + ONE) * PER_LEAN
-    # More lateness than this the few bits do not carry; screens that have it leave next to nothing.
-    lean = min(lean, MOST_LEAN)
-    straight = np.sqrt(ONE - FOUR_FIFTHS * lean * lean)
-    return np.sqrt((shape + ONE) / pulses) * (straight * uniform + lean * (uniform * uniform - ONE))
+    inverse = _likeness(charge, mean, shape)
+    further = inverse / (ONE + inverse)
+    # What u^2 - 1 brings leans the scatter; it takes from the rest what it adds to the variance.
+    lean = min(lateness, MOST_LATENESS) * (shape + TWO) * PER_LEAN
+    straight = ONE - TWO_FIFTHS * lean * lean / (shape + ONE) * further * (ONE - further)
+    return straight * np.sqrt((shape + ONE) * inverse) * uniform + lean * further * (uniform * uniform - ONE)
+
+
+@njit(inline="always", **FAST)
+def _add_four(out, weights, first, rows, start):
+    """Add four weighted stretches at once, so that the sum stays in registers."""
+    size = out.size
+    w0, w1, w2, w3 = weights[first], weights[first + 1], weights[first + 2], weights[first + 3]
+    a, b = rows[first, start : start + size], rows[first + 1, start : start + size]
+    c, d = rows[first + 2, start : start + size], rows[first + 3, start : start + size]
+    for i in range(size):
+        out[i] += w0 * a[i] + w1 * b[i] + w2 * c[i] + w3 * d[i]
 
 
 @njit(**FAST)
-def glow_rows(first, last, key, expected, inverse, rows, gain, law, ions, decay, stored, shown, coarse):
-    """Draw the pulses of one exposure, cell rows first..last, and let the screen decay.
+def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, shown, coarse):
+    """Draw the pulses of consecutive exposures, cell rows first..last, and let the screen decay.
 
     Parameters
     ----------
     first, last
         Rows of cells, the last excluded.
-    key
-        Key of this exposure.
-    expected, inverse, rows, gain
-        Mean number of pulses, the inverse of the probability of any, the row of the law, and electrons per mean pulse,
-        shape (row, col).
+    plane
+        Plane of cells.
+    exposures
+        (keys, brightness): key and factor of the gain of each exposure, shape (exposure,).
+    cells
+        (expected, inverse, rows, gain): mean number of pulses, the inverse of the probability of any, the row of the
+        law, and electrons per mean pulse, shape (row, col).
     law
-        (quantiles, shape, lateness, brightness, ions): the law's rows, flat; gamma shape of pulses; skewness of what
-        pulses leave to later exposures; factor of the gain; mean number of pulses that ions bring to a cell.
+        (quantiles, shape, lateness, ions): the law's rows, flat; gamma shape of pulses; skewness of what pulses leave
+        to later exposures; mean number of pulses that ions bring to a cell.
     ions
-        (rows, columns, pulses) of the ion events of this exposure, each of shape (event,).
+        (exposures, rows, columns, pulses) of the ion events, each of shape (event,).
     decay
-        (later, spread, kept) of each component, shape (3, component): mean share of a pulse that is stored for later,
-        its standard deviation, and the share of what is stored that stays stored for one exposure more.
+        (shares, arrivals): (later, spread, kept) of each component, shape (3, component): mean share of a pulse that is
+        stored for later, its standard deviation, and the share of what is stored that stays stored for one exposure
+        more; and what pulses leave beyond the mean by their time of arrival, shape (component, 256), where most cells
+        hold nothing, else no times.
     stored
         Electrons still to come from each component, shape (component, row, col); changed.
     shown
-        Electrons beyond the mean that come out in this exposure, shape (row, col); filled.
+        Electrons beyond the mean that come out in each exposure, shape (exposure, plane, row, col); filled.
     coarse
-        Their sums over blocks, shape (coarse row, coarse col); added to. Rows first..last are whole blocks.
+        Their sums over blocks, shape (exposure, plane, coarse row, coarse col); filled. Rows first..last are whole
+        blocks.
     """
-    cols, block = gain.shape[1], gain.shape[1] // coarse.shape[1]
+    (keys, brightness), (expected, inverse, rows, gain), (shares, arrivals) = exposures, cells, decay
+    cols, block, apart = gain.shape[1], gain.shape[1] // coarse.shape[3], arrivals.shape[1] > 0
     high, low = np.empty(cols, np.uint32), np.empty(cols, np.uint32)
     probability, nearer = np.empty(cols, np.float32), np.empty(cols, np.float32)
     charge, split = np.empty(cols, np.float32), np.empty(cols, np.float32)
-    gathered = np.zeros(cols, np.float32)
+    gathered = np.zeros((keys.size, cols), np.float32)
     for r in range(first, last):
-        cells = expected[r], inverse[r], rows[r], gain[r]
-        _pulse_row(_row_key(key, r), *cells, law, charge, split, high, low, probability, nearer)
-        for event in range(ions[0].size):
-            if ions[0][event] == r:
-                charge[ions[1][event]] += ions[2][event] * law[3] * gain[r, ions[1][event]]
-        own = shown[r]
-        own[:] = charge
-        for i in range(decay.shape[1]):
-            later, spread, kept = decay[0, i], decay[1, i], decay[2, i]
-            released, old = ONE - kept, stored[i, r]
+        row = expected[r], inverse[r], rows[r], gain[r]
+        for n in range(keys.size):
+            key = _row_key(keys[n], r)
+            if apart:
+                _sparse_row(key, row, law, brightness[n], charge, split, high, low, probability, nearer)
+            else:
+                _pulse_row(key, row, law, brightness[n], charge, split, high, low, probability, nearer)
+            for event in range(ions[0].size):
+                if ions[0][event] == n and ions[1][event] == r:
+                    c = ions[2][event]
+                    charge[c] += ions[3][event] * brightness[n] * gain[r, c]
+            own, sums = shown[n, plane, r], gathered[n]
+            own[:] = charge
+            for i in range(shares.shape[1]):
+                if apart:
+                    for c in range(cols):
+                        nearer[c] = split[c] * arrivals[i, low[c] >> u4(24)]
+                    _linger(charge, nearer, shares[0, i], ONE, shares[2, i], stored[i, r], own)
+                else:
+                    _linger(charge, split, shares[0, i], shares[1, i], shares[2, i], stored[i, r], own)
             for c in range(cols):
-                new, before = later * charge[c] + spread * split[c], old[c]
-                own[c] += released * before - new
-                old[c] = kept * before + new
-        for c in range(cols):
-            gathered[c] += own[c]
-        if (r + 1) % block == 0:
-            _block_sums(gathered, block, coarse[r // block])
-            gathered[:] = ZERO
+                sums[c] += own[c]
+            if (r + 1) % block == 0:
+                _block_sums(sums, block, coarse[n, plane, r // block])
+                sums[:] = ZERO
+
+
+@njit(**FAST)
+def _linger(charge, split, later, spread, kept, old, own):
+    """One component of the screen: it stores part of new pulses and gives back part of what it held."""
+    released = ONE - kept
+    for c in range(own.size):
+        new, before = later * charge[c] + spread * split[c], old[c]
+        own[c] += released * before - new
+        old[c] = kept * before + new
 
 
 @njit(**FAST)
@@ -193,7 +278,7 @@ def _block_sums(row, block, sums):
         total = ZERO
         for c in range(b * block, (b + 1) * block):
             total += row[c]
-        sums[b] += total
+        sums[b] = total
 
 
 @njit(**FAST)
@@ -202,82 +287,107 @@ def _blurred_row(shown, top, down, along, gathered, out):
     out[:] = ZERO
     for plane in range(down.shape[0]):
         for rank in range(down.shape[1]):
+            weights, cells = down[plane, rank], shown[plane, top : top + down.shape[2]]
             gathered[:] = ZERO
-            for j in range(down.shape[2]):
-                weight, cells = down[plane, rank, j], shown[plane, top + j]
+            whole = weights.size - weights.size % 4
+            for j in range(0, whole, 4):
+                _add_four(gathered, weights, j, cells, 0)
+            for j in range(whole, weights.size):
+                weight, row = weights[j], cells[j]
                 for c in range(gathered.size):
-                    gathered[c] += weight * cells[c]
-            for j in range(along.shape[2]):
-                weight, under = along[plane, rank, j], gathered[j : j + out.size]
-                for c in range(out.size):
-                    out[c] += weight * under[c]
+                    gathered[c] += weight * row[c]
+            _correlated(gathered, along[plane, rank], out)
 
 
 @njit(**FAST)
-def charge_rows(first, last, step, key, shown, kernel, wing, light, patterns, noise, normal, charge):
-    """Spread the noise over the pixels of rows first, first + step, ... and add the mean and the charge's own noise.
+def _correlated(line, weights, out):
+    """Add sum_j weights[j] line[c + j] to out[c], four taps at once."""
+    whole, size = weights.size - weights.size % 4, out.size
+    for j in range(0, whole, 4):
+        w0, w1, w2, w3 = weights[j], weights[j + 1], weights[j + 2], weights[j + 3]
+        p, q = line[j : j + size], line[j + 1 : j + 1 + size]
+        r, s = line[j + 2 : j + 2 + size], line[j + 3 : j + 3 + size]
+        for c in range(size):
+            out[c] += w0 * p[c] + w1 * q[c] + w2 * r[c] + w3 * s[c]
+    for j in range(whole, weights.size):
+        weight, part = weights[j], line[j : j + size]
+        for c in range(size):
+            out[c] += weight * part[c]
+
+
+@njit(**FAST)
+def charge_rows(first, last, key, shown, kernel, wing, mean, response, noise, normal, readout, charge, codes):
+    """Spread the noise over the pixels of rows first..last, add the mean and the charge's own noise; read them.
 
     Parameters
     ----------
-    first, last, step
-        Rows of the frame.
+    first, last
+        Rows of the frame; row r is read from exposure r modulo the number of exposures.
     key
         Key of this frame, none of whose rows is drawn twice.
     shown
-        Electrons beyond the mean on cells, shape (plane, row, col); the first cell lies under the first pixel's kernel.
+        Electrons beyond the mean on cells, shape (exposure, plane, row, col); the first cell lies under the first
+        pixel's kernel.
     kernel
         (down, along): separable kernels, shape (plane, rank, tap).
     wing
-        (wide, places): what the kernel's far wing brings, on coarse rows and the frame's columns, shape (coarse row,
-        col); and for every row of the frame the coarse row above it, fraction included, shape (row,).
-    light
-        Mean charge of the light, shape (row, col), e-.
-    patterns
-        (response, dark): response of the pixels, mean 1, and dark charge about its mean, e-, each of shape (row, col),
-        or (1, 1) where all pixels are alike.
+        (wide, places): what the kernel's far wing brings, on coarse rows and the frame's columns, shape (exposure,
+        coarse row, col); and for every row of the frame the coarse row above it, fraction included, shape (row,).
+    mean
+        Mean charge, shape (row, col), e-, the dark charge's own mean left out.
+    response
+        Response of the pixels, mean 1, of shape (row, col), or (1, 1) where all pixels are alike.
     noise
-        (brightness, counted, variance): factor of the light; whether the charge's own noise is drawn elsewhere, as
-        whole electrons; and the variance of noise besides that of the light's own charge, e-^2.
+        (counted, variance): whether the charge's own noise is drawn elsewhere, as whole electrons; and the variance of
+        noise besides that of the mean charge, e-^2.
     normal
         Quantiles of the normal law.
-    charge
-        Filled, shape (row, col), e-.
+    readout
+        (apart, key, impulse, noise, levels): whether rows are read later, by `read_rows`; else its arguments.
+    charge, codes
+        One of them is filled, shape (row, col): charge, e-, where rows are read later, else codes.
 
     Returns
     -------
     float
         The largest charge.
     """
-    cols = charge.shape[1]
-    gathered, spread = np.empty(shown.shape[2], np.float32), np.empty(cols, np.float32)
+    cols = mean.shape[1]
+    gathered, spread = np.empty(shown.shape[3], np.float32), np.empty(cols, np.float32)
     high, low = np.empty(cols, np.uint32), np.empty(cols, np.uint32)
     probability, nearer, own = np.empty(cols, np.float32), np.empty(cols, np.float32), np.zeros(cols, np.float32)
-    (response, dark), (brightness, counted, variance) = patterns, noise
+    counted, variance = noise
+    apart, read_key, impulse, read_noise, levels = readout
+    line, level, taps = _line(cols, impulse)
     largest = ZERO
-    for r in range(first, last, step):
-        _blurred_row(shown, r, kernel[0], kernel[1], gathered, spread)
-        above = int(wing[1][r])
-        share, upper, lower = f4(wing[1][r] - above), wing[0][above], wing[0][above + 1]
+    for r in range(first, last):
+        exposure, above = r % shown.shape[0], int(wing[1][r])
+        _blurred_row(shown[exposure], r, kernel[0], kernel[1], gathered, spread)
+        share = f4(wing[1][r] - above)
+        upper, lower = wing[0][exposure, above], wing[0][exposure, above + 1]
         for c in range(cols):
             spread[c] += upper[c] + share * (lower[c] - upper[c])
         if response.shape[0] > 1:
             unequal = response[r]
             for c in range(cols):
                 spread[c] *= unequal[c]
-        average, filled = light[r], charge[r]
+        average = mean[r]
         for c in range(cols):
-            filled[c] = brightness * average[c] + spread[c]
-        if dark.shape[0] > 1:
-            pattern = dark[r]
-            for c in range(cols):
-                filled[c] += pattern[c]
+            spread[c] += average[c]
         if not counted:
             _fill(_row_key(key, r), high, low)
             _normal_row(high, normal, own, probability, nearer)
             for c in range(cols):
-                filled[c] += np.sqrt(max(filled[c] + variance, ZERO)) * own[c]
-        for c in range(cols):
-            largest = max(largest, filled[c])
+                spread[c] += np.sqrt(max(spread[c] + variance, ZERO)) * own[c]
+        if apart:
+            charge[r] = spread
+            for c in range(cols):
+                largest = max(largest, spread[c])
+        else:
+            line[taps.size - 2 : taps.size - 2 + cols] = spread
+            _fill(_row_key(read_key, r), high[:2], low[:2])
+            _normal_row(high[:2], normal, own[:2], probability[:2], nearer[:2])
+            _read_line(line, impulse, own[:2], read_noise, levels, taps, level, codes[r])
     return largest
 
 
@@ -305,45 +415,55 @@ def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
     codes
         Filled, shape (row, col).
     """
-    cols, count = charge.shape[1], impulse.size + 2
-    line, level = np.empty(cols + count - 1, np.float32), np.empty(cols, np.float32)
+    cols = charge.shape[1]
+    line, level, taps = _line(cols, impulse)
     high, low = np.empty(cols, np.uint32), np.empty(cols, np.uint32)
     probability, nearer, own = np.empty(cols, np.float32), np.empty(cols, np.float32), np.empty(cols, np.float32)
-    two, weights = np.empty(2, np.float32), np.empty(count, np.float32)
-    (read, jitter, offset), (gain, black, top, gamma) = noise, levels
-    span = top - black
+    two = np.empty(2, np.float32)
     for r in range(first, last):
         _fill(_row_key(key, r), high, low)
-        _normal_row(low[: two.size], normal, two, probability[: two.size], nearer[: two.size])
-        _late(impulse, jitter * two[0], gain, weights)
-        inner = line[count - 2 : count - 2 + cols]
-        inner[:] = charge[r]
-        if read > ZERO:
-            _normal_row(high, normal, own, probability, nearer)
-            for c in range(cols):
-                inner[c] += read * own[c]
-        line[: count - 2] = inner[0]
-        line[count - 2 + cols :] = inner[cols - 1]
-        level[:] = ZERO
-        for j in range(count):
-            weight, earlier = weights[j], line[count - 1 - j : count - 1 - j + cols]
-            for c in range(cols):
-                level[c] += weight * earlier[c]
-        if gamma != ONE:
-            for c in range(cols):
-                level[c] = span * np.sign(level[c]) * (abs(level[c]) / span) ** gamma
-        shift, coded = black + offset * two[1] + HALF_ONE, codes[r]
+        _normal_row(low[:2], normal, two, probability[:2], nearer[:2])
+        _normal_row(high, normal, own, probability, nearer)
+        inner = line[taps.size - 2 : taps.size - 2 + cols]
         for c in range(cols):
-            coded[c] = np.int32(min(max(level[c] + shift, ZERO), top))
+            inner[c] = charge[r, c] + noise[0] * own[c]
+        _read_line(line, impulse, two, noise, levels, taps, level, codes[r])
 
 
 @njit(**FAST)
-def _late(impulse, late, gain, weights):
-    """Weights of the next pixel, this one and those before in a line that starts late: a parabola through three."""
+def _line(cols, impulse):
+    """Room for a line with the pixels that its filter reaches back to and one beyond, its level, and its taps."""
+    taps = np.empty(impulse.size + 2, np.float32)
+    return np.empty(cols + taps.size - 1, np.float32), np.empty(cols, np.float32), taps
+
+
+@njit(**FAST)
+def _read_line(line, impulse, two, noise, levels, taps, level, coded):
+    """Read the charge that stands inside a line: late start, filter, gain, offset and digitiser."""
+    gain, black, top, gamma = levels
+    reach, cols = taps.size - 2, level.size
+    line[:reach] = line[reach]
+    line[reach + cols :] = line[reach + cols - 1]
+    _late(impulse, noise[1] * two[0], gain, taps)
+    level[:] = ZERO
+    _correlated(line, taps, level)
+    if gamma != ONE:
+        span = top - black
+        for c in range(cols):
+            level[c] = span * np.sign(level[c]) * (abs(level[c]) / span) ** gamma
+    shift = black + noise[2] * two[1] + HALF_ONE
+    for c in range(cols):
+        coded[c] = np.int32(min(max(level[c] + shift, ZERO), top))
+
+
+@njit(**FAST)
+def _late(impulse, late, gain, taps):
+    """Weights of the oldest pixel to the next one, in a line that starts late: a parabola through three pixels."""
     ahead, behind = gain * HALF_ONE * (late * late - late), gain * HALF_ONE * (late * late + late)
     middle = gain * (ONE - late * late)
-    weights[:] = ZERO
+    taps[:] = ZERO
+    last = taps.size - 1
     for j in range(impulse.size):
-        weights[j] += ahead * impulse[j]
-        weights[j + 1] += middle * impulse[j]
-        weights[j + 2] += behind * impulse[j]
+        taps[last - j] += ahead * impulse[j]
+        taps[last - j - 1] += middle * impulse[j]
+        taps[last - j - 2] += behind * impulse[j]

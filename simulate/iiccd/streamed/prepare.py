@@ -1,11 +1,11 @@
 """A steady scene made ready for the stream: light on cells becomes pulses, gains and the mean charge of every pixel."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd import pattern
+from simulate.iiccd import fourier, pattern
 from simulate.iiccd.back_end import DigitalBackEnd
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
@@ -13,7 +13,7 @@ from simulate.iiccd.light import Light
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.phosphor import Afterglow
 from simulate.iiccd.streamed.engine import Readout, Steady
-from simulate.iiccd.streamed.kernel import COARSE, REACH, noise_kernel
+from simulate.iiccd.streamed.kernel import COARSE, REACH, Kernel, noise_kernel
 from simulate.iiccd.streamed.law import normal_law, pulse_law
 from simulate.iiccd.video import Video
 
@@ -22,11 +22,15 @@ FORGOTTEN = 1e-3
 # Third moments of the lattice may be off by this share; one cell a column is then enough.
 SKEWNESS_TOLERANCE = 0.012
 # Below this mean per pixel single pulses show where in a cell they fell.
-SPARSE_PE_PER_PX = 0.4
+SPARSE_PE_PER_PX = 0.8
 # Skewness of the charge's own shot noise, over the whole noise, above which counts are drawn one by one.
 COUNTED_SKEWNESS = 0.01
+# Beyond this many photoelectrons in a cell the noise is that of so many: no camera shows it, and numbers stay finite.
+BLINDING_PE = 1e9
 # Shares of an impulse response below this are left out.
 SHORTEST_TAP = 1e-6
+# Times of arrival that are told apart where single pulses are seen: as many as a byte.
+ARRIVALS = 256
 EMPTY = np.zeros((1, 1), np.float32)
 
 
@@ -80,14 +84,16 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
     per_px = max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * height
     impulse, sparse = _impulse(stages.video), per_px < SPARSE_PE_PER_PX
     kernel = noise_kernel(screen.owed, grid, height, impulse, SKEWNESS_TOLERANCE, sparse=sparse)
-    photoelectrons, photons = (_planes(values, kernel.divisions) for values in (at_plate.values, screen.values))
-    expected = _cut(np.maximum(photoelectrons, 0.0), grid, height) * stages.plate.detection_probability
-    overall = photons.sum() / max(photoelectrons.sum(), 1e-300)
-    each = np.divide(photons, photoelectrons, out=np.full(photons.shape, overall), where=photoelectrons > 0.0)
-    gain = _cut(each, grid, height) * stages.ccd.quantum_efficiency / stages.plate.detection_probability
+    quiet = replace(stages.plate, ion_events_per_s_cm2=0.0)
+    photons = stages.behind_plate.mean(quiet.mean(at_plate)).values
+    each = _cut(_ratio(photons, at_plate.values, kernel.divisions), grid, height)
+    gain = each * stages.ccd.quantum_efficiency / stages.plate.detection_probability
+    light = np.clip(_planes(_sharpened(at_plate.values, kernel), kernel.divisions), 0.0, BLINDING_PE)
+    expected = _cut(light, grid, height) * stages.plate.detection_probability
     law = normal_law(expected) if normal else pulse_law(stages.plate.pulse_height_shape, expected)
-    light, dark = _mean_charge(stages, stages.collection.mean(screen))
+    mean, dark = _mean_charge(stages, stages.collection.mean(screen))
     decay, lateness, memory = decay_of(stages.afterglow)
+    arrivals = arrivals_of(stages.afterglow) if sparse else np.empty((2, 0), np.float32)
     return Steady(
         expected=expected.astype(np.float32),
         inverse=law.inverse,
@@ -98,14 +104,42 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
         ions_per_field=stages.plate.ions_per_cell(at_plate) * 4 * expected[0].size,
         ion_size=stages.plate.ion_event_size_pe,
         kernel=kernel,
-        light_e=light,
+        light_e=mean,
         dark_pattern_e=dark,
-        response=_response(stages.ccd, light.shape),
+        response=_response(stages.ccd, mean.shape),
         decay=decay,
+        arrivals=arrivals[: decay.shape[1]],
         lateness=lateness,
         memory=memory,
         fields=stages.fields,
     )
+
+
+def _sharpened(light: NDArray[np.floating], kernel: Kernel) -> NDArray[np.float64]:
+    """Light on cells, two a pixel both ways, through the kernel's filter on its own lattice."""
+    down, along = kernel.divisions
+    rows, cols = light.shape[0] // 2, light.shape[1] // 2
+    lattice = light.reshape(rows * down, 2 // down, cols * along, 2 // along).sum(axis=(1, 3), dtype=np.float64)
+    spectrum = fourier.forward(lattice) * fourier.forward(_placed(kernel.sharpening, lattice.shape))
+    sharp = fourier.inverse(spectrum, lattice.shape) / (2 // down * (2 // along))
+    return sharp.repeat(2 // down, axis=0).repeat(2 // along, axis=1)
+
+
+def _placed(filtered: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """A filter, origin first, on a lattice of another shape; what reaches beyond it is folded back."""
+    whole = np.zeros(shape)
+    rows, cols = (np.fft.fftfreq(n, 1.0 / n).astype(int) % m for n, m in zip(filtered.shape, shape, strict=True))
+    np.add.at(whole, (rows[:, None], cols[None, :]), filtered)
+    return whole
+
+
+def _ratio(
+    photons: NDArray[np.floating], photoelectrons: NDArray[np.floating], divisions: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Photons for each photoelectron, in planes of cells; where nothing falls, as on average."""
+    out, into = _planes(photons, divisions), _planes(photoelectrons, divisions)
+    average = out.sum() / into.sum() if into.sum() > 0.0 else 0.0
+    return np.divide(out, into, out=np.full(out.shape, average), where=into > 1e-9 * max(float(into.max()), 1e-300))
 
 
 def _impulse(video: Video | DigitalBackEnd) -> tuple[float, ...]:
@@ -191,16 +225,27 @@ def decay_of(afterglow: Afterglow) -> tuple[NDArray[np.float32], float, int]:
     each component over arrival times is its regression on what all leave together, so that the variance of the field
     and its covariance with later ones are exact.
     """
-    tau = np.maximum(np.array([afterglow.fast_decay_ms, afterglow.slow_decay_ms]) * 1e-3, 1e-12)
-    share = np.array([afterglow.fast_fraction, 1.0 - afterglow.fast_fraction]) * tau
-    arrival = afterglow.gate_s * (np.arange(2000) + 0.5) / 2000
-    left = share[:, None] / share.sum() * np.exp(-(afterglow.field_s - arrival) / tau[:, None])
+    left, kept = _left_over(afterglow, 2000)
     later, together = left.mean(axis=1), left.sum(axis=0)
     scatter = float(together.std())
     spread = (left - later[:, None]) @ together / together.size / (scatter or 1.0)
-    kept = np.exp(-afterglow.field_s / tau)
     seen = later > 1e-6
     remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
     memory = 1 + int(np.argmax(remaining < FORGOTTEN)) if seen.any() else 0
     lateness = float(np.mean((together - together.mean()) ** 3)) / (scatter or 1.0) ** 3
     return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, memory
+
+
+def arrivals_of(afterglow: Afterglow) -> NDArray[np.float32]:
+    """Return what pulses at evenly spaced times leave in each component beyond its mean, shape (component, time)."""
+    left, _ = _left_over(afterglow, ARRIVALS)
+    return (left - left.mean(axis=1, keepdims=True)).astype(np.float32)
+
+
+def _left_over(afterglow: Afterglow, times: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Share of its light that a pulse leaves in each component, by its arrival; share that stays a field longer."""
+    tau = np.maximum(np.array([afterglow.fast_decay_ms, afterglow.slow_decay_ms]) * 1e-3, 1e-12)
+    share = np.array([afterglow.fast_fraction, 1.0 - afterglow.fast_fraction]) * tau
+    arrival = afterglow.gate_s * (np.arange(times) + 0.5) / times
+    left = share[:, None] / share.sum() * np.exp(-(afterglow.field_s - arrival) / tau[:, None])
+    return left, np.exp(-afterglow.field_s / tau)

@@ -1,0 +1,418 @@
+"""Past its breaking points the camera goes to the right limit or refuses in one sentence; no NaN, no wrapped code."""
+
+import math
+from dataclasses import replace
+from itertools import islice, pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.sensor import Sensor
+from labdata.sensors import load_camera
+from labdata.target import Target
+from simulate.cameras import camera_of
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.chain import Chain
+from simulate.iiccd.exposure import from_photoelectrons, from_radiance
+from simulate.iiccd.light import Light
+from simulate.lab import LabBench
+from simulate.radiance.cube import RadianceCube
+
+ROWS, COLUMNS = 24, 32
+FRAMES = 12
+NM = np.arange(400.0, 1000.0, 20.0)
+NAMES = ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"]
+
+
+def codes_of(camera: Any, picture_pe: float | NDArray[Any], conditions: Conditions, seed: int, frames: int = FRAMES):
+    """Frames of a picture in photoelectrons, none of them outside the digitiser's range."""
+    picture = np.broadcast_to(np.asarray(picture_pe, float), camera.shape)
+    light = from_photoelectrons(camera, picture, conditions)
+    return checked(np.stack(list(islice(camera.frames(light, conditions, seed=seed), frames))), camera)
+
+
+def checked(codes: NDArray[Any], camera: Any) -> NDArray[np.floating]:
+    """The codes, which are whole numbers of the digitiser."""
+    assert codes.dtype in (np.uint8, np.uint16)
+    description = camera.sensor if isinstance(camera, IntensifiedCamera) else camera.description
+    assert codes.max() <= 2**description.video.bit_depth - 1
+    return codes.astype(float)
+
+
+def sentence(refusal: BaseException) -> str:
+    """The refusal's words, if they are one clear sentence that gives the value."""
+    words = str(refusal)
+    assert "\n" not in words and 20 < len(words) < 400
+    assert "got" in words or "but" in words
+    return words
+
+
+def with_error(codes: NDArray[np.floating]) -> tuple[float, float]:
+    """Mean and its standard error from the scatter of frames, widened for what fields share through the glow."""
+    per_frame = codes.mean(axis=(1, 2))
+    return float(per_frame.mean()), 2.0 * float(per_frame.std(ddof=1)) / np.sqrt(len(per_frame))
+
+
+# Gain.
+
+
+@pytest.mark.parametrize("bit_depth", [8, 16])
+def test_gain_from_one_to_a_million_is_proportional_until_full_scale(bit_depth, plain, seed):
+    """Mean above black is gain times photoelectrons times DN per electron, or full scale; it never falls again."""
+    sensor = plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, video__black_level_dn=12.0, ccd__full_well_e=1e12)
+    sensor = replace(sensor, video=replace(sensor.video, bit_depth=bit_depth))
+    top = 2**bit_depth - 1
+    means = []
+    for gain in 10.0 ** np.arange(0.0, 6.1, 0.5):
+        camera = IntensifiedCamera(sensor.with_values({"tube.luminous_gain": gain}))
+        codes = codes_of(camera, 2.0, Conditions(), seed)
+        mean, error = with_error(codes)
+        photons = gain / 15000.0 * 10229.0
+        expected = 12.0 + 2.0 * photons * 0.225 * 0.32 * float(sensor.video.conversion_gain_dn_per_e)
+        # Clipping bends the mean once the brightest pixels reach the top.
+        if codes.max() < top and codes.min() > 0:
+            assert abs(mean - expected) < 4.5 * error + 2e-3 * (expected - 12.0)
+        assert mean <= top
+        means.append(mean)
+    assert all(later > earlier - 0.5 for earlier, later in pairwise(means))
+    assert means[-1] > 0.85 * top if bit_depth == 8 else means[-1] > means[0]
+
+
+@pytest.mark.parametrize("change", [{"mcp_v": 0.0}, {"mcp_v": 1.0}, {"gain_control": 0.0}])
+def test_a_tube_without_gain_shows_darks(change, plain, seed):
+    camera = IntensifiedCamera(plain(ROWS, COLUMNS, microchannel_plate__gain_control_reference=5000.0))
+    lit = codes_of(camera, 50.0, Conditions(**change), seed)
+    dark = codes_of(camera, 0.0, Conditions(**change), seed)
+    assert abs(lit.mean() - dark.mean()) < 0.02
+
+
+@pytest.mark.parametrize("change", [{"mcp_v": 1e6}, {"gain_control": 2000.0}, {"gain_control": 1e5}])
+def test_gain_beyond_sense_fills_the_scale_or_is_refused(change, plain, seed):
+    camera = IntensifiedCamera(plain(ROWS, COLUMNS, microchannel_plate__strip_current_ua_per_cm2=0.6))
+    try:
+        codes = codes_of(camera, 50.0, Conditions(**change), seed)
+    except BadInput as refusal:
+        sentence(refusal)
+    else:
+        assert np.isfinite(codes).all()
+
+
+# Light.
+
+
+@pytest.fixture(scope="module")
+def bench(sheet) -> LabBench:
+    return LabBench(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
+
+
+def test_light_from_a_nanolux_to_ten_thousand_lux_goes_from_dark_to_full_scale_or_what_the_plate_can_give(bench, seed):
+    """The mean never falls with light; a nanolux is darkness, and the strip current limits what bright light gives."""
+    top = 2**bench.camera.sensor.video.bit_depth - 1
+    means, errors = [], []
+    for lux in 10.0 ** np.arange(-9.0, 4.1):
+        stack = bench.expose("flat", Target(), Conditions(illuminance_lux=lux), frames=FRAMES, seed=seed).data
+        codes = checked(stack, bench.camera)
+        mean, error = with_error(codes)
+        means.append(mean)
+        errors.append(error)
+        noiseless = bench.mean("flat", Target(), Conditions(illuminance_lux=lux))
+        assert np.isfinite(noiseless).all()
+    dark = checked(bench.expose("dark", Target(), Conditions(), frames=FRAMES, seed=seed).data, bench.camera)
+    assert abs(means[0] - dark.mean()) < 4.5 * errors[0] + 0.01
+    for n in range(1, len(means)):
+        assert means[n] > means[n - 1] - 4.5 * np.hypot(errors[n], errors[n - 1]) - 0.02
+    # Full scale of 8 bits lies below what the plate can give.
+    assert means[-1] > 0.98 * top
+    assert means[4] < 0.5 * top
+
+
+def test_a_plate_at_its_strip_current_gives_that_and_no_more(plain, seed):
+    """Output tends to the saturation current: G n / (1 + G n / s) goes to s, whatever the light."""
+    sensor = plain(
+        ROWS,
+        COLUMNS,
+        microchannel_plate__strip_current_ua_per_cm2=1e-3,
+        photocathode__ebi_lm_per_cm2=0.0,
+        ccd__full_well_e=1e12,
+        video__conversion_gain_dn_per_e=1.0,
+    )
+    camera = IntensifiedCamera(sensor)
+    plate = camera.plate(Conditions())
+    area = 2.0 * camera.cells.cell_area_cm2 * camera.cells.per_column * camera.cells.per_row
+    limit_e = plate.saturation_e_per_s_cm2 * camera.field_s * area * 205.0 * 0.225 * 0.32
+    levels = []
+    for photoelectrons in (1e2, 1e4, 1e6, 1e8):
+        light = from_photoelectrons(camera, np.full(camera.shape, photoelectrons), Conditions())
+        levels.append(float(camera.mean_frame(light, Conditions()).mean(dtype=float)) - 400.0)
+    assert levels[-1] == pytest.approx(limit_e, rel=1e-3)
+    assert np.all(np.diff(levels) > 0.0) or levels[-1] == pytest.approx(levels[-2], rel=1e-4)
+
+
+def test_zero_light_gives_the_very_darks(bench, seed):
+    dark = bench.expose("dark", Target(), Conditions(), frames=3, seed=seed).data
+    unlit = bench.expose("flat", Target(), Conditions(illuminance_lux=0.0), frames=3, seed=seed).data
+    assert dark.tobytes() == unlit.tobytes()
+
+
+def test_zero_light_and_no_dark_emission_leave_black_and_read_noise(plain, seed):
+    camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0))
+    codes = codes_of(camera, 0.0, Conditions(), seed)
+    mean, error = with_error(codes)
+    assert abs(mean - 400.0) < 4.5 * error
+    ccd = camera.sensor.ccd
+    dark_e = float(ccd.dark_current_e_per_s) * 2.0 / 59.94
+    white = float(np.sum(IntensifiedCamera(camera.sensor).video().low_pass.impulse_response() ** 2))
+    expected = (float(ccd.read_noise_e) ** 2 + dark_e) * 0.2**2 * white + 1.0 / 12.0
+    assert codes[:, :, 8:].var() == pytest.approx(expected, rel=4.5 * np.sqrt(4.0 / codes.size))
+
+
+# Size.
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1), (2, 3), (3, 2)])
+@pytest.mark.parametrize("interlaced", [True, False])
+def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(shape, interlaced, plain, seed):
+    sensor = plain(*shape, photocathode__ebi_lm_per_cm2=0.0)
+    camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=interlaced)))
+    light = from_photoelectrons(camera, np.full(shape, 20.0), Conditions())
+    expected = 400.0 + 20.0 * 10229.0 * 0.225 * 0.32 * 0.2
+    assert camera.mean_frame(light, Conditions()) == pytest.approx(expected, rel=2e-3)
+    codes = codes_of(camera, 20.0, Conditions(), seed, frames=60)
+    assert codes.shape == (60, *shape)
+    mean, error = with_error(codes)
+    assert abs(mean - expected) < 4.5 * error + 2e-3 * expected
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_shipped_camera_of_one_pixel_sees(name, seed):
+    description = load_camera(name)
+    camera = camera_of(replace(description, ccd=replace(description.ccd, rows=1, columns=1)))
+    dark, lit = (codes_of(camera, level, Conditions(), seed) for level in (0.0, 1e5))
+    assert lit.mean() > dark.mean()
+
+
+@pytest.mark.parametrize("shape", [(0, 5), (5, 0), (-3, 4)])
+def test_frames_without_pixels_are_refused(shape, plain):
+    with pytest.raises(BadInput) as refused:
+        plain(*shape)
+    sentence(refused.value)
+
+
+# Radiance and pictures.
+
+
+def _cube(value: float) -> RadianceCube:
+    radiance = np.full((len(NM), 6, 8), 1e-9)
+    radiance[3, 2, 5] = value
+    return RadianceCube(wavelength_nm=NM, radiance=radiance)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-9])
+def test_radiance_that_is_none_is_refused(name, value):
+    description = load_camera(name)
+    camera = camera_of(replace(description, ccd=replace(description.ccd, rows=ROWS, columns=COLUMNS)))
+    with pytest.raises(BadInput) as refused:
+        from_radiance(camera, _cube(value), Conditions())
+    sentence(refused.value)
+
+
+@pytest.mark.parametrize("wavelength", [[500.0, math.nan], [600.0, 500.0], [500.0, 500.0], [-5.0, 500.0], [0.0, 500.0]])
+def test_wavelengths_that_are_none_are_refused(wavelength, sheet):
+    with pytest.raises(BadInput) as refused:
+        cube = RadianceCube(wavelength_nm=np.array(wavelength), radiance=np.ones((2, 4, 4)))
+        small = replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS))
+        from_radiance(camera_of(small), cube, Conditions())
+    sentence(refused.value)
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-30, 1e-12, 1.0, 1e6, 1e12])
+def test_radiance_of_any_size_gives_codes(level, sheet, seed):
+    camera = camera_of(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
+    cube = RadianceCube(wavelength_nm=NM, radiance=np.full((len(NM), 4, 4), level))
+    light = from_radiance(camera, cube, Conditions())
+    assert np.isfinite(light.values).all() and (level == 0.0 or light.values.mean() > 0.0)
+    codes = checked(np.stack(list(islice(camera.frames(light, Conditions(), seed=seed), 3))), camera)
+    dark = codes_of(camera, 0.0, Conditions(), seed, frames=3)
+    if level < 1e-11:
+        assert codes.tobytes() == dark.tobytes() or abs(codes.mean() - dark.mean()) < 0.5
+    else:
+        assert codes.mean() > dark.mean()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1.0])
+def test_photoelectrons_that_are_none_are_refused(value, plain):
+    camera = IntensifiedCamera(plain(ROWS, COLUMNS))
+    picture = np.full(camera.shape, 3.0)
+    picture[5, 7] = value
+    with pytest.raises(BadInput) as refused:
+        from_photoelectrons(camera, picture, Conditions())
+    sentence(refused.value)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_light_at_the_plate_that_is_none_is_refused(value, plain, seed):
+    """The last door before the draws."""
+    camera = IntensifiedCamera(plain(ROWS, COLUMNS))
+    values = np.full(camera.cells.shape, 1.0, np.float32)
+    values[10, 10] = value
+    with pytest.raises(BadInput) as refused:
+        next(camera.frames(Light(values=values, grid=camera.cells), Conditions(), seed=seed))
+    sentence(refused.value)
+
+
+@pytest.mark.parametrize("photoelectrons", [1e-12, 1e-3, 1e3, 1e6, 1e9, 1e15])
+def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(photoelectrons, sheet, seed):
+    camera = camera_of(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
+    picture = np.zeros(camera.shape)
+    picture[12, 16] = photoelectrons
+    codes = codes_of(camera, picture, Conditions(), seed, frames=4)
+    dark = codes_of(camera, 0.0, Conditions(), seed, frames=4)
+    assert codes[:, 12, 16].mean() >= dark[:, 12, 16].mean() - 1.0
+    if photoelectrons >= 1e6:
+        assert codes[:, 12, 15:18].max() == 255.0
+
+
+# Time.
+
+
+@pytest.mark.parametrize("gate_ns", [1e-3, 1.0, 1e3, 1e5, 1e6, 1e7])
+def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plain):
+    """What lingers comes in later fields: a steady scene shows all its light, however short the gate."""
+    camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0, ccd__full_well_e=1e12))
+    conditions = Conditions(gate_ns=gate_ns)
+    cathode = camera.photocathode(conditions)
+    share = gate_ns * 1e-9
+    per_s = 20.0 / share
+    light = camera.detected(
+        Light(values=np.full(camera.scene_cells.shape, per_s, np.float32), grid=camera.scene_cells), conditions
+    )
+    closed = (camera.field_s - share) / float(camera.sensor.photocathode.gate_on_off_ratio)
+    expected = per_s * cathode.quantum_efficiency * (share + closed) * 4.0
+    assert light.values.mean(dtype=float) == pytest.approx(expected, rel=1e-3)
+    assert camera.afterglow(conditions).weights.sum() == pytest.approx(1.0, abs=1e-9)
+    mean = camera.mean_frame(light, conditions) - 400.0
+    flat = 8.0 * light.values.mean(dtype=float) * 10229.0 * 0.225 * 0.32 * 0.2
+    assert mean.mean(dtype=float) == pytest.approx(flat, rel=2e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("gate_ns", [1.0, 1e5])
+def test_frames_of_a_short_gate_average_to_their_mean(gate_ns, plain, seed):
+    camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0))
+    codes = codes_of(camera, 5.0, Conditions(gate_ns=gate_ns), seed, frames=60)
+    light = from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions(gate_ns=gate_ns))
+    mean, error = with_error(codes)
+    assert abs(mean - camera.mean_frame(light, Conditions(gate_ns=gate_ns)).mean()) < 4.5 * error
+
+
+@pytest.mark.parametrize("gate_ns", [0.0, -5.0, math.nan, math.inf, 1e9])
+def test_gates_that_are_none_are_refused(gate_ns, plain):
+    with pytest.raises(BadInput) as refused:
+        camera = IntensifiedCamera(plain(ROWS, COLUMNS))
+        camera.chain(Conditions(gate_ns=gate_ns))
+    sentence(refused.value)
+
+
+@pytest.mark.parametrize("name", ["illuminance_lux", "mcp_v", "gate_ns", "temperature_c", "gain_control"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_conditions_that_are_none_are_refused(name, value, bench, seed):
+    given: dict[str, Any] = {"illuminance_lux": 1e-4} | {name: value}
+    with pytest.raises(BadInput) as refused:
+        bench.expose("flat", Target(), Conditions(**given), frames=1, seed=seed)
+    sentence(refused.value)
+
+
+@pytest.mark.parametrize("temperature_c", [-273.0, -200.0, -60.0, 80.0, 150.0, 300.0, 2000.0])
+def test_temperatures_from_absolute_zero_to_glowing_give_codes(temperature_c, bench, seed):
+    try:
+        conditions = Conditions(temperature_c=temperature_c)
+        codes = checked(bench.expose("dark", Target(), conditions, frames=3, seed=seed).data, bench.camera)
+    except BadInput as refusal:
+        sentence(refusal)
+    else:
+        cold = checked(
+            bench.expose("dark", Target(), Conditions(temperature_c=-60.0), frames=3, seed=seed).data, bench.camera
+        )
+        assert codes.mean() >= cold.mean() - 0.5
+
+
+# Descriptions.
+
+
+def _of_few_pixels(name: str):
+    description = load_camera(name)
+    return replace(description, ccd=replace(description.ccd, rows=6, columns=8))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_description_with_a_number_that_is_none_is_refused(name, value):
+    description, accepted = _of_few_pixels(name), []
+    for path in sorted(description.parameters()):
+        try:
+            camera_of(description.with_values({path: value})).chain(Conditions())
+        except BadInput as refusal:
+            sentence(refusal)
+        else:
+            accepted.append(path)
+    assert not accepted
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("factor", [-1.0, 0.0, 0.1, 10.0, 100.0])
+def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes(name, factor, seed):
+    """With the sign turned, at zero, and far from the shipped value either way: no number of either kind of camera."""
+    description, broken = _of_few_pixels(name), []
+    for path, parameter in sorted(description.parameters().items()):
+        try:
+            camera = camera_of(description.with_values({path: factor * float(parameter)}))
+            light = from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
+            assert np.isfinite(camera.mean_frame(light, Conditions())).all()
+            next(iter(camera.frames(light, Conditions(), seed=seed)))
+        except BadInput as refusal:
+            sentence(refusal)
+        except Exception as error:
+            broken.append(f"{path} x {factor:g}: {type(error).__name__}: {str(error)[:90]}")
+    assert not broken, "\n".join(broken)
+
+
+def test_stages_that_do_not_fit_are_refused(plain):
+    stages = IntensifiedCamera(plain(ROWS, COLUMNS)).chain(Conditions()).stages
+    refused = 0
+    for first in stages:
+        for second in stages:
+            if first is second or first.emits == second.takes:
+                continue
+            with pytest.raises(BadInput, match="must take what the one before it emits") as refusal:
+                Chain((first, second))
+            assert first.name in sentence(refusal.value) and second.name in sentence(refusal.value)
+            refused += 1
+    assert refused > 80
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"video": {"bit_depth": 0}},
+        {"video": {"bit_depth": 17}},
+        {"video": {"bandwidth_mhz": None}},
+        {"video": {"pixel_clock_mhz": None}},
+        {"video": {"filter_order": None}},
+        {"video": {"filter_order": 0}},
+        {"microchannel_plate": {"stages": 0}},
+        {"photocathode": {"wavelength_nm": (500.0, 400.0)}},
+        {"photocathode": {"relative_quantum_efficiency": (0.1, 0.2)}},
+    ],
+    ids=str,
+)
+def test_descriptions_that_contradict_themselves_are_refused(changes, sheet):
+    with pytest.raises(BadInput) as refused:
+        description: Sensor = sheet
+        for stage, fields in changes.items():
+            description = replace(description, **{stage: replace(getattr(description, stage), **fields)})
+        IntensifiedCamera(description).chain(Conditions())
+    sentence(refused.value)
