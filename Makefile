@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study docs lock clean
+.PHONY: demo test test-seeds check bench study docs frontier peers lock clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -41,12 +41,24 @@ docs: $(READY)
 	$(BIN)/python docs/tree.py
 	$(BIN)/python docs/pictures.py
 
+# The simulator's tiers: worst moment error against frames a second, chart and tables into docs.
+frontier: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.frontier
+
+# Other simulators to be timed against, in an environment of their own.
+peers: .venv-peers/ready
+
+.venv-peers/ready: benchmarks/peers/requirements.lock
+	$(PYTHON) -m venv .venv-peers
+	.venv-peers/bin/pip install -q --require-hashes -r benchmarks/peers/requirements.lock
+	touch $@
+
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
 	  --all-extras --group dev pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf .venv demo study
+	rm -rf .venv .venv-peers demo study
 
 $(READY): requirements.lock pyproject.toml .ci/setup
 	PYTHON=$(PYTHON) sh .ci/setup

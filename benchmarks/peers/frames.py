@@ -32,8 +32,9 @@ def emccd_detect(scene: np.ndarray) -> float:
     from emccd_detect.emccd_detect import EMCCDDetectBase
 
     camera = EMCCDDetectBase(
-        em_gain=1000.0, full_well_image=60000.0, full_well_serial=100000.0, dark_current=0.0, cic=0.02, read_noise=100.0,
-        bias=2000.0, qe=1.0, cr_rate=0.0, pixel_pitch=13e-6, eperdn=7.0, nbits=14, numel_gain_register=604,
+        em_gain=1000.0, full_well_image=60000.0, full_well_serial=100000.0, dark_current=0.0, cic=0.02,
+        read_noise=100.0, bias=2000.0, qe=1.0, cr_rate=0.0,
+        pixel_pitch=13e-6, eperdn=7.0, nbits=14, numel_gain_register=604,
     )  # fmt: skip
     # Its faster mode: the register by a gamma law, not stage by stage (then a frame takes many seconds).
     camera.fast_gain_mode = True
@@ -56,8 +57,8 @@ def pyxel(scene: np.ndarray) -> float:
         geometry=CCDGeometry(row=rows, col=cols, total_thickness=40.0, pixel_vert_size=13.0, pixel_horz_size=11.0),
         environment=Environment(temperature=290.0),
         characteristics=Characteristics(
-            quantum_efficiency=1.0, charge_to_volt=ChargeToVoltSettings(value=1e-6), pre_amplification=4, full_well_capacity=50000,
-            adc_voltage_range=(0.0, 1.0), adc_bit_resolution=8,
+            quantum_efficiency=1.0, charge_to_volt=ChargeToVoltSettings(value=1e-6), pre_amplification=4,
+            full_well_capacity=50000, adc_voltage_range=(0.0, 1.0), adc_bit_resolution=8,
         ),
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:

@@ -29,6 +29,8 @@ FAINT = 0.05
 # Share of the kernel's square that separable parts may leave out.
 LEFT_OUT = 1e-5
 
+Offsets = tuple[NDArray[np.int64], NDArray[np.int64]]
+
 
 @dataclass(frozen=True, kw_only=True)
 class Kernel:
@@ -106,14 +108,15 @@ def _on_lattice(
     matched = _matched(transfer, height, divisions)
     cells = divisions[0] * divisions[1]
     whole = np.fft.ifft2(matched).real * cells * height
-    parts = [_separated(plane) for plane in _compact(whole, height, divisions)]
+    near = _offsets(height, divisions)
+    parts = [_separated(plane) for plane in _compact(whole, near, divisions)]
     read = np.fft.ifft2(_read(matched, impulse, divisions[1])).real * cells
     return Kernel(
         divisions=divisions,
         height=height,
         down=_stacked([down for down, _ in parts]),
         along=_stacked([along for _, along in parts]),
-        wing=_wing(whole, height, divisions),
+        wing=_wing(whole, near, parts, divisions),
         blur_factor=float(np.sum(read**2) / cells) * height,
         third_factor=float(np.sum(read**3) / cells) * height**2,
         skewness_ratio=float(np.sum(read**3) / cells / exact),
@@ -185,7 +188,7 @@ def _shift(
     return (0.5 * height - 0.5 / down) * fy[:, None] + (0.5 - 0.5 / along) * fx[None, :]
 
 
-def _offsets(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _offsets(height: int, divisions: tuple[int, int]) -> Offsets:
     """Rows and columns of cells within `REACH` pixels, counted from the pixel's first cell."""
     down, along = divisions
     rows = np.arange(-REACH * down, (REACH + height) * down)
@@ -193,12 +196,11 @@ def _offsets(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64]
     return rows, columns
 
 
-def _compact(whole: NDArray[np.float64], height: int, divisions: tuple[int, int]) -> list[NDArray[np.float64]]:
+def _compact(whole: NDArray[np.float64], near: Offsets, divisions: tuple[int, int]) -> list[NDArray[np.float64]]:
     """The part within `REACH` pixels of each plane of cells, shape (row, col) of its own cells."""
-    rows, columns = _offsets(height, divisions)
-    near = whole[np.ix_(-rows % whole.shape[0], -columns % whole.shape[1])]
+    part = whole[np.ix_(-near[0] % whole.shape[0], -near[1] % whole.shape[1])]
     down, along = divisions
-    return [near[i::down, j::along] for i in range(down) for j in range(along)]
+    return [part[i::down, j::along] for i in range(down) for j in range(along)]
 
 
 def _separated(plane: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -216,12 +218,18 @@ def _stacked(parts: list[NDArray[np.float64]]) -> NDArray[np.float32]:
     return np.stack([np.pad(part, ((0, rank - len(part)), (0, 0))) for part in parts]).astype(np.float32)
 
 
-def _wing(whole: NDArray[np.float64], height: int, divisions: tuple[int, int]) -> NDArray[np.float32]:
-    """The rest of the kernel, averaged over the cells of coarse cells, about the pixel's centre."""
-    rows, columns = _offsets(height, divisions)
+def _wing(
+    whole: NDArray[np.float64],
+    near: Offsets,
+    parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    divisions: tuple[int, int],
+) -> NDArray[np.float32]:
+    """What separable parts leave of the kernel, averaged over the cells of coarse cells, about the pixel's centre."""
+    (rows, columns), (down, along) = near, divisions
     rest = whole.copy()
-    rest[np.ix_(-rows % whole.shape[0], -columns % whole.shape[1])] = 0.0
-    down, along = divisions
+    for n, (downward, across) in enumerate(parts):
+        i, j = divmod(n, along)
+        rest[np.ix_(-rows[i::down] % whole.shape[0], -columns[j::along] % whole.shape[1])] -= downward.T @ across
     per_pixel = rest.reshape(SIDE, down, SIDE, along).mean(axis=(1, 3))
     centred = np.roll(per_pixel, (SIDE // 2 + COARSE // 2, SIDE // 2 + COARSE // 2), axis=(0, 1))
     coarse = SIDE // COARSE

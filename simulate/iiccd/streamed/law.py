@@ -110,9 +110,10 @@ def _summed(shape: float, mean: float) -> tuple[NDArray, NDArray, NDArray]:
     number = np.arange(1, last + 1)
     weight = np.exp(number * np.log(mean) - mean - gammaln(number + 1.0)) / -np.expm1(-mean)
     reach = mean + 1.0 + 9.0 * np.sqrt((mean + 1.0) * (1.0 + 1.0 / shape)) + 18.0 / min(shape, 1.0)
-    amount = np.concatenate(
-        [np.geomspace(1e-9, 1e-2, 60, endpoint=False), (np.linspace(0.1, np.sqrt(reach), 260)) ** 2]
-    )
+    # Heights of narrow pulses leave peaks, each to be resolved.
+    points = int(min(260.0 * max(1.0, np.sqrt(shape)), 6000.0))
+    fine, coarse = np.geomspace(1e-9, 1e-2, 60, endpoint=False), np.linspace(0.1, np.sqrt(reach), points) ** 2
+    amount = np.concatenate([fine, coarse])
     argument = shape * amount[:, None], number[None, :] * shape
     below = gammainc(argument[1], argument[0]) @ weight
     above = gammaincc(argument[1], argument[0]) @ weight

@@ -1,0 +1,186 @@
+"""The video-rate tier: its tables are the law they stand for, its kernel the blur, a frame follows from its number."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from simulate.iiccd import tiers
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.exposure import from_photoelectrons
+from simulate.iiccd.light import Light, product
+from simulate.iiccd.phosphor import Afterglow
+from simulate.iiccd.streamed import engine, kernel, law, prepare
+from simulate.iiccd.transfer import PixelAperture
+
+
+def _moments_of(quantiles: np.ndarray) -> list[float]:
+    """First four moments of a law drawn by straight lines between the nodes of its quantiles."""
+    probability = law.node_probabilities()
+    points, weights = np.polynomial.legendre.leggauss(6)
+    moments = np.zeros(4)
+    for half in (quantiles[: law.HALF], quantiles[law.HALF :]):
+        inside = half[:-1, None] + np.diff(half)[:, None] * (points + 1.0) / 2.0
+        for power in range(1, 5):
+            moments[power - 1] += probability[0] * half[0] ** power
+            moments[power - 1] += np.sum(np.diff(probability)[:, None] * weights / 2.0 * inside**power)
+    return list(moments)
+
+
+@pytest.mark.parametrize("shape", [0.8, 1.0, 2.0, 50.0])
+@pytest.mark.parametrize("mean", [1e-3, 0.05, 0.7, 4.0, 30.0, 34.0, 500.0])
+def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
+    """Cumulants of a Poisson sum are N E[g^n]; given that it is not zero, moments about zero are over 1 - exp(-N)."""
+    heights = [1.0, *(np.prod([1.0 + j / shape for j in range(1, n)]) for n in (2, 3, 4))]
+    k1, k2, k3, k4 = (mean * height for height in heights)
+    raw = np.array(
+        [k1, k2 + k1**2, k3 + 3 * k2 * k1 + k1**3, k4 + 4 * k3 * k1 + 3 * k2**2 + 6 * k2 * k1**2 + k1**4]
+    ) / -np.expm1(-mean)
+    m1, m2, m3, m4 = raw
+    variance = m2 - m1**2
+    skewness = (m3 - 3 * m1 * m2 + 2 * m1**3) / variance**1.5
+    kurtosis = (m4 - 4 * m1 * m3 + 6 * m1**2 * m2 - 3 * m1**4) / variance**2
+    found = _moments_of(law.standardised_quantiles(shape, mean))
+    assert found[0] == pytest.approx(0.0, abs=1e-9)
+    assert found[1] == pytest.approx(1.0, abs=1e-9)
+    # Narrow pulses make a staircase of the law, whose steps straight lines between nodes round off.
+    tolerance = 1e-3 if shape < 10.0 else 5e-3
+    assert found[2] == pytest.approx(skewness, rel=tolerance, abs=1e-4)
+    assert found[3] == pytest.approx(kurtosis, rel=tolerance)
+
+
+def _kernels(sensor, divisions):
+    camera = IntensifiedCamera(sensor)
+    stages = prepare.Stages.of(camera.chain(Conditions()), camera.fields_per_frame)
+    blurs = stages.behind_plate.mean(Light(values=np.zeros((1, 1), np.float32))).owed
+    known = kernel.DIVISIONS
+    try:
+        kernel.DIVISIONS = (divisions,)
+        kernel.noise_kernel.cache_clear()
+        made = kernel.noise_kernel(blurs, camera.cells, 2, (1.0,), 0.0, sparse=False)
+    finally:
+        kernel.DIVISIONS = known
+        kernel.noise_kernel.cache_clear()
+    return camera, blurs, made
+
+
+@pytest.mark.parametrize("divisions", [(1, 1), (1, 2), (2, 2)])
+def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sheet, divisions):
+    camera, blurs, made = _kernels(sheet, divisions)
+    near = sum(np.einsum("ri,rj->", down, along) for down, along in zip(made.down, made.along, strict=True))
+    far = made.wing.sum() * kernel.COARSE**2 * len(made.down)
+    assert near + far == pytest.approx(made.height * len(made.down), rel=1e-5)
+    # Covariance of pixels (i rows, j columns) apart: the integral of |H|^2 cos over all frequencies.
+    f = (np.arange(1600) + 0.5) / 200.0 - 4.0
+    fx, fy = np.broadcast_arrays(f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm)
+    aperture = PixelAperture(width_mm=camera.cells.pitch_x_mm, height_mm=2 * camera.cells.pitch_y_mm)
+    power = product((*blurs, aperture), fx, fy) ** 2 / 200.0**2
+    core = [np.einsum("ri,rj->ij", down, along) for down, along in zip(made.down, made.along, strict=True)]
+    cells = made.height**2 * len(made.down)
+    for row, col in ((0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (2, 3)):
+        wave = np.cos(2.0 * np.pi * row * f)[:, None] * np.cos(2.0 * np.pi * col * f)[None, :]
+        expected = float(np.sum(power * wave))
+        overlap = sum(np.sum(k[row:, col:] * k[: k.shape[0] - row, : k.shape[1] - col]) for k in core)
+        assert overlap / cells == pytest.approx(expected, abs=1.5e-3 * float(power.sum()))
+
+
+def test_sharpened_light_keeps_its_sum_and_even_light_stays(sheet):
+    _, _, made = _kernels(sheet, (1, 1))
+    assert made.sharpening.sum() == pytest.approx(1.0, abs=1e-9)
+    even = prepare._sharpened(np.full((40, 60), 3.0), made)
+    assert np.allclose(even, 3.0)
+
+
+@pytest.mark.parametrize("gate_s", [1e-6, 4e-3, 16.6e-3])
+def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
+    """Shares over the fields agree with the pulse shares of the decay itself, in mean and in mean square."""
+    glow = Afterglow(fast_fraction=0.95, fast_decay_ms=1.45, slow_decay_ms=35.0, gate_s=gate_s, field_s=1 / 59.94)
+    (later, spread, kept), _, memory = prepare.decay_of(glow)
+    truth = glow.pulse_shares
+    assert 1.0 - later.sum() == pytest.approx(truth[:, 0].mean(), abs=2e-4)
+    assert (1.0 - later.sum()) ** 2 + spread.sum() ** 2 == pytest.approx(np.mean(truth[:, 0] ** 2), abs=3e-4)
+    first = np.sum(later * (1.0 - kept))
+    assert first == pytest.approx(truth[:, 1].mean(), abs=1e-3)
+    both = (1.0 - later.sum()) * first - spread.sum() * np.sum(spread * (1.0 - kept))
+    assert both == pytest.approx(np.mean(truth[:, 0] * truth[:, 1]), abs=1e-3)
+    assert np.sum(later * kept**memory) < prepare.FORGOTTEN
+
+
+@pytest.fixture(scope="module")
+def scene(sheet):
+    """A small camera and an uneven picture through it, patterns, ions and a lamp included."""
+    small = replace(sheet, ccd=replace(sheet.ccd, rows=60, columns=84))
+    camera = IntensifiedCamera(small, geometry=True, local_depletion=True)
+    image = 2.0 + 2.0 * np.sin(np.arange(84) / 9.0)[None, :] * np.ones((60, 1))
+    image[30, 40] = 5e4
+    return camera, from_photoelectrons(camera, image, Conditions())
+
+
+def _frames(scene, count, **more):
+    return np.stack(list(islice(tiers.frames(*scene, Conditions(), seed=9, **more), count)))
+
+
+@pytest.mark.parametrize("tier", ["streamed", "normal"])
+def test_frames_follow_from_seed_and_number_whoever_draws_them_and_in_whatever_order(scene, tier, monkeypatch):
+    monkeypatch.setattr(engine, "SEGMENT_FRAMES", 4)
+    run = _frames(scene, 11, tier=tier)
+    assert run.tobytes() == _frames(scene, 11, tier=tier, threads=2).tobytes()
+    for first in (1, 4, 6, 8):
+        assert run[first : first + 2].tobytes() == _frames(scene, 2, tier=tier, first_frame=first).tobytes()
+    assert run.tobytes() != np.stack(list(islice(tiers.frames(*scene, Conditions(), seed=10, tier=tier), 11))).tobytes()
+
+
+def test_every_tier_averages_to_the_mean_frame(scene, seed):
+    camera, light = scene
+    conditions = Conditions(mcp_v=700.0)
+    mean = camera.mean_frame(light, conditions)
+    dark_side = mean < 60.0
+    for tier in tiers.TIERS:
+        stream = tiers.frames(camera, light, conditions, seed=seed, tier=tier)
+        frames = np.stack(list(islice(stream, 160))).astype(float)
+        profiles = np.where(dark_side, frames - mean, 0.0).sum(axis=1) / np.maximum(dark_side.sum(axis=0), 1)
+        blocks = profiles.reshape(20, 8, -1).mean(axis=1)
+        error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
+        assert np.all(np.abs(profiles.mean(axis=0)) < 5.5 * error + 0.02), tier
+
+
+def test_the_screen_glows_into_the_next_frame_as_by_cell(scene, seed):
+    """Correlation of a pixel's noise with the next frame's, by both tiers."""
+    camera, light = scene
+    found = []
+    for tier in ("by-cell", "streamed"):
+        stream = tiers.frames(camera, light, Conditions(mcp_v=730.0), seed=seed, tier=tier)
+        frames = np.stack(list(islice(stream, 220)))[:, :20].astype(float)
+        noise = frames - frames.mean(axis=0)
+        share = (noise[1:] * noise[:-1]).mean(axis=(1, 2)) / (noise**2).mean()
+        blocks = share[:216].reshape(18, 12).mean(axis=1)
+        found.append((blocks.mean(), blocks.std(ddof=1) / np.sqrt(18.0)))
+    (by_cell, first), (streamed, second) = found
+    assert by_cell > 10.0 * first
+    assert abs(by_cell - streamed) < 4.0 * np.hypot(first, second)
+
+
+def test_brightness_control_dims_streamed_frames_as_by_cell(sheet):
+    small = replace(sheet, ccd=replace(sheet.ccd, rows=40, columns=64)).with_values(
+        {"ccd.full_well_e": 1e7, "video.conversion_gain_dn_per_e": 4e-4}
+    )
+    camera, on = IntensifiedCamera(small), Conditions(brightness_control=True)
+    light = from_photoelectrons(camera, np.full(camera.shape, 800.0), on)
+    levels = [
+        [float(frame.mean()) for frame in islice(tiers.frames(camera, light, on, seed=1, tier=tier), 12)]
+        for tier in ("by-cell", "streamed")
+    ]
+    assert levels[1][0] > levels[1][-1] + 5.0
+    assert np.allclose(levels[0], levels[1], rtol=0.02)
+
+
+def test_light_that_is_no_number_and_an_unknown_tier_are_refused(scene):
+    camera, light = scene
+    broken = light.with_values(np.where(light.values > 1.0, np.nan, light.values))
+    with pytest.raises(BadInput, match="photoelectrons at the plate must be finite"):
+        tiers.frames(camera, broken, Conditions(), seed=1)
+    with pytest.raises(BadInput, match="a tier must be one of by-cell, streamed, normal, got 'best'"):
+        tiers.frames(camera, light, Conditions(), seed=1, tier="best")  # pyright: ignore[reportArgumentType]
