@@ -173,7 +173,7 @@ class IntensifiedCamera:
             self.afterglow(conditions),
             Scan(interlaced=self.interlaced),
             self._ccd(conditions),
-            self.video(),
+            self.video(conditions),
         )
         return Chain(stages)
 
@@ -365,15 +365,20 @@ class IntensifiedCamera:
             specimen=self.specimen,
         )
 
-    def video(self) -> Video | DigitalBackEnd:
-        """Return the video with its digitiser, or the digitiser alone of a camera without video."""
-        video = self.sensor.video
+    def video(self, conditions: Conditions | None = None) -> Video | DigitalBackEnd:
+        """Return the video with its digitiser, or the digitiser alone of a camera without video.
+
+        The camera's gain in the conditions, dB, multiplies charge and noise alike.
+        """
+        gain_db = None if conditions is None else conditions.camera_gain_db
+        video, gain = self.sensor.video, 10.0 ** ((gain_db or 0.0) / 20.0)
         if video.low_pass is None:
             return DigitalBackEnd(
                 conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
                 black_level_dn=float(video.black_level_dn),
                 gamma=float(video.gamma),
                 bit_depth=video.bit_depth,
+                gain=gain,
             )
         bandwidth_mhz, clock_mhz, order = video.low_pass
         low_pass = VideoFilter(
@@ -388,6 +393,7 @@ class IntensifiedCamera:
             black_level_dn=float(video.black_level_dn),
             gamma=float(video.gamma),
             bit_depth=video.bit_depth,
+            gain=gain,
             sync_jitter_px=self._unless("sync jitter", video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz,
             line_noise_dn=self._unless("line noise", video.line_noise_dn or 0.0),
         )
@@ -518,4 +524,5 @@ class IntensifiedCamera:
         readout = self.chain(conditions).part("scan", "video")
         if state is None or state.gain == 1.0:
             return readout
-        return Chain((*readout.stages[:-1], replace(self.video(), gain=state.gain)))
+        video = self.video(conditions)
+        return Chain((*readout.stages[:-1], replace(video, gain=video.gain * state.gain)))

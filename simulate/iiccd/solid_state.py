@@ -197,6 +197,7 @@ class SiliconCamera:
             raise BadInput(f"automatic controls must be off, as {self.description.name!r} has none; got one on")
         video = self.description.video
         return DigitalBackEnd(
+            gain=10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0),
             conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
             black_level_dn=float(video.black_level_dn),
             gamma=float(video.gamma),

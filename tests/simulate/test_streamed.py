@@ -184,3 +184,18 @@ def test_light_that_is_no_number_and_an_unknown_tier_are_refused(scene):
         tiers.frames(camera, broken, Conditions(), seed=1)
     with pytest.raises(BadInput, match="a tier must be one of by-cell, streamed, normal, got 'best'"):
         tiers.frames(camera, light, Conditions(), seed=1, tier="best")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("tier", tiers.TIERS)
+def test_six_decibels_of_camera_gain_double_signal_and_noise(sheet, tier, seed):
+    small = replace(sheet, ccd=replace(sheet.ccd, rows=60, columns=84), video=replace(sheet.video, bit_depth=16))
+    camera = IntensifiedCamera(small)
+    light = from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
+    black, found = float(sheet.video.black_level_dn), []
+    for gain_db in (0.0, 20.0 * np.log10(2.0)):
+        stream = tiers.frames(camera, light, Conditions(camera_gain_db=float(gain_db)), seed=seed, tier=tier)
+        frames = np.stack(list(islice(stream, 24))).astype(float)
+        found.append((frames.mean() - black, frames.std(axis=0).mean()))
+    (level, noise), (doubled_level, doubled_noise) = found
+    assert doubled_level == pytest.approx(2.0 * level, rel=0.01)
+    assert doubled_noise == pytest.approx(2.0 * noise, rel=0.02)

@@ -190,7 +190,7 @@ def readout_of(stages: Stages, scene: Steady) -> Readout:
         impulse=np.array(_impulse(video), np.float32),
         jitter_px=video.sync_jitter_px if isinstance(video, Video) else 0.0,
         line_noise_dn=video.line_noise_dn if isinstance(video, Video) else 0.0,
-        gain_dn_per_e=video.conversion_gain_dn_per_e,
+        gain_dn_per_e=video.conversion_gain_dn_per_e * video.gain,
         black_dn=video.black_level_dn,
         gamma=video.gamma,
         top_dn=video.full_scale_dn,
