@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
+from simulate.iiccd.streamed.engine import SEGMENT_FRAMES
 from simulate.lab import LabBench
 from simulate.rig.operator import Placement, read_placement
 from simulate.rig.outputs import Outputs
@@ -44,7 +45,7 @@ class VirtualTube:
     def __init__(self, folder: Path, outputs: Callable[[], Outputs]) -> None:
         self._folder, self._outputs = Path(folder), outputs
         self._truth = read_truth(self._folder / TRUTH)
-        self._benches: dict[float, LabBench] = {}
+        self._bench = LabBench(self._truth.sensor)
         self._scene: Scene | None = None
         self._frame = 0
         self._frames: Iterator[NDArray] = iter(())
@@ -77,15 +78,16 @@ class VirtualTube:
 
     def prepare(self, scene: Scene) -> None:
         """Render the picture of what stands before the camera, so that its first frame does not wait for it."""
-        self._bench(scene).photoelectrons(scene.placement.kind, scene.placement.target, scene.conditions)
+        self._bench.photoelectrons(scene.placement.kind, scene.placement.target, scene.conditions)
 
     def expose(self, scene: Scene) -> NDArray:
         """Expose one frame of a scene, shape (row, col), DN."""
         if scene != self._scene:
             same_placement = self._scene is not None and scene.placement.number == self._scene.placement.number
-            self._frame = self._frame if same_placement else 0
+            # What the screen remembers is drawn anew at the start of a segment: a changed scene begins with one.
+            self._frame = -(-self._frame // SEGMENT_FRAMES) * SEGMENT_FRAMES if same_placement else 0
             self._scene = scene
-            self._frames = self._bench(scene).stream(
+            self._frames = self._bench.stream(
                 scene.placement.kind,
                 scene.placement.target,
                 scene.conditions,
@@ -94,15 +96,6 @@ class VirtualTube:
             )
         self._frame += 1
         return next(self._frames)
-
-    def _bench(self, scene: Scene) -> LabBench:
-        """Return the bench at a video gain, which multiplies the signal before the digitiser."""
-        gain_db = scene.conditions.camera_gain_db or 0.0
-        if gain_db not in self._benches:
-            path = "video.conversion_gain_dn_per_e"
-            gain_dn_per_e = float(self.sensor.parameters()[path]) * 10.0 ** (gain_db / 20.0)
-            self._benches = {gain_db: LabBench(self.sensor.with_values({path: gain_dn_per_e}))}
-        return self._benches[gain_db]
 
 
 def frame_seed(seed: int, placement: int) -> int:
