@@ -11,6 +11,8 @@ SWITCHES = ("automatic_gain", "brightness_control")
 
 # Temperatures at which a camera can be, degrees Celsius.
 CAMERAS_LIVE_C = (-200.0, 150.0)
+# Gain of a camera, up or down, that is no slip of the pen, dB.
+MOST_GAIN_DB = 200.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +76,8 @@ class Conditions:
                 raise BadInput(f"{item.name} must not be negative, got {value:g}")
         if self.em_gain is not None and not self.em_gain >= 1:
             raise BadInput(f"em_gain must be at least 1, got {self.em_gain:g}")
+        if self.camera_gain_db is not None and not abs(self.camera_gain_db) <= MOST_GAIN_DB:
+            raise BadInput(f"camera_gain_db must lie within {MOST_GAIN_DB:g} dB of none, got {self.camera_gain_db:g}")
         coldest, warmest = CAMERAS_LIVE_C
         if self.temperature_c is not None and not coldest <= self.temperature_c <= warmest:
             raise BadInput(f"temperature_c must lie between {coldest:g} and {warmest:g}, got {self.temperature_c:g}")

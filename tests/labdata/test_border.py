@@ -21,8 +21,8 @@ signed = st.floats(min_value=-1e6, max_value=1e6)
 texts = st.text(st.characters(codec="utf-8", exclude_categories=("Cs", "Cc")), min_size=1, max_size=12)
 kinds = st.sampled_from(["dark", "flat", "edge", "bars", "point", "scene"])
 ranges_of_conditions = {
-    "camera_gain_db": signed,
-    "temperature_c": signed,
+    "camera_gain_db": st.floats(-200.0, 200.0),
+    "temperature_c": st.floats(-200.0, 150.0),
     "automatic_gain": st.booleans(),
     "brightness_control": st.booleans(),
     "em_gain": st.floats(1.0, 1e4),

@@ -252,7 +252,7 @@ IMPOSSIBLE = [
     ("microchannel_plate.detection_probability", 1.01, "detection_probability must lie between 0 and 1, got 1.01"),
     ("microchannel_plate.detection_probability", 0.0, "detection_probability must be positive, got 0"),
     ("microchannel_plate.gain_control_ratio", 1.0, "gain_control_ratio must exceed 1, got 1"),
-    ("tube.luminous_gain", float("nan"), "luminous_gain must be positive, got nan"),
+    ("tube.luminous_gain", float("nan"), "a parameter's value must be a finite number, got nan"),
     ("phosphor.slow_decay_ms", 0.0, "slow_decay_ms must be positive, got 0"),
     ("taper.demagnification", -1.0, "demagnification must be positive, got -1"),
     ("ccd.dsnu_e", -1.0, "dsnu_e must not be negative, got -1"),
