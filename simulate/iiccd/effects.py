@@ -25,7 +25,7 @@ from simulate.iiccd.light import Light, product
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.pattern import MOTTLE_MM
 from simulate.iiccd.streamed.kernel import noise_kernel
-from simulate.iiccd.streamed.prepare import Stages
+from simulate.iiccd.streamed.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, SPARSE_PE_PER_PX, Stages
 from simulate.iiccd.transfer import Blur, Halo
 from simulate.iiccd.video import Video
 
@@ -40,15 +40,18 @@ RINGS = 6
 # Steepest growth of the variance of rounded numbers with that of what is rounded, times the latter in steps^2: the
 # largest of x phi(x) (1 - 2 Phi(-x)) / 2.
 ROUNDING = 0.09
-# Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy --costs` measures.
-SETUP_S = {"fibre geometry": 3.0, "local depletion": 0.5, "chicken wire": 0.6, "screen mottle": 0.4}
-FRAME_S = {
-    "afterglow": 2.5e-3,
-    "overflow": 1.0e-3,
-    "unequal pixels": 0.2e-3,
-    "dark pattern": 0.2e-3,
-    "pulse-height law": 1.0e-3,
+# Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy --costs` measures
+# them: medians, which scatter by some 0.05 s and 0.5 ms; what is not here costs less than that.
+SETUP_S = {
+    "pulse-height law": 1.5,
+    "fibre geometry": 0.6,
+    "local depletion": 0.25,
+    "screen mottle": 0.15,
+    "plate saturation": 0.15,
+    "afterglow": 0.1,
+    "multi-fibre pattern": 0.1,
 }
+FRAME_S = {"overflow": 5.3e-3, "pulse-height law": 2.9e-3, "afterglow": 1.9e-3, "dark pattern": 0.7e-3}
 
 Map = NDArray[np.floating]
 UNTOUCHED = AutomaticState()
@@ -152,10 +155,15 @@ class Picture:
 
     @cached_property
     def blurs(self) -> tuple[float, float]:
-        """What blur behind the gain leaves of a pulse's second and third moment, dimensionless."""
+        """What blur behind the gain leaves of a pulse's second and third moment, dimensionless.
+
+        The kernel is the one that frames will be drawn with, so that it is worked out once.
+        """
         owed = self.stages.behind_plate.mean(Light(values=np.zeros((1, 1), np.float32))).owed
-        height = 2 if self.camera.interlaced else 1
-        kernel = noise_kernel(owed, self.camera.cells, height, tuple(self.impulse.tolist()), 0.0, sparse=False)
+        taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > SHORTEST_TAP)[-1] + 1]
+        sparse = float(self.frame_of(self.surroundings, DRAW_MARGIN_PX).mean()) < SPARSE_PE_PER_PX
+        height, impulse = 2 if self.camera.interlaced else 1, tuple(float(tap) for tap in taps)
+        kernel = noise_kernel(owed, self.camera.cells, height, impulse, SKEWNESS_TOLERANCE, sparse=sparse)
         return kernel.blur_factor, kernel.third_factor
 
     @cached_property
