@@ -199,3 +199,21 @@ def test_six_decibels_of_camera_gain_double_signal_and_noise(sheet, tier, seed):
     (level, noise), (doubled_level, doubled_noise) = found
     assert doubled_level == pytest.approx(2.0 * level, rel=0.01)
     assert doubled_noise == pytest.approx(2.0 * noise, rel=0.02)
+
+
+def test_rows_between_exact_ones_have_the_law_s_skewness_too():
+    for row in (3, 152, 298, 451, 603, 748):
+        mean = law.LOWEST_ROW * float(np.exp(law.ROW_STEP * row))
+        between, exact = _moments_of(law.row_quantiles(1.0, row)), _moments_of(law.standardised_quantiles(1.0, mean))
+        assert row % law.EXACT_EVERY
+        assert between[1] == pytest.approx(1.0, abs=1e-9)
+        assert between[2] == pytest.approx(exact[2], rel=1.5e-3)
+        assert between[3] == pytest.approx(exact[3], rel=3e-3)
+
+
+def test_a_screen_far_faster_than_the_gate_s_end_leaves_nothing():
+    glow = Afterglow(fast_fraction=0.95, fast_decay_ms=3.6e-5, slow_decay_ms=1.9e-3, gate_s=1e-4, field_s=1 / 30)
+    (later, spread, _), lateness, memory = prepare.decay_of(glow)
+    assert later.sum() < 1e-6 > abs(spread.sum())
+    assert np.isfinite(lateness)
+    assert memory == 0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Rows of the standardised law: its skewness changes by one per cent from row to row.
-LOWEST_ROW, ROW_STEP, ROWS = 1e-3, 0.02, 1100
+LOWEST_ROW, ROW_STEP, ROWS, EXACT_EVERY = 1e-3, 0.02, 1100, 5
 # Nodes: 16 in each of the octaves 2^-25 .. 2^-1 towards either end, and the last one, 1/2.
 MANTISSA_BITS, OCTAVES = 4, 24
 HALF = (OCTAVES << MANTISSA_BITS) + 2
@@ -46,15 +46,17 @@ class CellLaw:
 def pulse_law(shape: float, mean: NDArray[np.floating]) -> CellLaw:
     """Return the law of sums of pulses of a gamma shape, for each mean number of pulses."""
     index = np.rint(np.log(np.maximum(mean, LOWEST_ROW) / LOWEST_ROW) / ROW_STEP)
-    used, place = np.unique(np.minimum(index, ROWS - 1), return_inverse=True)
-    means = LOWEST_ROW * np.exp(ROW_STEP * used)
-    quantiles = np.concatenate([standardised_quantiles(shape, float(mean)) for mean in means])
+    row = np.minimum(index, ROWS - 1).astype(np.uint16)
+    used = np.flatnonzero(np.bincount(row.ravel(), minlength=ROWS))
+    place = np.zeros(ROWS, np.uint16)
+    place[used] = np.arange(len(used))
+    quantiles = np.concatenate([row_quantiles(shape, int(number)) for number in used])
     something = -np.expm1(-np.asarray(mean, np.float64))
     # Beyond any use where nothing is expected, so that nothing is drawn there.
     inverse = np.divide(1.0, something, out=np.full(something.shape, 1e30), where=something > 1e-30)
     return CellLaw(
         inverse=inverse.astype(np.float32),
-        rows=place.reshape(mean.shape).astype(np.uint16),
+        rows=place[row],
         quantiles=quantiles.astype(np.float32),
     )
 
@@ -71,6 +73,17 @@ def node_probabilities() -> NDArray[np.float64]:
     octave, part = step >> MANTISSA_BITS, step & ((1 << MANTISSA_BITS) - 1)
     probability = SMALLEST * 2.0**octave * (1.0 + part / (1 << MANTISSA_BITS))
     return np.append(probability, (0.5, 0.5))
+
+
+def row_quantiles(shape: float, row: int) -> NDArray[np.float64]:
+    """Return the quantiles of a row, shape (NODES,): every fifth by the law itself, between them by straight lines."""
+    below = row - row % EXACT_EVERY
+    share = (row - below) / EXACT_EVERY
+    exact = standardised_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * below)))
+    if share == 0.0:
+        return exact
+    above = standardised_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * (below + EXACT_EVERY))))
+    return _standard((1.0 - share) * exact + share * above)
 
 
 @lru_cache(maxsize=4096)

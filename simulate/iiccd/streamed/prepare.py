@@ -232,7 +232,7 @@ def decay_of(afterglow: Afterglow) -> tuple[NDArray[np.float32], float, int]:
     seen = later > 1e-6
     remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
     memory = 1 + int(np.argmax(remaining < FORGOTTEN)) if seen.any() else 0
-    lateness = float(np.mean((together - together.mean()) ** 3)) / (scatter or 1.0) ** 3
+    lateness = float(np.mean(((together - together.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
     return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, memory
 
 
