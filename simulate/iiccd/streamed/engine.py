@@ -125,8 +125,11 @@ class Stream:
         self._scene, self._readout, self._states = scene, readout, states
         self._seed, self._threads = seed, threads
         planes, rows, cols = scene.gain.shape
-        self._stored = np.zeros((planes, scene.decay.shape[1], rows, cols), np.float32)
-        self._shown = np.empty((scene.fields, planes, rows, cols), np.float32)
+        components = scene.decay.shape[1]
+        # One block of memory for what is worked on together, large enough for large pages.
+        block = np.zeros((planes * (components + scene.fields), rows, cols), np.float32)
+        self._stored = block[: planes * components].reshape(planes, components, rows, cols)
+        self._shown = block[planes * components :].reshape(scene.fields, planes, rows, cols)
         # What is stored of the mean, relative to a steady scene of untouched brightness.
         self._stored_mean = np.ones(scene.decay.shape[1])
         self._charge = np.empty(scene.light_e.shape, np.float32)

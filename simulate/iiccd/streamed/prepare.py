@@ -27,6 +27,8 @@ SPARSE_PE_PER_PX = 0.8
 COUNTED_SKEWNESS = 0.01
 # Beyond this many photoelectrons in a cell the noise is that of so many: no camera shows it, and numbers stay finite.
 BLINDING_PE = 1e9
+# Standard deviations above its mean that charge never rises, in any run.
+FARTHEST = 8.0
 # Shares of an impulse response below this are left out.
 SHORTEST_TAP = 1e-6
 # Times of arrival that are told apart where single pulses are seen: as many as a byte.
@@ -94,11 +96,13 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
     mean, dark = _mean_charge(stages, stages.collection.mean(screen))
     decay, lateness, memory = decay_of(stages.afterglow)
     arrivals = arrivals_of(stages.afterglow) if sparse else np.empty((2, 0), np.float32)
+    # One block of memory for what is read together, large enough for large pages.
+    cells = np.stack([expected, law.inverse, gain]).astype(np.float32)
     return Steady(
-        expected=expected.astype(np.float32),
-        inverse=law.inverse,
+        expected=cells[0],
+        inverse=cells[1],
         rows=law.rows,
-        gain=gain.astype(np.float32),
+        gain=cells[2],
         shape=stages.plate.pulse_height_shape,
         quantiles=law.quantiles,
         ions_per_field=stages.plate.ions_per_cell(at_plate) * 4 * expected[0].size,
@@ -180,7 +184,7 @@ def _response(ccd: Ccd, shape: tuple[int, ...]) -> NDArray[np.float32]:
 def readout_of(stages: Stages, scene: Steady) -> Readout:
     """Return what reads a scene."""
     ccd, video = stages.ccd, stages.video
-    overflows = float(scene.light_e.max()) + 12.0 * np.sqrt(float(_variance(scene, ccd).max())) > ccd.full_well_e
+    overflows = float(scene.light_e.max()) + FARTHEST * np.sqrt(float(_variance(scene, ccd).max())) > ccd.full_well_e
     counted = _skewness(scene, ccd) > COUNTED_SKEWNESS
     return Readout(
         dark_e=ccd.dark_e,
