@@ -107,8 +107,8 @@ def table(points: Mapping[tiers.Tier, list[Point]], fps: dict[tuple[str, float],
             lines.append(f"| {tier} | {point.level:g} | {cells} | {point.worst:.2g} |")
     allowed = ", ".join(f"{WORDS[name]} {100.0 * share:g} %" for name, share in TOLERANCES.items())
     lines += ["", f"Tolerances: {allowed}; ± is one standard error, and two are taken off before the worst is counted. "
-              f"Flats of {240 * 320 * BLOCKS // 1_000_000} million pixels times {AFFORDED['streamed']} frames "
-              f"({AFFORDED['by-cell']} by cell)."]  # fmt: skip
+              f"Each flat has {240 * 320 * BLOCKS * AFFORDED['streamed'] / 1e6:.0f} million pixels "
+              f"({240 * 320 * BLOCKS * AFFORDED['by-cell'] / 1e6:.0f} million by cell)."]  # fmt: skip
     return "\n".join(lines)
 
 

@@ -84,7 +84,7 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
     height = 2 if stages.fields == 2 else 1
     screen = stages.behind_plate.mean(stages.plate.mean(at_plate))
     per_px = max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * height
-    impulse, sparse = _impulse(stages.video), per_px < SPARSE_PE_PER_PX
+    impulse, sparse = _impulse(stages.video), per_px < SPARSE_PE_PER_PX and not normal
     kernel = noise_kernel(screen.owed, grid, height, impulse, SKEWNESS_TOLERANCE, sparse=sparse)
     quiet = replace(stages.plate, ion_events_per_s_cm2=0.0)
     photons = stages.behind_plate.mean(quiet.mean(at_plate)).values
