@@ -8,13 +8,14 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import tiers
+from simulate.iiccd import tiers, truth
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.exposure import from_photoelectrons
 from simulate.iiccd.light import Light, product
 from simulate.iiccd.phosphor import Afterglow
 from simulate.iiccd.streamed import engine, kernel, law, prepare
 from simulate.iiccd.transfer import PixelAperture
+from tests.simulate.test_noise import _block_variance, _captured
 
 
 def _moments_of(quantiles: np.ndarray) -> list[float]:
@@ -217,3 +218,22 @@ def test_a_screen_far_faster_than_the_gate_s_end_leaves_nothing():
     assert later.sum() < 1e-6 > abs(spread.sum())
     assert np.isfinite(lateness)
     assert memory == 0
+
+
+def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
+    """What spreads beyond the compact kernel adds up, too: a covariance gain is read from such sums."""
+    sensor = plain(120, 320)
+    camera, level, blocks = IntensifiedCamera(sensor), 10.0, ((2, 4), (5, 10), (10, 20))
+    light = Light(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
+    mean = camera.mean_frame(light, Conditions())[0::2, 20:]
+    found = []
+    for frame in islice(tiers.frames(camera, light, Conditions(), seed=seed), 1600):
+        field = frame[0::2, 20:] - mean
+        found.append([_block_variance(field[None], rows, columns)[0] for rows, columns in blocks])
+    batches = np.array(found).reshape(40, 40, len(blocks)).mean(axis=1)
+    error = batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
+    q = truth.quantities(sensor)
+    shot = q["field_covariance_gain"] * level * q["photoelectron_gain"]
+    expected = np.array([_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks])
+    assert np.all(error < 0.01 * expected)
+    assert np.all(np.abs(batches.mean(axis=0) - expected) < 0.004 * expected + 4.0 * error)

@@ -307,21 +307,30 @@ def far_wing(
     """
     from scipy import fft
 
+    from simulate.iiccd.streamed.passes import widened
+
     rows, cols = coarse.shape[-2:]
-    size = rows + kernel.wing.shape[0], cols + kernel.wing.shape[1]
+    size = tuple(fft.next_fast_len(n + m, real=True) for n, m in zip((rows, cols), kernel.wing.shape, strict=True))
     transform = _transform(kernel.wing.tobytes(), kernel.wing.shape, size)
     middle = kernel.wing.shape[0] // 2
     spectrum: Any = fft.rfft2(coarse, size)
     spread: Any = fft.irfft2(spectrum * transform, size)
     spread = spread[..., middle : middle + rows, middle : middle + cols]
     places, left, right, share = _places((rows, cols), kernel.height, shape)
-    wide = spread[..., left] * (1 - share) + spread[..., right] * share
     # A row beyond the last, which the rows of the frame look at with no weight.
-    return np.concatenate([wide, wide[..., -1:, :]], axis=-2), places
+    wide = np.empty((*coarse.shape[:-2], rows + 1, shape[1]), np.float32)
+    widened(
+        np.ascontiguousarray(spread, np.float32).reshape(-1, rows, cols),
+        left,
+        right,
+        share,
+        wide.reshape(-1, rows + 1, shape[1]),
+    )
+    return wide, places
 
 
 @lru_cache(maxsize=4)
-def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, int]) -> NDArray[np.complex64]:
+def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, ...]) -> NDArray[np.complex64]:
     from scipy import fft
 
     transform: Any = fft.rfft2(np.frombuffer(wing, np.float32).reshape(shape), size)
@@ -331,15 +340,15 @@ def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, int]) -> ND
 @lru_cache(maxsize=4)
 def _places(
     coarse: tuple[int, ...], height: int, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
     """Places of the frame's rows and columns among the centres of coarse cells: columns by the two and the share."""
     centres = REACH + 0.5 * height, REACH + 0.5
     rows, cols = (
         np.clip((centre + np.arange(n)) / COARSE - 0.5, 0.0, cells - 1.0).astype(np.float32)
         for centre, n, cells in zip(centres, shape, coarse, strict=True)
     )
-    left = cols.astype(np.intp)
-    return rows, left, np.minimum(left + 1, coarse[1] - 1), (cols - left).astype(np.float32)
+    left = cols.astype(np.uint32)
+    return rows, left, np.minimum(left + 1, coarse[1] - 1).astype(np.uint32), (cols - left).astype(np.float32)
 
 
 def _single(*numbers: float) -> tuple[np.float32, ...]:

@@ -17,9 +17,9 @@ from simulate.iiccd.light import product
 from simulate.iiccd.transfer import Blur, PixelAperture
 
 # Half-width of the compact part, pixels; what reaches farther goes by the coarse lattice.
-REACH = 4
+REACH = 5
 # Pixels on one side of a coarse cell.
-COARSE = 16
+COARSE = 8
 # Side of the lattice on which kernels are computed, pixels, and its finest division.
 SIDE, FINEST = 128, 8
 # Cells per row and per column of the chip, coarsest first.

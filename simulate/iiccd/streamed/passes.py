@@ -392,6 +392,17 @@ def charge_rows(first, last, key, shown, kernel, wing, mean, response, noise, no
 
 
 @njit(**FAST)
+def widened(coarse, left, right, share, wide):
+    """Fill images (image, row + 1, col) from coarse ones between two columns each; the last row is repeated."""
+    for n in range(coarse.shape[0]):
+        for r in range(wide.shape[1]):
+            cells, out = coarse[n, min(r, coarse.shape[1] - 1)], wide[n, r]
+            for c in range(out.size):
+                before = cells[left[c]]
+                out[c] = before + share[c] * (cells[right[c]] - before)
+
+
+@njit(**FAST)
 def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
     """Read rows first..last through the amplifier and its filter into whole codes.
 
