@@ -139,7 +139,7 @@ def draw(points: Mapping[tiers.Tier, list[Point]], fps: dict[tuple[str, float], 
     axes.text(0.99, 1.08, "tolerance", fontsize=8, ha="right", transform=axes.get_yaxis_transform())
     fastest = max(fps[tier, 10.0] for tier in points)
     axes.set(xscale="log", yscale="log", ylim=(0.6 * floor, None), xlim=(None, 1.8 * fastest))
-    axes.text(0.01, floor, "no error beyond two standard errors", fontsize=7, va="center", color="0.35",
+    axes.text(0.5, floor, "no error beyond two standard errors", fontsize=7, va="center", color="0.35",
               transform=axes.get_yaxis_transform())  # fmt: skip
     axes.set(xlabel="frames a second, 768 x 493, 10 pe/px, one thread", ylabel="worst moment error, in tolerances")
     axes.set_title("Fidelity against speed: lower right is better")
