@@ -132,22 +132,10 @@ class IntensifiedCamera:
 
     def lens(self, magnification: float = 0.0) -> RadiometricLens:
         """Return the lens for scenes of known radiance; `optics` of the chain is for light stated at the cathode."""
-        optics, cathode = self.sensor.optics, self.sensor.photocathode
-        return RadiometricLens(
-            f_number=float(optics.f_number),
-            transmission=float(optics.transmission),
-            focal_length_mm=float(optics.focal_length_mm),
-            detector_nm=cathode.wavelength_nm,
-            detector_efficiency=cathode.relative_quantum_efficiency,
-            grid=self.scene_cells,
-            magnification=magnification,
-            aberration_blur_um=float(optics.aberration_blur_um),
-            focal_shift_um=float(optics.focal_shift_um),
-            focus_nm=float(optics.focus_nm),
-            veiling_glare_fraction=float(optics.veiling_glare_fraction),
-            vignetting_fraction=float(optics.vignetting_fraction),
-            distortion_fraction=float(optics.distortion_fraction),
-            row_pairs=self.interlaced,
+        cathode = self.sensor.photocathode
+        detector = cathode.wavelength_nm, cathode.relative_quantum_efficiency
+        return RadiometricLens.of(
+            self.sensor.optics, detector, self.scene_cells, magnification=magnification, row_pairs=self.interlaced
         )
 
     def chain(self, conditions: Conditions, *, cathode_lux: float = 0.0) -> Chain:

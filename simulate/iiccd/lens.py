@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.sensor import Optics as OpticsDescription
 from simulate.iiccd import fourier, photons, placing, warp
 from simulate.iiccd.grid import Grid
 from simulate.iiccd.light import Light
@@ -76,6 +77,34 @@ class RadiometricLens:
     name: str = "optics"
     takes: str = "radiance"
     emits: str = "photons"
+
+    @classmethod
+    def of(
+        cls,
+        optics: OpticsDescription,
+        detector: tuple[tuple[float, ...], tuple[float, ...]],
+        grid: Grid,
+        *,
+        magnification: float,
+        row_pairs: bool,
+    ) -> "RadiometricLens":
+        """Return the lens of a description before a detector (wavelength, nm, and efficiency); the rest as above."""
+        return cls(
+            f_number=float(optics.f_number),
+            transmission=float(optics.transmission),
+            focal_length_mm=float(optics.focal_length_mm),
+            detector_nm=detector[0],
+            detector_efficiency=detector[1],
+            grid=grid,
+            magnification=magnification,
+            aberration_blur_um=float(optics.aberration_blur_um),
+            focal_shift_um=float(optics.focal_shift_um),
+            focus_nm=float(optics.focus_nm),
+            veiling_glare_fraction=float(optics.veiling_glare_fraction),
+            vignetting_fraction=float(optics.vignetting_fraction),
+            distortion_fraction=float(optics.distortion_fraction),
+            row_pairs=row_pairs,
+        )
 
     def __post_init__(self) -> None:
         for name in ("f_number", "transmission", "focal_length_mm"):

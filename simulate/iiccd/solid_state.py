@@ -112,21 +112,10 @@ class SiliconCamera:
 
     def lens(self, magnification: float = 0.0) -> RadiometricLens:
         """Return the lens for scenes of known radiance."""
-        optics, silicon = self.description.optics, self.description.silicon
-        return RadiometricLens(
-            f_number=float(optics.f_number),
-            transmission=float(optics.transmission),
-            focal_length_mm=float(optics.focal_length_mm),
-            detector_nm=silicon.wavelength_nm,
-            detector_efficiency=silicon.quantum_efficiency,
-            grid=self.scene_cells,
-            magnification=magnification,
-            aberration_blur_um=float(optics.aberration_blur_um),
-            focal_shift_um=float(optics.focal_shift_um),
-            focus_nm=float(optics.focus_nm),
-            veiling_glare_fraction=float(optics.veiling_glare_fraction),
-            vignetting_fraction=float(optics.vignetting_fraction),
-            distortion_fraction=float(optics.distortion_fraction),
+        silicon = self.description.silicon
+        detector = silicon.wavelength_nm, silicon.quantum_efficiency
+        return RadiometricLens.of(
+            self.description.optics, detector, self.scene_cells, magnification=magnification, row_pairs=False
         )
 
     def chain(self, conditions: Conditions) -> Chain:
