@@ -17,6 +17,8 @@ from labdata.capture import CameraSettings, Frame
 PIXELS = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
 SOCKET_BUFFER_BYTES = 8 << 20  # with the default one, every frame loses its tail
 BUFFERS = 16
+# A sender or receiver that a busy machine holds up for a tenth of a second (the default) would lose its frame.
+LATE_PACKET_S = 0.4
 _POLL_S = 0.05
 _SUSPICION_S = 0.2
 
@@ -92,6 +94,7 @@ class AravisCapture:
         self._stream = stream = self._library.call("arv_camera_create_stream", self._camera, None, None)
         if self._owner.is_gige:
             self._library.fix_socket_buffer(stream, SOCKET_BUFFER_BYTES)
+            self._library.wait_for_packets(stream, LATE_PACKET_S)
         payload = self._library.call("arv_camera_get_payload", self._camera)
         for _ in range(BUFFERS):
             self._give_back(self._library.plain("arv_buffer_new", payload, None))
@@ -129,8 +132,7 @@ class AravisCapture:
         plain = self._library.plain
         try:
             number = self._numbers.running(plain("arv_buffer_get_frame_id", buffer))
-            self._expected = number if self._expected is None else self._expected
-            if fault := self._fault_of(buffer, late=number < self._expected):
+            if fault := self._fault_of(buffer, late=self._expected is not None and number < self._expected):
                 self._fault = fault
                 return None
             time_s = plain("arv_buffer_get_timestamp", buffer) * 1e-9
@@ -165,6 +167,11 @@ class AravisCapture:
         self._library.plain("arv_stream_push_buffer", self._stream, buffer)
 
     def _count_lost(self, number: int, *, handed_out: bool) -> None:
+        """Count the numbers that are missing since the last whole frame.
+
+        Frames broken before the first whole one are not of this run: the library gives its socket the buffer asked
+        for only when a frame is already coming, so that a busy machine receives the very first one without it.
+        """
         if handed_out and self._expected is not None:
             self.lost_frames += number - self._expected
         self._expected = number + 1

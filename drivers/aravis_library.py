@@ -125,6 +125,10 @@ class Aravis:
             c_void_p(None),
         )
 
+    def wait_for_packets(self, stream: int, longest_s: float) -> None:
+        """Keep an unfinished frame of a GigE Vision stream open this long after its last packet."""
+        self._gobject.g_object_set(c_void_p(stream), b"frame-retention", c_uint(round(longest_s * 1e6)), c_void_p(None))
+
     def address(self, device: int) -> str:
         """Return the IP address of a GigE Vision device."""
         socket_address = self.plain("arv_gv_device_get_device_address", device)
