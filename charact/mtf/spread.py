@@ -4,6 +4,7 @@ The edge spread is 1/2 + int M(f) sin(2 pi f d + phase) / (pi f) df. M is smooth
 local cubic interpolation, and the oscillating kernel is integrated against that interpolation once, on a fine grid.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NEAR_PX = 16.0
+WIDEST_PX = 160.0
 
 
 @lru_cache(maxsize=2)
@@ -63,29 +65,75 @@ def edge_weights(grid: Array, distance: Array, spread_px: Array) -> tuple[Array,
     -----
     With the line spread l(d) = int H(f) exp(2 pi i f d) df the edge spread is
     1/2 + int [Re H sin(2 pi f d) + Im H cos(2 pi f d)] / (pi f) df over f > 0.
+    The mean over a bin is the value at its mean distance and half its variance times the second derivative.
     """
-    return _kept_weights(grid.tobytes(), distance.tobytes(), spread_px.tobytes())
+    table = spread_table(grid.tobytes())
+    first, weight = table.taps(distance)
+    side = np.where(distance < 0, -1.0, 1.0)[:, None]
+    bend = 0.5 * spread_px[:, None] ** 2
+    even = sum(weight[:, j, None] * (table.even[first + j] + bend * table.even_bend[first + j]) for j in range(4))
+    odd = sum(weight[:, j, None] * (table.odd[first + j] + bend * table.odd_bend[first + j]) for j in range(4))
+    return side * np.asarray(even), np.asarray(odd)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpreadTable:
+    """Edge spreads of all transfers on some nodes, at distances fine enough to be interpolated.
+
+    Parameters
+    ----------
+    distance
+        Distances, ascending from a little below 0, shape (place,), px.
+    even, odd
+        Maps of `edge_weights` at these distances, shape (place, node).
+    even_bend, odd_bend
+        Their second derivatives, per px^2.
+    """
+
+    distance: Array
+    even: Array
+    odd: Array
+    even_bend: Array
+    odd_bend: Array
+
+    def taps(self, distance: Array) -> tuple[NDArray[np.int64], Array]:
+        """Return first of four places around each |distance|, and cubic weights of the four, shape (bin, 4)."""
+        return cubic_taps(self.distance, np.abs(distance))
+
+
+def cubic_taps(places: Array, at: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the first of the four places around each point, and the weights of cubic Lagrange interpolation."""
+    first = np.clip(np.searchsorted(places, at) - 2, 0, places.size - 4)
+    around = places[first[:, None] + np.arange(4)]
+    away = at[:, None] - around
+    weight = np.ones((at.size, 4))
+    for j in range(4):
+        for k in range(4):
+            if k != j:
+                weight[:, j] *= away[:, k] / (around[:, j] - around[:, k])
+    return first, weight
 
 
 @lru_cache(maxsize=4)
-def _kept_weights(grid_bytes: bytes, distance_bytes: bytes, spread_bytes: bytes) -> tuple[Array, Array]:
-    """Return the weights of `edge_weights`, kept because one edge asks for them several times."""
-    grid, distance, spread_px = (np.frombuffer(part) for part in (grid_bytes, distance_bytes, spread_bytes))
-    even, odd = np.empty((2, distance.size, grid.size))
-    near = np.abs(distance) <= NEAR_PX
-    for part, step, top in ((near, 0.002, 4.0), (~near, 0.0005, 0.75)):
-        if part.any():
-            even[part], odd[part] = _integrated(grid, distance[part], spread_px[part], step, top)
-    even.flags.writeable = odd.flags.writeable = False
-    return even, odd
+def spread_table(grid_bytes: bytes) -> SpreadTable:
+    """Return the table of nodes, kept: it is the same for every edge."""
+    grid = np.frombuffer(grid_bytes)
+    near = np.arange(-2, 32 * NEAR_PX) / 32.0
+    far = np.concatenate([np.arange(NEAR_PX, 40.0, 0.125), np.arange(40.0, WIDEST_PX + 2.0, 0.25)])
+    parts = [_integrated(grid, near, 0.002, 4.0), _integrated(grid, far, 0.0005, 0.75)]
+    even, odd, even_bend, odd_bend = (np.concatenate(pair) for pair in zip(*parts, strict=True))
+    return SpreadTable(
+        distance=np.concatenate([near, far]), even=even, odd=odd, even_bend=even_bend, odd_bend=odd_bend
+    )
 
 
-def _integrated(grid: Array, distance: Array, spread_px: Array, step: float, top: float) -> tuple[Array, Array]:
-    """Integrate the kernel against the interpolation with the midpoint rule up to a frequency."""
+def _integrated(grid: Array, distance: Array, step: float, top: float) -> tuple[Array, Array, Array, Array]:
+    """Integrate the kernels against the interpolation with the midpoint rule up to a frequency."""
     f = np.arange(step / 2, top, step)
     # Far from the edge nothing fine is left: a smooth end of the integral keeps its ripple out.
     fade = np.ones_like(f) if top > 1 else np.clip((top - f) / (0.4 * top), 0.0, 1.0) ** 2
-    kernel = fade * step / (np.pi * f) * np.exp(-2.0 * (np.pi * np.outer(spread_px, f)) ** 2)
     phase = 2.0 * np.pi * np.outer(distance, f)
-    carried = interpolation(grid, f)
-    return (kernel * np.sin(phase)) @ carried, (kernel * np.cos(phase)) @ carried
+    carried = interpolation(grid, f) * (fade * step / (np.pi * f))[:, None]
+    bent = carried * -((2.0 * np.pi * f) ** 2)[:, None]
+    sine, cosine = np.sin(phase), np.cos(phase)
+    return sine @ carried, cosine @ carried, sine @ bent, cosine @ bent
