@@ -10,8 +10,9 @@ from charact.mtf.picture import Picture
 
 Array = NDArray[np.float64]
 
-NARROW_PX = 0.125
-NARROW_REACH_PX = 12.0
+# Up to which distance bins have which width, px; and the width beyond.
+WIDTHS_PX = ((4.0, 0.125), (8.0, 0.25), (16.0, 0.5))
+WIDEST_PX = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,11 +89,13 @@ def _covered(distance: Array, half_width_px: float) -> tuple[float, float]:
 
 
 def _borders(reach: tuple[float, float]) -> Array:
-    """Return borders from -reach[0] to reach[1]: narrow near the edge, half a pixel and a pixel beyond."""
+    """Return borders from -reach[0] to reach[1], wider with the distance from the edge."""
     sides = []
     for limit in reach:
-        narrow = np.arange(NARROW_PX, min(limit, NARROW_REACH_PX) + 1e-9, NARROW_PX)
-        middle = np.arange(NARROW_REACH_PX + 0.5, min(limit, 24.0) + 1e-9, 0.5)
-        wide = np.arange(25.0, limit + 1e-9, 1.0)
-        sides.append(np.concatenate([narrow, middle, wide]))
+        begin, parts = 0.0, []
+        for end, width in (*WIDTHS_PX, (np.inf, WIDEST_PX)):
+            stop = min(limit, end)
+            parts.append(np.arange(begin + width, stop + 1e-9, width))
+            begin = end
+        sides.append(np.concatenate(parts))
     return np.concatenate([-sides[0][::-1], [0.0], sides[1]])

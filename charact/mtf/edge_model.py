@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from charact.mtf import transfer as forms
 from charact.mtf.evidence import Evidence
+from charact.mtf.families import EXPONENT, EXPONENT_PRIOR, HALF_FREQUENCY, Wide
 
 Array = NDArray[np.float64]
 
 # Where the departure bends, in units of the half frequency: from a third of it to where little contrast is left.
 KNOTS = np.array([0.35, 0.6, 0.9, 1.3, 1.8, 2.5])
-HALF_FREQUENCY = (0.008, 2.0)
-EXPONENT = (0.6, 4.0)
-EXPONENT_PRIOR = (1.6, 0.6)
 # The phase bends freely at these multiples of the half frequency, with these prior standard deviations, rad.
 PHASE_KNOTS = np.array([1.0, 1.5, 2.1, 2.8])
 PHASE_SD = np.array([0.2, 0.3, 0.5, 0.7])
@@ -28,47 +26,6 @@ PHASE_SD = np.array([0.2, 0.3, 0.5, 0.7])
 
 # Shift, half frequency, exponent, departures and phases: what every model has.
 PARAMETERS = 3 + KNOTS.size + PHASE_KNOTS.size
-
-
-@dataclass(frozen=True, kw_only=True)
-class HaloPrior:
-    """An intensifier's halo before the data: bounds of its diameter, px, and of its share."""
-
-    diameter_px: tuple[float, float]
-    fraction: tuple[float, float] = (0.0, 0.4)
-
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        return {
-            "halo_fraction": ("1", self.fraction),
-            "halo_diameter_px": ("px", self.diameter_px),
-            "halo_elastic_share": ("1", (0.0, 1.0)),
-        }
-
-    def transfer(self, frequency: Array, shape: Array) -> Array:
-        """Return the halo's own transfer for parameters after the share, shape (n, 2)."""
-        return forms.halo(frequency, shape[:, 0], shape[:, 1])
-
-
-@dataclass(frozen=True, kw_only=True)
-class GlarePrior:
-    """Scattered light of a camera of which nothing is known: bounds of its reach, px, and of its share."""
-
-    length_px: tuple[float, float]
-    fraction: tuple[float, float] = (0.0, 0.4)
-
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        return {"glare_fraction": ("1", self.fraction), "glare_length_px": ("px", self.length_px)}
-
-    def transfer(self, frequency: Array, shape: Array) -> Array:
-        """Return the scattered light's own transfer for parameters after the share, shape (n, 1)."""
-        return forms.glare(frequency, shape[:, 0])
-
-
-Wide = HaloPrior | GlarePrior
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,10 +132,14 @@ class EdgeModel:
 
     def log_probability(self, theta: Array) -> Array:
         """Return ln of the posterior up to a constant, shape (n, parameter) -> (n,)."""
+        return self.log_tempered(theta, 1.0)
+
+    def log_tempered(self, theta: Array, share: float) -> Array:
+        """Return ln of the prior times a power of the likelihood."""
         value = self.log_prior(theta)
         inside = np.isfinite(value)
         if inside.any():
-            value[inside] += self.evidence.log_likelihood(self.transfer(theta[inside]))
+            value[inside] += share * self.evidence.log_likelihood(self.transfer(theta[inside]))
         return value
 
 

@@ -19,6 +19,8 @@ EVEN_PER_PX, UNEVEN_PER_PX = 4e-5, 2e-3
 PLATEAU_FROM_PX = 10.0
 SHADING_LENGTH_PX = 10.0
 DEFECT_SD = 8.0
+# A pixel off by less than this share of the step moves nothing, and bins of a steep edge leave as much over.
+LEAST_DEFECT = 0.02
 # Share of the pixels beyond 5 standard deviations that are defects, not the tail of the noise, if any are.
 HEAVY_TAIL = 0.5
 
@@ -96,7 +98,8 @@ def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
     gathered = gather(picture, line, half_width_px, masked)
     residual, level = _residual(picture, gathered)
     rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
-    masked = _defective(residual, level, gathered.used, rounding_sd)
+    spread = np.abs(_span(picture, gathered))
+    masked = _defective(residual, level, gathered.used, max(rounding_sd, LEAST_DEFECT * spread / DEFECT_SD))
     defects = int(masked.sum())
     if defects:
         gathered = gather(picture, line, half_width_px, masked)
@@ -133,6 +136,12 @@ def _residual(picture: Picture, gathered: Gathered) -> tuple[Array, Array]:
     value = (picture.value - _at_pixels(mean, count, gathered)) * lost[gathered.bin_index]
     value = np.where(gathered.used, value, 0.0)
     return _without_slope(value, gathered, level[gathered.bin_index]), level[gathered.bin_index]
+
+
+def _span(picture: Picture, gathered: Gathered) -> float:
+    """Return the step between the outer halves of both sides, DN."""
+    dark, bright = _levels(*gathered.means(picture.value), gathered)
+    return bright - dark
 
 
 def _at_pixels(mean: Array, count: Array, gathered: Gathered) -> Array:

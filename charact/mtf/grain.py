@@ -60,6 +60,9 @@ def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) ->
     used = gathered.used
     dark, bright = _variances(residual[used], level[used], floor)
     grain = Grain(dark_variance=dark, bright_variance=bright, correlation=np.ones((1, 1)))
+    if max(dark, bright) <= 1.01 * floor:
+        # What is left over is rounding, in the data or in the bins, and ties no neighbours.
+        return grain
     standard = np.where(used, residual / np.sqrt(grain.variance(level)), 0.0)
     return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation_of(standard, used))
 

@@ -1,6 +1,7 @@
 """Where the edge is: a straight line found by projections and refined row by row against the edge's own profile."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,12 @@ from numpy.typing import NDArray
 from charact.mtf.picture import Picture
 
 Array = NDArray[np.float64]
+
+# Slopes among which the strongest step is looked for, and their distance, px per row.
+SLOPES = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 2.0)))
+SLOPE_STEP = 0.035
+# A picture is looked through at no more than this many pixels a side.
+COARSE_SIZE = 96
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,20 +45,15 @@ class Line:
 
 def find(picture: Picture) -> tuple[Picture, Line]:
     """Find the strongest straight step, turn the picture upright and return both."""
-    factor = max(1, int(np.ceil(max(picture.value.shape) / 160)))
+    factor = max(1, int(np.ceil(max(picture.value.shape) / COARSE_SIZE)))
     small = _binned(picture.value, factor)
-    slopes = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 3.0)))
-    candidates = [
-        (*_best_step(small.T if transpose else small, float(slope)), float(slope), transpose)
-        for transpose in (False, True)
-        for slope in slopes
-    ]
-    score, place, slope, transpose = max(candidates, key=lambda found: abs(found[0]))
-    upright = picture.turned(transpose=transpose, mirror=score < 0)
+    ways = [(_strongest(np.ascontiguousarray(small.T) if transpose else small), transpose) for transpose in (0, 1)]
+    (score, place, slope), transpose = max(ways, key=lambda way: abs(way[0][0]))
+    upright = picture.turned(transpose=bool(transpose), mirror=score < 0)
     width = upright.value.shape[1]
     position = (place + 0.5) * factor - 0.5
     line = Line(position=width - 1 - position if score < 0 else position, slope=-slope if score < 0 else slope)
-    return upright, replace(_sharpened(upright, line), strength=_strength(small, score))
+    return upright, replace(settled(upright, line), strength=_strength(small, score))
 
 
 def _binned(value: Array, factor: int) -> Array:
@@ -60,34 +62,41 @@ def _binned(value: Array, factor: int) -> Array:
     return value[:rows, :cols].reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
 
 
-def _profile(value: Array, slope: float, step: float = 1.0) -> tuple[Array, Array, float]:
-    """Return sums and counts of the picture projected along a slope in cells, and the first cell's place, px."""
-    row = np.arange(value.shape[0])[:, None] - (value.shape[0] - 1) / 2
-    across = np.arange(value.shape[1])[None, :] - slope * row
-    first = float(across.min())
-    cell = np.rint((across - first) / step).astype(np.int64).ravel()
-    sums = np.bincount(cell, weights=value.ravel())
-    return np.asarray(sums, float), np.bincount(cell).astype(float), first
+@lru_cache(maxsize=8)
+def _projections(shape: tuple[int, int]) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return the cell of every pixel projected along every slope, how many fall in each, and the first cells' places.
+
+    Shapes (slope, pixel), (slope, cell) and (slope,); cells of one slope follow those of the one before.
+    """
+    row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
+    across = np.arange(shape[1])[None, :] - SLOPES[:, None, None] * row
+    first = across.min(axis=(1, 2))
+    cell = np.rint(across - first[:, None, None]).astype(np.int64).reshape(SLOPES.size, -1)
+    size = int(cell.max()) + 1
+    cell += np.arange(SLOPES.size)[:, None] * size
+    count = np.bincount(cell.ravel(), minlength=SLOPES.size * size).reshape(SLOPES.size, size)
+    return cell, count.astype(float), first
 
 
-def _best_step(value: Array, slope: float) -> tuple[float, float]:
-    """Return the largest weighted step of the projected profile, signed, and its place at the middle row, px."""
-    sums, counts, first = _profile(value, slope)
+def _strongest(value: Array) -> tuple[float, float, float]:
+    """Return the largest weighted step of the profiles projected along all slopes: signed, its place and its slope."""
+    cell, count, first = _projections(value.shape)
+    weights = np.broadcast_to(value.ravel(), cell.shape).ravel()
+    sums = np.bincount(cell.ravel(), weights=weights, minlength=count.size).reshape(count.shape)
     reach = max(3, min(value.shape) // 6)
-    total = np.concatenate([[0.0], np.cumsum(sums)])
-    weight = np.concatenate([[0.0], np.cumsum(counts)])
-    cuts = np.arange(2, sums.size - 1)
-    low, high = np.maximum(cuts - reach, 0), np.minimum(cuts + reach, sums.size)
-    left, right = weight[cuts] - weight[low], weight[high] - weight[cuts]
-    least = 0.1 * reach * min(value.shape)
-    usable = (left > least) & (right > least)
-    if not usable.any():
-        return 0.0, 0.0
+    total, weight = (np.pad(np.cumsum(part, axis=1), ((0, 0), (1, 0))) for part in (sums, count))
+    size = count.shape[1]
+    cuts = np.arange(2, size - 1)
+    if not cuts.size:
+        return 0.0, 0.0, 0.0
+    low, high = np.maximum(cuts - reach, 0), np.minimum(cuts + reach, size)
+    left, right = weight[:, cuts] - weight[:, low], weight[:, high] - weight[:, cuts]
+    usable = np.minimum(left, right) > 0.1 * reach * min(value.shape)
     left, right = np.maximum(left, 1), np.maximum(right, 1)
-    step = (total[high] - total[cuts]) / right - (total[cuts] - total[low]) / left
-    score = np.where(usable, step / np.sqrt(1 / left + 1 / right), 0.0)
-    best = int(np.argmax(np.abs(score)))
-    return float(score[best]), float(cuts[best] - 0.5 + first)
+    step = (total[:, high] - total[:, cuts]) / right - (total[:, cuts] - total[:, low]) / left
+    score = np.where(usable, step * np.sqrt(left * right / (left + right)), 0.0)
+    which, best = np.unravel_index(int(np.argmax(np.abs(score))), score.shape)
+    return float(score[which, best]), float(cuts[best] - 0.5 + first[which]), float(SLOPES[which])
 
 
 def _strength(small: Array, score: float) -> float:
@@ -96,40 +105,48 @@ def _strength(small: Array, score: float) -> float:
     return abs(score) / max(noise, 1e-12 * (1 + abs(score)))
 
 
-def _sharpened(picture: Picture, line: Line) -> Line:
-    """Return the line of the slope at which the projected profile is steepest, from coarse to fine."""
-    for width, steps in ((1.0, 1.0), (0.35, 0.35), (0.12, 0.12)):
-        slopes = line.slope + np.tan(np.deg2rad(np.arange(-3, 4) * width))
-        found = [_steepness(picture, line, float(slope), max(1.0, 4.0 * steps)) for slope in slopes]
-        best = int(np.argmax([power for power, _ in found]))
-        line = Line(position=found[best][1], slope=float(slopes[best]))
-    return line
+def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
+    """Return the line that fits the pixels around it best with a smooth step, by damped Gauss-Newton.
 
-
-def _steepness(picture: Picture, line: Line, slope: float, blur_px: float) -> tuple[float, float]:
-    """Return the greatest squared rise over `blur_px` of the projected profile near the line, and its place."""
-    rows = picture.value.shape[0]
-    window = np.abs(line.across(picture.value.shape)) < 16 + 0.06 * rows
-    row = np.arange(rows)[:, None] - (rows - 1) / 2
-    across = np.arange(picture.value.shape[1])[None, :] - slope * row - line.position
-    cell = np.rint(across[window] / 0.5).astype(np.int64)
-    first = cell.min()
-    sums, counts = np.bincount(cell - first, weights=picture.value[window]), np.bincount(cell - first)
-    total, weight = (np.concatenate([[0.0], np.cumsum(part)]) for part in (sums, counts.astype(float)))
-    reach = max(2, round(blur_px / 0.5))
-    cuts = np.arange(reach, sums.size - reach)
-    if not cuts.size:
-        return 0.0, line.position
-    left, right = weight[cuts] - weight[cuts - reach], weight[cuts + reach] - weight[cuts]
-    enough = np.minimum(left, right) > 0.5 * np.median(right)
-    rise = np.where(
-        enough,
-        (total[cuts + reach] - total[cuts]) / np.maximum(right, 1)
-        - (total[cuts] - total[cuts - reach]) / np.maximum(left, 1),
-        -np.inf,
-    )
-    best = int(np.argmax(rise))
-    return float(rise[best]), float((cuts[best] - 0.5 + first) * 0.5 + line.position)
+    Notes
+    -----
+    Model: level + rise tanh((col - position - slope row) / width). A symmetric template is unbiased for the course of
+    any edge, and nearly as precise as the edge's own shape. Single wild pixels count as little more than far ones.
+    """
+    rows, cols = picture.value.shape
+    row = np.arange(rows) - (rows - 1) / 2
+    wander = 0.5 * rows * SLOPE_STEP
+    across = line.across((rows, cols))
+    reach = 12.0 + wander
+    inside = np.nonzero(np.abs(across) < reach)
+    value, distance, height = picture.value[inside], across[inside], row[inside[0]]
+    if value.size < 16:
+        return line
+    shift, turn, width, clip = 0.0, 0.0, max(2.0, wander), np.inf
+    last = np.inf
+    for iteration in range(iterations):
+        bend = np.tanh((distance - shift - turn * height) / width)
+        place = (distance - shift - turn * height) / width
+        count, total, square = value.size, bend.sum(), float(bend @ bend)
+        one, other = value.sum(), float(bend @ value)
+        rise = (other - total * one / count) / max(square - total**2 / count, 1e-300)
+        level = (one - rise * total) / count
+        residual = value - level - rise * bend
+        if iteration in (3, 6):
+            clip = 6.0 * 1.4826 * float(np.median(np.abs(residual[:: max(1, count // 4000)])))
+        residual = np.clip(residual, -clip, clip)
+        steep = -rise / width * (1.0 - bend**2)
+        design = np.stack([np.ones(count), bend, steep, steep * height, steep * place])
+        normal = design @ design.T
+        move = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)) + 1e-300 * np.eye(5), design @ residual)
+        step = float(np.clip(move[2], -4.0, 4.0)), float(np.clip(move[3] * rows, -8.0, 8.0) / rows)
+        shift, turn = float(np.clip(shift + step[0], -reach, reach)), turn + step[1]
+        width = float(np.clip(width + np.clip(move[4], -0.5 * width, width), 0.4, 20.0))
+        size = abs(step[0]) + abs(step[1]) * rows
+        if iteration > 4 and size < 1e-4 and last < 1e-2:
+            break
+        last = size
+    return replace(line, position=line.position + shift, slope=line.slope + turn)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,31 +168,27 @@ class RowFit:
     offset_sd: float
 
 
-def refine(picture: Picture, line: Line, iterations: int = 8) -> RowFit:
-    """Fit the line to the edge's displacement in each row.
+def refine(picture: Picture, line: Line) -> RowFit:
+    """Return the displacement of each row's edge from the line, the line's own course corrected by them.
 
     Notes
     -----
-    With the mean profile m of all rows as template a row's displacement is least squares on -m'(d). The template is
-    smoothed by what the line can be off, less at each iteration.
+    With the mean profile m of all rows as template a row's displacement is least squares on -m'(d).
     """
     rows = picture.value.shape[0]
     row = np.arange(rows) - (rows - 1) / 2
-    offset = np.zeros(rows)
-    for iteration in range(iterations):
-        blur = max(0.5, 3.0 * 0.6**iteration)
-        offset, good = _row_offsets(picture, line, blur)
+    for _ in range(2):
+        offset, good = _row_offsets(picture, line, 0.5)
         if good.sum() < 3:
             return RowFit(line=line, offset=offset, offset_sd=np.inf)
         good &= np.abs(offset - np.median(offset[good])) < 6 * _spread(offset[good]) + 1e-9
         design = np.stack([np.ones(rows), row], axis=1)[good]
         shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0]
+        if abs(shift) + abs(turn) * rows < 0.02:
+            break
         shift, turn = float(np.clip(shift, -3, 3)), float(np.clip(turn * rows, -6, 6) / rows)
         line = replace(line, position=line.position + shift, slope=line.slope + turn)
-        offset = offset - shift - turn * row
-        if iteration >= 5 and abs(shift) < 1e-4 and abs(turn) * rows < 2e-4:
-            break
-    offset = np.where(good, offset, np.nan)
+    offset = np.where(good, offset - shift - turn * row, np.nan)
     return RowFit(line=line, offset=offset, offset_sd=_spread(offset[good]))
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf import transfer as forms
-from charact.mtf.edge_model import GlarePrior, HaloPrior, Wide
+from charact.mtf.families import GlarePrior, HaloPrior, Wide
 from charact.mtf.picture import Picture
 
 Array = NDArray[np.float64]

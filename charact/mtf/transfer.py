@@ -64,6 +64,14 @@ def halo(frequency: Array, diameter_px: ArrayLike, elastic_share: ArrayLike) -> 
     return share * np.sinc(x / np.pi) + (1.0 - share) * sine_integral(x) / x
 
 
+def disc(frequency: Array, diameter_px: ArrayLike) -> Array:
+    """Return the transfer 2 J1(x)/x, x = pi D f, of light spread evenly over a disc."""
+    from scipy.special import j1
+
+    x = np.maximum(np.pi * np.asarray(diameter_px, float)[..., None] * frequency, 1e-9)
+    return 2.0 * j1(x) / x
+
+
 def glare(frequency: Array, length_px: ArrayLike) -> Array:
     """Return the transfer 1/(1 + (2 pi f l)^2) of light scattered with the line spread exp(-|d|/l) / (2 l)."""
     return 1.0 / (1.0 + (2.0 * np.pi * np.asarray(length_px, float)[..., None] * frequency) ** 2)

@@ -1,0 +1,214 @@
+"""Forms of the point spread that lenses and tubes have, as transfers along one direction: a core, and light beyond it.
+
+Every core is scaled by the frequency at which it falls to one half, so that forms can be compared parameter by
+parameter.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf import transfer as forms
+
+Array = NDArray[np.float64]
+
+HALF_FREQUENCY = (0.008, 2.0)
+# Exponent of exp(-ln 2 (f/f2)^n): tubes about 1.1 to 1.7, a Gaussian 2, and what aberrations may make of it.
+EXPONENT = (0.6, 4.0)
+EXPONENT_PRIOR = (1.6, 0.6)
+# Exponent of a Moffat spread (1 + r^2/a^2)^-b: 3/2 is a Lorentzian whose transfer is exp(-f), infinity a Gaussian.
+MOFFAT_EXPONENT = (1.2, 8.0)
+# Share of the light in a halo, in scattered light.
+WIDE_SHARE = (0.0, 0.4)
+
+Core = Literal["gaussian", "exponential", "moffat"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HaloPrior:
+    """An intensifier's halo before the data: bounds of its diameter, px, and of its share."""
+
+    diameter_px: tuple[float, float]
+    fraction: tuple[float, float] = WIDE_SHARE
+
+    name = "halo"
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return {
+            "halo_fraction": ("1", self.fraction),
+            "halo_diameter_px": ("px", self.diameter_px),
+            "halo_elastic_share": ("1", (0.0, 1.0)),
+        }
+
+    def transfer(self, frequency: Array, shape: Array) -> Array:
+        """Return the halo's own transfer for parameters after the share, shape (n, 2)."""
+        return forms.halo(frequency, shape[:, 0], shape[:, 1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscPrior:
+    """A halo of even brightness before the data: bounds of its diameter, px, and of its share."""
+
+    diameter_px: tuple[float, float]
+    fraction: tuple[float, float] = WIDE_SHARE
+
+    name = "disc"
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return {"disc_fraction": ("1", self.fraction), "disc_diameter_px": ("px", self.diameter_px)}
+
+    def transfer(self, frequency: Array, shape: Array) -> Array:
+        """Return the disc's own transfer for parameters after the share, shape (n, 1)."""
+        return forms.disc(frequency, shape[:, 0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlarePrior:
+    """Scattered light of a camera of which nothing is known: bounds of its reach, px, and of its share."""
+
+    length_px: tuple[float, float]
+    fraction: tuple[float, float] = WIDE_SHARE
+
+    name = "glare"
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return {"glare_fraction": ("1", self.fraction), "glare_length_px": ("px", self.length_px)}
+
+    def transfer(self, frequency: Array, shape: Array) -> Array:
+        """Return the scattered light's own transfer for parameters after the share, shape (n, 1)."""
+        return forms.glare(frequency, shape[:, 0])
+
+
+Wide = HaloPrior | DiscPrior | GlarePrior
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family:
+    """A form of the transfer along one direction, aperture and video filter left aside.
+
+    Parameters
+    ----------
+    core
+        "gaussian": exp(-ln 2 (f/f2)^2). "exponential": exp(-ln 2 (f/f2)^n), the form of tubes. "moffat": that of
+        the spread (1 + r^2/a^2)^-b, with wings of a power law.
+    wide
+        Light beyond the core: a share q of all light, transfer (1 - q) core + q core wide; None: none.
+    """
+
+    core: Core
+    wide: Wide | None = None
+
+    @property
+    def name(self) -> str:
+        """Name for people."""
+        return self.core if self.wide is None else f"{self.core} + {self.wide.name}"
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        low, high = np.log(HALF_FREQUENCY)
+        half = {"ln_half_frequency": ("ln(cy/px)", (float(low), float(high)))}
+        shape = {
+            "gaussian": {},
+            "exponential": {"exponent": ("1", EXPONENT)},
+            "moffat": {"moffat_exponent": ("1", MOFFAT_EXPONENT)},
+        }[self.core]
+        return {**half, **shape, **(self.wide.parameters if self.wide else {})}
+
+    @property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([bound for _, bound in self.parameters.values()])
+
+    @property
+    def core_parameters(self) -> int:
+        """Number of parameters before those of the light beyond the core."""
+        return 1 if self.core == "gaussian" else 2
+
+    def start(self, half_frequency_cy_per_px: float) -> Array:
+        """Return a point from which to climb."""
+        core = {"gaussian": [], "exponential": [1.5], "moffat": [2.5]}[self.core]
+        wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
+        return np.array([np.log(half_frequency_cy_per_px), *core, *wide])
+
+    def modulus(self, theta: Array, frequency: Array) -> Array:
+        """Return the transfer, shape (n, parameter) and (f,) -> (n, f)."""
+        half = np.exp(theta[:, 0])
+        if self.core == "moffat":
+            core = moffat(frequency, half, theta[:, 1])
+        else:
+            exponent = np.full(len(theta), 2.0) if self.core == "gaussian" else theta[:, 1]
+            core = np.exp(forms.exponential(frequency, half, exponent))
+        if self.wide is None:
+            return core
+        tail = theta[:, self.core_parameters :]
+        return core * (1.0 - tail[:, :1] + tail[:, :1] * self.wide.transfer(frequency, tail[:, 1:]))
+
+    def log_prior(self, theta: Array) -> Array:
+        """Return ln of the prior density, -inf outside the bounds: flat but for the exponent of the tube's form."""
+        bounds = self.bounds
+        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        flat = -np.sum(np.log(bounds[:, 1] - bounds[:, 0]))
+        if self.core == "exponential":
+            mean, sd = EXPONENT_PRIOR
+            normal = -0.5 * ((theta[:, 1] - mean) / sd) ** 2 - np.log(sd * np.sqrt(2.0 * np.pi))
+            flat = flat + np.log(EXPONENT[1] - EXPONENT[0]) + normal
+        return np.where(inside, flat, -np.inf)
+
+    def prior_precision(self) -> tuple[Array, Array]:
+        """Return mean and precision of the Gaussian part of the prior of each parameter; 0: flat."""
+        mean, precision = np.zeros((2, len(self.bounds)))
+        if self.core == "exponential":
+            mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
+        return mean, precision
+
+
+def moffat(frequency: Array, half_frequency: Array, exponent: Array) -> Array:
+    """Return the transfer of a Moffat spread, shape (f,), (n,), (n,) -> (n, f).
+
+    Notes
+    -----
+    The two-dimensional transform of (1 + r^2/a^2)^-b is 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x = 2 pi a f: by table
+    in ln(f/f2) and 1/b, linear in both between close steps, ln of the transfer being smooth.
+    """
+    places, inverse, table = _moffat_table()
+    row = np.interp(1.0 / exponent, inverse, np.arange(inverse.size))
+    low = np.minimum(row.astype(int), inverse.size - 2)
+    share = (row - low)[:, None]
+    column = (np.log(np.maximum(frequency, 1e-12)) - np.log(half_frequency)[:, None] - places[0]) / (
+        places[1] - places[0]
+    )
+    column = np.clip(column, 0.0, places.size - 1.001)
+    left = column.astype(int)
+    rest = column - left
+    low, high = low[:, None], low[:, None] + 1
+    one = table[low, left] * (1.0 - rest) + table[low, left + 1] * rest
+    other = table[high, left] * (1.0 - rest) + table[high, left + 1] * rest
+    # Far below f2 the logarithm of the transfer is too small for the table's first column to matter.
+    return np.exp(one * (1.0 - share) + other * share)
+
+
+@lru_cache(maxsize=1)
+def _moffat_table() -> tuple[Array, Array, Array]:
+    """Return ln(f/f2), 1/b and ln of the transfer at them, shape (1/b, ln(f/f2))."""
+    from scipy.special import gammaln, kve
+
+    places = np.linspace(np.log(1e-5), np.log(300.0), 1400)
+    inverse = np.linspace(1.0 / (MOFFAT_EXPONENT[1] + 0.5), 1.0 / (MOFFAT_EXPONENT[0] - 0.05), 80)
+    wide = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 6000))
+    rows = []
+    for order in 1.0 / inverse - 1.0:
+        log = (1.0 - order) * np.log(2.0) - gammaln(order) + order * np.log(wide)
+        log = np.minimum(log + np.log(kve(order, wide)) - wide, 0.0)
+        half = np.exp(np.interp(np.log(2.0), -log, np.log(wide)))
+        rows.append(np.interp(places + np.log(half), np.log(wide), log))
+    return places, inverse, np.array(rows)
