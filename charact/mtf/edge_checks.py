@@ -1,11 +1,11 @@
 """The ways in which an edge deceives, each looked for in the data: what is found becomes a flag."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.codes import code_flags
-from charact.mtf.edge_fit import EdgeFit
-from charact.mtf.edge_model import KNOTS, PARAMETERS
 from charact.mtf.edge_profile import Profile
 from charact.mtf.line import RowFit
 from charact.mtf.picture import Picture
@@ -26,6 +26,26 @@ LEAST_STEP_SD = 0.8
 QUIETEST = 80.0
 # Curvature of the response from which the modulus is in doubt by a percent, and its significance.
 CURVATURE, CURVATURE_SD = 0.05, 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """A profile as a method fitted it.
+
+    Parameters
+    ----------
+    model
+        The best profile at the bins, DN.
+    amplitude
+        Step, level and the slopes on both sides, DN and DN per px.
+    chi2, free
+        Chi squared, and the bins less the parameters that the data fix.
+    """
+
+    model: Array
+    amplitude: Array
+    chi2: float
+    free: int
 
 
 def picture_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
@@ -86,13 +106,12 @@ def _sd(values: Array) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def fit_flags(picture: Picture, profile: Profile, fit: EdgeFit, half_frequency: float) -> tuple[str, ...]:
+def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency: float) -> tuple[str, ...]:
     """Return the flags of the fitted profile."""
     flags = []
-    _, amplitude = fit.profile
-    step, slopes = abs(amplitude[0]), amplitude[2:]
+    step, slopes = abs(fitted.amplitude[0]), fitted.amplitude[2:]
     noise = float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
-    if fit.chi2 / fit.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fit.free):
+    if fitted.chi2 / fitted.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fitted.free):
         flags.append("model-misfit")
     if profile.defects:
         flags.append("defects")
@@ -104,32 +123,29 @@ def fit_flags(picture: Picture, profile: Profile, fit: EdgeFit, half_frequency: 
         flags.append("quantised")
     if profile.gathered.half_width_px < 1.6 / half_frequency:
         flags.append("window-too-small")
-    if _other_steps(profile, fit):
+    if _other_steps(profile, fitted):
         flags.append("several-targets")
     return tuple(flags)
 
 
-def _other_steps(profile: Profile, fit: EdgeFit) -> bool:
+def _other_steps(profile: Profile, fitted: Fitted) -> bool:
     """Tell whether the plateaus hold another step: a tenth of the edge's own over several pixels."""
-    model, amplitude = fit.profile
-    left = profile.value - model
+    left = profile.value - fitted.model
     weight = profile.count
     cell = np.floor(profile.distance / 3.0).astype(int)
     cell -= cell.min()
     means = np.bincount(cell, weights=weight * left) / np.maximum(np.bincount(cell, weights=weight), 1e-9)
     error = np.sqrt(profile.grain.covariance_over_variance * profile.grain.bright_variance)
     error = error / np.sqrt(np.maximum(np.bincount(cell, weights=weight), 1.0))
-    return bool(np.any((np.abs(means) > 0.1 * abs(amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
+    return bool(np.any((np.abs(means) > 0.1 * abs(fitted.amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
 
 
-def response_flags(profile: Profile, fit: EdgeFit) -> tuple[str, ...]:
+def response_flags(curvature: float, error: float) -> tuple[str, ...]:
     """Return `gamma` where the profile looks curved: lopsided beyond what the camera's known filter makes it.
 
     A Gaussian edge through a power law above 1 stays nearly symmetric and shows it in its noise at most.
     """
-    curvature, error = response_curvature(fit)
-    lopsided = abs(curvature) > max(CURVATURE, CURVATURE_SD * error)
-    return ("gamma",) if lopsided else ()
+    return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
 
 
 def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None) -> tuple[str, ...]:
@@ -150,38 +166,41 @@ def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None
     return ("gamma",) if falling or (photons and rising) else ()
 
 
-def response_curvature(fit: EdgeFit) -> tuple[float, float]:
-    """Return the curvature of the response that the profile asks for if its blur is symmetric, with its error.
+def response_curvature(
+    profile: Profile, precision_root: Array, spread: Array, tangents: Array, shapes: Array, shape_sd: Array
+) -> tuple[float, float]:
+    """Return the curvature of the response that a profile asks for if its blur is symmetric, with its error.
+
+    Parameters
+    ----------
+    profile
+        The measured profile.
+    precision_root
+        Inverse root of the covariance of its bins.
+    spread
+        Fitted edge spread less one half at the bins, shape (bin,).
+    tangents
+        Its change as each parameter of the blur moves by the most it may, shape (parameter, bin).
+    shapes, shape_sd
+        Levels and slopes at the bins, shape (bin, shape), and the deviations of their priors, DN.
 
     Notes
     -----
     A response y = u + c u (1 - u) of the edge spread u; a power law of exponent g over levels a to b has about
     c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. A lopsided blur looks the same on one edge;
     either way the modulus of the transform is not what it would be at low contrast. First order in c and in every
-    parameter of the blur but its phases, which are left at the camera's known filter.
+    parameter of a symmetric blur.
     """
-    model, evidence = fit.model, fit.model.evidence
-    centre = fit.point.copy()
-    centre[3 + KNOTS.size : PARAMETERS] = 0.0
-    free = np.concatenate([np.arange(3 + KNOTS.size), np.arange(PARAMETERS, centre.size)])
-    step = 0.1 * np.sqrt(np.diag(fit.covariance))[free]
-    moved = np.concatenate([centre + np.eye(centre.size)[free] * step[:, None] * sign for sign in (1.0, -1.0)])
-    bounds = model.bounds
-    moved = np.clip(moved, bounds[:, 0], bounds[:, 1])
-    transfers = model.transfer(np.concatenate([centre[None], moved]))
-    spreads = transfers.real @ evidence.even.T + transfers.imag @ evidence.odd.T
-    tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) / 2.0
-    level = np.clip(spreads[0] + 0.5, 0.0, 1.0)
+    level = np.clip(spread + 0.5, 0.0, 1.0)
     design = np.concatenate(
-        [spreads[:1].T, (level * (1.0 - level))[:, None], tangents.T * abs(fit.profile[1][0]), evidence.nuisance],
-        axis=1,
+        [spread[:, None], (level * (1.0 - level))[:, None], tangents.T * abs(profile.step), shapes], axis=1
     )
-    white = evidence.precision_root @ design
+    white = precision_root @ design
     prior = np.zeros(design.shape[1])
-    # A parameter of the blur may move by its posterior deviation times a few; its step was a tenth of one.
-    prior[2 : 2 + free.size] = (0.1 / 5.0) ** 2
-    prior[2 + free.size :] = 1.0 / np.maximum(evidence.nuisance_sd, 1e-300) ** 2
-    normal = white.T @ white + np.diag(prior)
-    found = np.linalg.solve(normal, white.T @ (evidence.precision_root @ evidence.value))
-    error = np.sqrt(np.linalg.inv(normal)[1, 1])
-    return float(found[1] / found[0]), float(error / abs(found[0]))
+    prior[2 : 2 + len(tangents)] = 1.0
+    prior[2 + len(tangents) :] = 1.0 / np.maximum(shape_sd, 1e-300) ** 2
+    scale = np.sqrt(np.maximum(np.sum(white**2, axis=0) + prior, 1e-300))
+    normal = (white.T @ white + np.diag(prior)) / np.outer(scale, scale)
+    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+    found = inverse @ (white.T @ (precision_root @ profile.value))
+    return float(found[1] / found[0]), float(np.sqrt(max(inverse[1, 1], 0.0)) / abs(found[0]))

@@ -1,11 +1,13 @@
 """Fitting an edge's profile: the size of the departure and the presence of a halo are chosen by evidence."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge_model import EdgeModel
+from charact.mtf.edge_checks import Fitted, response_curvature
+from charact.mtf.edge_model import KNOTS, PARAMETERS, EdgeModel
 from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, Profile
 from charact.mtf.families import Wide
 from charact.mtf.spread import nodes
@@ -48,10 +50,11 @@ class EdgeFit:
     chi2_without: float
     slope_sd_per_px: float
 
-    @property
-    def profile(self) -> tuple[Array, Array]:
-        """The best profile at the bins, DN, and the amplitudes of step, level and slopes."""
-        return self.model.evidence.profile(self.model.transfer(self.point[None])[0])
+    @cached_property
+    def fitted(self) -> Fitted:
+        """The profile at the peak."""
+        model, amplitude = self.model.evidence.profile(self.model.transfer(self.point[None])[0])
+        return Fitted(model=model, amplitude=amplitude, chi2=self.chi2, free=self.free)
 
 
 def fit(profile: Profile, fixed_at, *, halo: Wide | None, halo_certain: bool) -> EdgeFit:
@@ -166,3 +169,24 @@ def _inside(model: EdgeModel, point: Array, covariance: Array) -> float:
     draws = point + (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     bounds = model.bounds
     return max(float(np.mean(np.all((draws >= bounds[:, 0]) & (draws <= bounds[:, 1]), axis=1))), 1e-3)
+
+
+def curvature(found: EdgeFit, profile: Profile) -> tuple[float, float]:
+    """Return the curvature of the response that the profile asks for, and its error.
+
+    Every parameter of the blur but its phases, which stay at the camera's known filter, may move by five of its
+    posterior deviations.
+    """
+    model, evidence = found.model, found.model.evidence
+    centre = found.point.copy()
+    centre[3 + KNOTS.size : PARAMETERS] = 0.0
+    free = np.concatenate([np.arange(3 + KNOTS.size), np.arange(PARAMETERS, centre.size)])
+    step = 0.1 * np.sqrt(np.diag(found.covariance))[free]
+    moved = np.concatenate([centre + np.eye(centre.size)[free] * step[:, None] * sign for sign in (1.0, -1.0)])
+    moved = np.clip(moved, model.bounds[:, 0], model.bounds[:, 1])
+    transfers = model.transfer(np.concatenate([centre[None], moved]))
+    spreads = transfers.real @ evidence.even.T + transfers.imag @ evidence.odd.T
+    tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) / 2.0 * (5.0 / 0.1)
+    return response_curvature(
+        profile, evidence.precision_root, spreads[0], tangents, evidence.nuisance, evidence.nuisance_sd
+    )

@@ -14,10 +14,9 @@ import charact
 from charact.method import Context, register
 from charact.mtf import edge_checks, line
 from charact.mtf.curve import FINE, PINNED, REPORTED, falls_to
-from charact.mtf.edge_forward import only_edge
-from charact.mtf.edge_profile import profile_of
+from charact.mtf.edge_find import NoEdge, find_edge
 from charact.mtf.geometry import orientation_deg
-from charact.mtf.picture import Picture, mean_picture
+from charact.mtf.picture import Picture
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, from_sd, refused
@@ -63,20 +62,19 @@ def edge_slanted(stack: FrameStack, *, region: Region | None = None, context: Co
     ISO 12233 annex on e-SFR; P. D. Burns, PICS 2000, 135.
     """
     began = time.perf_counter()
-    used, where, crowded = only_edge(stack, region, context)
-    common = {"method": METHOD, "region": where, "provenance": Provenance(version=charact.__version__)}
-    picture, coarse = line.find(mean_picture(used.data, context.pitch_ratio))
+    edge = find_edge(stack, region, context)
+    common = {"method": METHOD, "region": edge.where, "provenance": Provenance(version=charact.__version__)}
+    if isinstance(edge, NoEdge):
+        return _nothing(edge.reason, common, began)
+    picture, rows, profile, used = edge.picture, edge.rows, edge.profile, edge.used
     if picture.value.shape[0] < LEAST_ROWS or picture.value.shape[1] < 16:
         return _nothing("the plain edge estimator needs 20 rows across 16 px", common, began)
-    rows = line.refine(picture, coarse)
-    profile = profile_of(picture, rows.line, 0.5 * picture.value.shape[1])
     noise = np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance))
-    if profile.step < 3.0 * noise / np.sqrt(len(profile.distance)) or coarse.strength < 60.0:
+    if profile.step < 3.0 * noise / np.sqrt(len(profile.distance)) or rows.line.strength < 60.0:
         return _nothing("no target: no edge stands clear of the noise", common, began)
     if profile.step < 3.0 * noise:
         return _nothing("the plain edge estimator needs a step of 3 standard deviations of the noise", common, began)
-    picture, edge = _narrowed(picture, rows.line)
-    frequency, sfr, parts = _sfr(picture, edge)
+    frequency, sfr, parts = _sfr(*_narrowed(picture, rows.line))
     half = falls_to(frequency, sfr[None], 0.5)[0]
     flags = [
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
@@ -84,11 +82,11 @@ def edge_slanted(stack: FrameStack, *, region: Region | None = None, context: Co
         *edge_checks.noise_flags(profile, picture, used.black_level_dn),
         *(("low-signal",) if profile.step < LEAST_SNR * noise else ()),
         *(("defects",) if profile.defects else ()),
-        *(("several-targets",) if crowded and region is not None else ()),
+        *edge.flags,
         *_plain_flags(profile, half),
     ]
     common |= {"orientation_deg": orientation_deg(picture, profile.angle_rad), "flags": tuple(flags)}
-    common["notes"] = ("Normalised to the light inside the region.",)
+    common["notes"] = (*edge.notes, "Normalised to the light inside the region.")
     measurements = _measurements(frequency, sfr, parts, profile, rows, picture, common)
     seconds = time.perf_counter() - began
     return Result(

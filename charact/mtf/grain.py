@@ -170,7 +170,10 @@ def _positive(covariance: Array) -> Array:
     diagonal = np.diag(covariance)
     scale = np.sqrt(np.maximum(diagonal, 1e-3 * np.median(diagonal[diagonal > 0])))
     correlation = covariance / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(correlation)
-    if values[0] > 1e-3:
+    try:
+        np.linalg.cholesky(correlation - 1e-3 * np.eye(len(correlation)))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(correlation)
+    else:
         return covariance
     return (vectors * np.maximum(values, 0.02)) @ vectors.T * np.outer(scale, scale)

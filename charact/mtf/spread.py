@@ -122,9 +122,7 @@ def spread_table(grid_bytes: bytes) -> SpreadTable:
     far = np.concatenate([np.arange(NEAR_PX, 40.0, 0.125), np.arange(40.0, WIDEST_PX + 2.0, 0.25)])
     parts = [_integrated(grid, near, 0.002, 4.0), _integrated(grid, far, 0.0005, 0.75)]
     even, odd, even_bend, odd_bend = (np.concatenate(pair) for pair in zip(*parts, strict=True))
-    return SpreadTable(
-        distance=np.concatenate([near, far]), even=even, odd=odd, even_bend=even_bend, odd_bend=odd_bend
-    )
+    return SpreadTable(distance=np.concatenate([near, far]), even=even, odd=odd, even_bend=even_bend, odd_bend=odd_bend)
 
 
 def _integrated(grid: Array, distance: Array, step: float, top: float) -> tuple[Array, Array, Array, Array]:

@@ -1,0 +1,188 @@
+"""What an edge's fit gives away: measurements, curve and evidence, from the draws of its MTF."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.method import Context
+from charact.mtf import edge_checks
+from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
+from charact.mtf.edge_find import FoundEdge
+from charact.mtf.edge_profile import Profile
+from charact.mtf.geometry import orientation_deg
+from charact.mtf.picture import Picture
+from charact.mtf.region import Region
+from charact.posterior import has_several_peaks
+from labdata.frames import FrameStack
+from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, measured, refused
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """An edge as a method fitted it.
+
+    Parameters
+    ----------
+    method
+        Name of the method.
+    edge
+        Where it is and what its pixels say.
+    fitted
+        The profile that was fitted.
+    response
+        Curvature of the camera's response that the profile asks for, and its error, dimensionless.
+    posterior
+        Draws of the parameters.
+    mtf
+        From frequencies, cy/px, to drawn MTFs, shape (f,) -> (draw, f).
+    settings
+        What the result depends on besides seed and version.
+    notes
+        What a reader may want to know.
+    flags
+        What the method itself distrusts.
+    """
+
+    method: str
+    edge: FoundEdge
+    fitted: edge_checks.Fitted
+    response: tuple[float, float]
+    posterior: Posterior
+    mtf: Callable[[Array], Array]
+    settings: dict
+    notes: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
+
+
+def result_of(outcome: Outcome, context: Context, began: float) -> Result:
+    """Return measurements, curve and evidence of a fitted edge."""
+    edge, profile, used = outcome.edge, outcome.edge.profile, outcome.edge.used
+    # One evaluation serves the levels, the pinned frequencies and the curve.
+    draws = outcome.mtf(np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)]))
+    fine, pinned, curve = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
+    half = float(np.nanmedian(falls_to(FINE, fine, 0.5)))
+    flags = (
+        *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
+        *edge_checks.line_flags(edge.picture, edge.rows),
+        *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
+        *edge_checks.response_flags(*outcome.response),
+        *edge_checks.noise_flags(profile, edge.picture, used.black_level_dn),
+        *_posterior_flags(outcome.posterior, context),
+        *outcome.flags,
+        *edge.flags,
+    )
+    provenance = Provenance(
+        version=charact.__version__, seed=context.seed, settings={"quick": context.quick, **outcome.settings}
+    )
+    common = {
+        "method": outcome.method,
+        "flags": tuple(dict.fromkeys(flags)),
+        "notes": (*edge.notes, *_notes(profile, used, context), *outcome.notes),
+        "region": edge.where,
+        "orientation_deg": orientation_deg(edge.picture, profile.angle_rad),
+        "provenance": provenance,
+    }
+    measurements = [
+        _level("mtf50", 0.5, fine, outcome.posterior, common),
+        _level("mtf10", 0.1, fine, outcome.posterior, common),
+        *(_pinned(f, pinned[:, index], common) for index, f in enumerate(PINNED)),
+        edge_angle(edge, common),
+    ]
+    seconds = time.perf_counter() - began
+    return Result(
+        measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+        curves={"mtf": curve_of(REPORTED, curve)},
+        evidence={"edge-spread": _edge_spread(edge.picture, profile, outcome.fitted)},
+    )
+
+
+def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
+    """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
+    draws = falls_to(FINE, fine, level)
+    lost = float(np.mean(~np.isfinite(draws)))
+    if lost > 0.02:
+        reason = (
+            f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
+        )
+        return refused(quantity, "cy/px", reason, **common)
+    kept = draws[np.isfinite(draws)]
+    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_with_peaks(common, kept))
+
+
+def _pinned(frequency: float, draws: Array, common: dict) -> Measurement:
+    """Return the MTF at one frequency."""
+    return from_draws("mtf", "1", draws, frequency_cy_per_px=float(frequency), **_with_peaks(common, draws))
+
+
+def _posterior_flags(posterior: Posterior, context: Context) -> tuple[str, ...]:
+    """Return what of the posterior's distrust reaches what is measured: peaks count where the quantity has them."""
+    known = {"several-modes", *(() if context.sensor is None else ("prior-bound",))}
+    return tuple(flag for flag in posterior.flags if flag not in known)
+
+
+def _with_peaks(common: dict, draws: Array) -> dict:
+    """Return what measurements share, flagged where the draws of this one have several peaks."""
+    if not has_several_peaks(draws[:, None]):
+        return common
+    return {**common, "flags": (*common["flags"], "several-modes")}
+
+
+def edge_angle(edge: FoundEdge, common: dict) -> Measurement:
+    """Return the tilt of the edge to the grid axis nearest to it, degrees, from the scatter of its rows."""
+    rows = np.flatnonzero(np.isfinite(edge.rows.offset))
+    spread = edge.rows.offset_sd * np.sqrt(max(edge.profile.grain.covariance_over_variance, 1.0))
+    error = spread / np.sqrt(max(float(np.sum((rows - rows.mean()) ** 2)), 1.0)) if rows.size > 2 else 45.0
+    error = float(np.rad2deg(error / edge.picture.pitch_ratio))
+    value = abs(float(np.rad2deg(edge.profile.angle_rad)))
+    halves = [(value - k * error, value + k * error) for k in (0.994458, 1.959964)]
+    return measured("edge_angle", "deg", value, *halves, **{**common, "notes": ()})
+
+
+def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, ...]:
+    """Return what a reader may want to know and what lowers no trust."""
+    grain, notes = profile.grain.covariance_over_variance, list(used.notes)
+    if grain > 1.3 or grain < 0.8:
+        notes.append(f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated as such.")
+    if context.sensor is None and context.pitch_ratio == 1.0:
+        notes.append("Pixels taken as square.")
+    if profile.shading_sd > 0:
+        notes.append(f"The plateaus undulate by {profile.shading_sd:.2g} DN, which widens the intervals.")
+    return tuple(notes)
+
+
+def within_note(profile: Profile) -> str:
+    """Return the note on a frame too small to show a halo."""
+    half = profile.gathered.half_width_px
+    return f"Normalised to the light within {half:.0f} px of the edge; a wider halo would not be seen."
+
+
+def _edge_spread(picture: Picture, profile: Profile, fitted: edge_checks.Fitted) -> dict:
+    """Return the profile, the model and what is left, as numbers for a figure."""
+    return {
+        "figure": "edge-spread",
+        "distance_px": profile.distance.tolist(),
+        "value_dn": profile.value.tolist(),
+        "sd_dn": np.sqrt(np.diag(profile.covariance)).tolist(),
+        "model_dn": fitted.model.tolist(),
+        "residual_dn": (profile.value - fitted.model).tolist(),
+        "step_dn": float(fitted.amplitude[0]),
+        "chi_squared": fitted.chi2,
+        "degrees_of_freedom": fitted.free,
+        "orientation_deg": orientation_deg(picture, profile.angle_rad),
+    }
+
+
+def nothing(method: str, reason: str, where: Region, context: Context, began: float) -> Result:
+    """Return the refusal of all that an edge gives."""
+    flags = ("no-target",) if reason.startswith("no target") else ("window-too-small",)
+    provenance = Provenance(version=charact.__version__, seed=context.seed)
+    seconds = time.perf_counter() - began
+    common = {"method": method, "flags": flags, "region": where, "seconds": seconds, "provenance": provenance}
+    units = {"mtf50": "cy/px", "mtf10": "cy/px", "edge_angle": "deg"}
+    return Result(measurements=tuple(refused(name, unit, reason, **common) for name, unit in units.items()))
