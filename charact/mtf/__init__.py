@@ -1,6 +1,23 @@
 """MTF of edges, bars and points: importing this package registers its methods."""
 
-from charact.mtf import bars_contrast, bars_forward, edge_forward, edge_slanted, point_forward, point_spread
+from charact.mtf import (
+    bars_contrast,
+    bars_forward,
+    edge_forward,
+    edge_parametric,
+    edge_slanted,
+    point_forward,
+    point_spread,
+)
 from charact.mtf.measuring import measure
 
-__all__ = ["bars_contrast", "bars_forward", "edge_forward", "edge_slanted", "measure", "point_forward", "point_spread"]
+__all__ = [
+    "bars_contrast",
+    "bars_forward",
+    "edge_forward",
+    "edge_parametric",
+    "edge_slanted",
+    "measure",
+    "point_forward",
+    "point_spread",
+]

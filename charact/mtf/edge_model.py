@@ -143,6 +143,12 @@ class EdgeModel:
         return value
 
 
+def departure_shapes(frequency: Array, half_frequency: float) -> NDArray[np.complex128]:
+    """Return smooth departures of a transfer's logarithm, modulus and phase, shape (departure, frequency)."""
+    ratio = frequency / half_frequency
+    return np.concatenate([_bumps(ratio, KNOTS), 1j * _bumps(ratio, PHASE_KNOTS)]).astype(np.complex128)
+
+
 def _bumps(ratio: Array, knots: Array) -> Array:
     """Return cosine bumps in the logarithm of a ratio, one at each knot and the last one held, shape (knot, ratio)."""
     place = np.interp(np.log(ratio), np.log(knots), np.arange(knots.size))

@@ -1,0 +1,360 @@
+"""Fitting forms of the point spread to an edge's profile: each form by Gauss-Newton, all weighed by their evidence."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge_checks import response_curvature
+from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, Profile
+from charact.mtf.families import Family, Wide
+from charact.mtf.optics import Known
+from charact.mtf.spread import SpreadTable, nodes, spread_table
+
+Array = NDArray[np.float64]
+
+SHIFT_PX = 6.0
+# Half frequencies among which the first guess is taken, cycles per pixel.
+GUESSES = np.exp(np.linspace(np.log(0.01), np.log(1.8), 40))
+ITERATIONS = 30
+# A parameter's finite difference, share of the width of its bounds.
+DIFFERENCE = 1e-5
+LINEAR = 4  # step, level and a slope on either side
+
+
+@dataclass(frozen=True, kw_only=True)
+class FamilyFit:
+    """A form fitted to a profile.
+
+    Parameters
+    ----------
+    family
+        The form.
+    point, covariance
+        Shift of the edge, px, and the form's parameters at the peak of the posterior; the inverse of the curvature
+        there, levels, step and slopes marginalised.
+    amplitude
+        Step, level and slopes at the peak, DN and DN per px.
+    model
+        Profile at the bins, DN.
+    tangents
+        Change of the profile with each parameter, shape (parameter, bin), DN.
+    log_evidence
+        ln of the evidence by Laplace's approximation, up to what all forms share.
+    chi2, free
+        Chi squared at the peak, and the bins less the parameters.
+    slope_sd_per_px
+        Prior of the illumination's slopes, share of the step per px.
+    """
+
+    family: Family
+    point: Array
+    covariance: Array
+    amplitude: Array
+    model: Array
+    tangents: Array
+    log_evidence: float
+    chi2: float
+    free: int
+    slope_sd_per_px: float
+
+
+class FamilyFitter:
+    """Fits forms to one profile; what all fits share is made once.
+
+    Parameters
+    ----------
+    profile
+        The measured profile with the covariance of its bins.
+    known
+        Known part of the transfer: aperture and video filter.
+    """
+
+    def __init__(self, profile: Profile, known: Known) -> None:
+        self.profile = profile
+        grid = nodes(fine=profile.gathered.half_width_px > 24.0)
+        self._grid, self._fixed = grid, known(grid)
+        self._table: SpreadTable = spread_table(grid.tobytes())
+        self._lopsided = bool(np.any(self._fixed.imag))
+        self._root = _inverse_root(profile.covariance)
+        self._data = self._root @ profile.value
+        place = profile.distance
+        self._levels = np.stack([np.ones_like(place), np.maximum(place, 0.0), np.minimum(place, 0.0)], axis=1)
+        self._white_levels = self._root @ self._levels
+
+    @cached_property
+    def power(self) -> float:
+        """Chi squared of a level alone."""
+        level = self._white_levels[:, :1]
+        return float(self._data @ self._data - (level[:, 0] @ self._data) ** 2 / (level[:, 0] @ level[:, 0]))
+
+    def spreads(self, family: Family, points: Array) -> Array:
+        """Return edge spreads less one half at the bins, shape (n, parameter) -> (n, bin); the shifts must agree."""
+        transfer = family.modulus(points[:, 1:], self._grid) * self._fixed
+        return self._at(transfer, float(points[0, 0]))
+
+    def _at(self, transfer: NDArray[np.complex128], shift_px: float, *, lopsided: bool = False) -> Array:
+        """Return edge spreads less one half of transfers without the shift, shape (n, node) -> (n, bin)."""
+        table, real = self._table, transfer.real
+        distance = self.profile.distance - shift_px
+        first, weight = table.taps(distance)
+        # Only as far as the bins reach; the rest of the table is for wider pictures.
+        stop = min(int(first.max()) + 4, len(table.distance))
+        bend = 0.5 * self.profile.spread_px**2
+        side = np.where(distance < 0, -1.0, 1.0)
+        plain, bent = real @ table.even[:stop].T, real @ table.even_bend[:stop].T
+        index = first[:, None] + np.arange(4)
+        spread = side * (np.sum(plain[:, index] * weight, -1) + bend * np.sum(bent[:, index] * weight, -1))
+        if self._lopsided or lopsided:
+            plain, bent = (transfer.imag @ part[:stop].T for part in (table.odd, table.odd_bend))
+            spread = spread + np.sum(plain[:, index] * weight, -1) + bend * np.sum(bent[:, index] * weight, -1)
+        return spread
+
+    def guess(self) -> float:
+        """Return the half frequency at which a form between lens and tube fits best."""
+        family = Family(core="exponential")
+        points = np.stack([np.zeros_like(GUESSES), np.log(GUESSES), np.full_like(GUESSES, 1.6)], axis=1)
+        spreads = self.spreads(family, points)
+        level = self._white_levels[:, :1]
+        level = level / np.linalg.norm(level)
+        white = spreads @ self._root.T
+        white = white - (white @ level) @ level.T
+        overlap = white @ self._data
+        return float(GUESSES[int(np.argmax(overlap**2 / np.sum(white**2, axis=1)))])
+
+    def fit(self, family: Family, start: Array, slope_sd_per_px: float) -> FamilyFit:
+        """Fit a form from a starting point (shift and the form's parameters)."""
+        bounds = self.bounds(family)
+        width = bounds[:, 1] - bounds[:, 0]
+        prior = self._prior(family, slope_sd_per_px)
+        point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), 1e-3
+        here = self._linearised(family, point, width, bounds, prior)
+        for _ in range(ITERATIONS):
+            step = _solved(here, point, bounds, damping)
+            trial = np.clip(point + step, bounds[:, 0], bounds[:, 1])
+            there = self._linearised(family, trial, width, bounds, prior)
+            gain = here.cost - there.cost
+            if gain >= 0:
+                point, here, damping = trial, there, max(damping * 0.1, 1e-9)
+                if gain < 1e-4:
+                    break
+            else:
+                damping = damping * 30.0
+                if damping > 1e9:
+                    break
+        return self._fitted(family, point, here, bounds, slope_sd_per_px)
+
+    def _prior(self, family: Family, slope_sd_per_px: float) -> tuple[Array, Array]:
+        """Return mean and precision of the Gaussian part of every parameter's prior, linear ones last."""
+        mean, precision = family.prior_precision()
+        scale = max(abs(self.profile.step), 1e-300)
+        slopes = np.full(2, 1.0 / (slope_sd_per_px * scale) ** 2)
+        return (
+            np.concatenate([[0.0], mean, np.zeros(LINEAR)]),
+            np.concatenate([[0.0], precision, [0.0, 0.0], slopes]),
+        )
+
+    def _linearised(self, family: Family, point: Array, width: Array, bounds: Array, prior) -> "_Linearised":
+        """Return the model at a point with the best linear parameters, and its tangents, whitened."""
+        count = point.size - 1
+        # Differences run inwards, so that they stay within the bounds.
+        sign = np.where(point[1:] > bounds[1:].mean(axis=1), -1.0, 1.0)
+        moves = np.diag(sign * DIFFERENCE * width[1:])
+        points = np.concatenate([point[None], point[None] + np.pad(moves, ((0, 0), (1, 0)))])
+        transfer = family.modulus(points[:, 1:], self._grid) * self._fixed
+        shift = float(point[0])
+        spreads = self._at(transfer, shift)
+        little = 1e-4
+        moved = self._at(transfer[:1], shift + little)[0]
+        slopes = [(moved - spreads[0]) / little, *((spreads[1 + k] - spreads[0]) / moves[k, k] for k in range(count))]
+        shapes = np.concatenate([spreads[:1], self._levels.T])
+        white = self._root @ np.concatenate([np.array(slopes), spreads[:1]]).T
+        linear = np.concatenate([white[:, -1:], self._white_levels], axis=1)
+        mean, precision = prior
+        keep = np.diag(precision[-LINEAR:])
+        amplitude = np.asarray(np.linalg.solve(linear.T @ linear + keep, linear.T @ self._data), float)
+        residual = self._data - linear @ amplitude
+        off = point - mean[: point.size]
+        cost = float(residual @ residual + off**2 @ precision[: point.size] + amplitude**2 @ precision[-LINEAR:])
+        return _Linearised(
+            residual=residual,
+            design=np.concatenate([white[:, :-1] * amplitude[0], linear], axis=1),
+            tangents=np.array(slopes) * amplitude[0],
+            amplitude=amplitude,
+            model=shapes.T @ amplitude,
+            pull=-np.concatenate([off, amplitude]) * precision,
+            precision=precision,
+            cost=cost,
+        )
+
+    def _fitted(self, family: Family, point: Array, here: "_Linearised", bounds: Array, slope: float) -> FamilyFit:
+        normal = here.design.T @ here.design + np.diag(here.precision)
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True) / np.outer(scale, scale)
+        covariance = inverse[: point.size, : point.size]
+        # A parameter that the data do not feel spreads over its bounds.
+        widest = (bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0)
+        shrink = np.minimum(1.0, widest / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
+        covariance = covariance * np.outer(shrink, shrink)
+        log_linear = -0.5 * np.linalg.slogdet(normal[point.size :, point.size :])[1]
+        log_linear += 0.5 * np.sum(np.log(here.precision[-2:]))
+        log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1] + np.log(_inside(point, covariance, bounds))
+        mean, precision = family.prior_precision()
+        flat = float(family.log_prior(point[None, 1:])[0]) + 0.5 * float((point[1:] - mean) ** 2 @ precision)
+        chi2 = float(here.residual @ here.residual)
+        return FamilyFit(
+            family=family,
+            point=point,
+            covariance=covariance,
+            amplitude=here.amplitude,
+            model=here.model,
+            tangents=here.tangents,
+            log_evidence=float(-0.5 * here.cost + flat + log_linear + log_volume),
+            chi2=chi2,
+            free=max(len(self._data) - point.size - 2, 1),
+            slope_sd_per_px=slope,
+        )
+
+    def bounds(self, family: Family) -> Array:
+        """Return the bounds of shift and form, shape (parameter, 2)."""
+        return np.concatenate([[[-SHIFT_PX, SHIFT_PX]], family.bounds])
+
+    def uneven(self, fit: FamilyFit) -> bool:
+        """Tell whether the plateaus slope more than they do in a good set-up: by the gain in chi squared."""
+        return self._gain(fit, np.zeros((0, len(self._data))), free_slopes=True) > 2.0 * np.log(
+            UNEVEN_PER_PX / EVEN_PER_PX
+        )
+
+    def wide_gain(self, fit: FamilyFit, wide: Wide) -> tuple[float, Array]:
+        """Return the gain in chi squared from light beyond the core, to first order, and where to begin its fit."""
+        bounds = np.array([bound for _, bound in wide.parameters.values()])
+        sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, 7)
+        middle = bounds[2:].mean(axis=1)
+        shapes = np.concatenate([sizes[:, None], np.tile(middle, (sizes.size, 1))], axis=1)
+        core = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
+        away = self._at(core * (wide.transfer(self._grid, shapes) - 1.0), float(fit.point[0]))
+        gains = [self._gain(fit, one[None]) for one in away]
+        best = int(np.argmax(gains))
+        return gains[best], np.concatenate([[0.05], shapes[best]])
+
+    def departure_gain(self, fit: FamilyFit, shapes_at: Callable[[Array, float], NDArray[np.complex128]]) -> tuple[float, int]:
+        """Return the gain in chi squared from smooth departures of modulus and phase, to first order, and how many.
+
+        Parameters
+        ----------
+        shapes_at
+            Departures of the transfer's logarithm, complex, from frequencies and the half frequency.
+        """
+        transfer = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
+        departures = shapes_at(self._grid, float(np.exp(fit.point[1])))
+        moved = self._at(transfer * departures, float(fit.point[0]), lopsided=True)
+        return self._gain(fit, moved), len(moved)
+
+    def _gain(self, fit: FamilyFit, shapes: Array, *, free_slopes: bool = False) -> float:
+        """Return the gain in chi squared from adding shapes (shape, bin) to a fit, to first order."""
+        scale = max(abs(self.profile.step), 1e-300)
+        slope_sd = (UNEVEN_PER_PX if free_slopes else fit.slope_sd_per_px) * scale
+        spread = self.spread_of(fit)
+        residual = self._root @ (self.profile.value - fit.model)
+        rows = np.concatenate([fit.tangents, spread[None], self._levels.T])
+        count = len(rows)
+        both = (np.concatenate([rows, shapes * scale]) @ self._root.T).T
+        prior = np.zeros(both.shape[1])
+        prior[count - 2 : count] = slope_sd**-2
+        mean, precision = fit.family.prior_precision()
+        prior[1 : 1 + mean.size] = precision
+        pull = np.zeros(both.shape[1])
+        pull[1 : 1 + mean.size] = (mean - fit.point[1:]) * precision
+        pull[count - 2 : count] = -fit.amplitude[2:] * prior[count - 2 : count]
+        more = _explained(both, residual, prior, pull)
+        prior[count - 2 : count] = (fit.slope_sd_per_px * scale) ** -2
+        pull[count - 2 : count] = -fit.amplitude[2:] * prior[count - 2 : count]
+        return more - _explained(both[:, :count], residual, prior[:count], pull[:count])
+
+    def spread_of(self, fit: FamilyFit) -> Array:
+        """Return the fitted edge spread less one half at the bins."""
+        return (fit.model - self._levels @ fit.amplitude[1:]) / fit.amplitude[0]
+
+    def response_curvature(self, fit: FamilyFit) -> tuple[float, float]:
+        """Return the curvature of the response that the profile asks for, and its error.
+
+        Every parameter of the form may move by five of its deviations.
+        """
+        sd = np.sqrt(np.diag(fit.covariance))[1:, None]
+        tangents = np.concatenate([fit.tangents[:1] * SHIFT_PX, fit.tangents[1:] * 5.0 * sd]) / fit.amplitude[0]
+        scale = max(abs(self.profile.step), 1e-300)
+        shape_sd = np.array([np.inf, fit.slope_sd_per_px * scale, fit.slope_sd_per_px * scale])
+        return response_curvature(self.profile, self._root, self.spread_of(fit), tangents, self._levels, shape_sd)
+
+    def log_probability(self, family: Family, slope_sd_per_px: float) -> Callable[[Array], Array]:
+        """Return the log-probability of shift and form, vectorised, from the data kept as a few matrices."""
+        evidence = self.profile.evidence(self._grid, slope_sd_per_px)
+        bounds, grid, fixed = self.bounds(family), self._grid, self._fixed
+
+        def log_probability(theta: Array) -> Array:
+            value = family.log_prior(theta[:, 1:])
+            inside = np.isfinite(value) & (theta[:, 0] >= bounds[0, 0]) & (theta[:, 0] <= bounds[0, 1])
+            value[~inside] = -np.inf
+            if inside.any():
+                used = theta[inside]
+                turned = np.exp(-2j * np.pi * used[:, :1] * grid) * fixed
+                value[inside] += evidence.log_likelihood(family.modulus(used[:, 1:], grid) * turned)
+            return value
+
+        return log_probability
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Linearised:
+    residual: Array
+    design: Array
+    tangents: Array
+    amplitude: Array
+    model: Array
+    pull: Array
+    precision: Array
+    cost: float
+
+
+def _explained(design: Array, residual: Array, prior: Array, pull: Array) -> float:
+    """Return how much a fit of columns under a Gaussian prior lowers chi squared and the prior's own cost."""
+    gradient = design.T @ residual + pull
+    normal = design.T @ design + np.diag(prior)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-11, hermitian=True)
+    return float((gradient / scale) @ inverse @ (gradient / scale))
+
+
+def _solved(here: _Linearised, point: Array, bounds: Array, damping: float) -> Array:
+    """Return the damped Gauss-Newton step of the parameters that are not linear, those held by a bound left out."""
+    size = point.size
+    gradient = here.design.T @ here.residual + here.pull
+    blocked = ((point <= bounds[:, 0]) & (gradient[:size] < 0)) | ((point >= bounds[:, 1]) & (gradient[:size] > 0))
+    free = np.concatenate([np.flatnonzero(~blocked), np.arange(size, size + LINEAR)])
+    normal = (here.design.T @ here.design + np.diag(here.precision))[np.ix_(free, free)]
+    diagonal = np.maximum(np.diag(normal), 1e-300)
+    normal = normal + np.diag(damping * diagonal)
+    scale = np.sqrt(diagonal)
+    step = np.zeros(size + LINEAR)
+    step[free] = np.linalg.solve(normal / np.outer(scale, scale) + 1e-12 * np.eye(free.size), gradient[free] / scale)
+    step[free] /= scale
+    return np.clip(step[:size], -0.25 * (bounds[:, 1] - bounds[:, 0]), 0.25 * (bounds[:, 1] - bounds[:, 0]))
+
+
+def _inside(point: Array, covariance: Array, bounds: Array) -> float:
+    """Return about the share of the Gaussian at the peak that lies inside the bounds: the rest is no evidence."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    share = _normal((bounds[:, 1] - point) / sd) - _normal((bounds[:, 0] - point) / sd)
+    return float(np.prod(np.maximum(share, 1e-3)))
+
+
+def _normal(z: Array) -> Array:
+    """Return about the normal distribution function, within 2e-4."""
+    return 1.0 / (1.0 + np.exp(-np.clip(1.5976 * z + 0.07056 * z**3, -500.0, 500.0)))
+
+
+def _inverse_root(covariance: Array) -> Array:
+    """Return the inverse of the Cholesky root."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), float)

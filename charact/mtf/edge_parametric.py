@@ -1,0 +1,188 @@
+"""The parametric method for edges: forms of the point spread, fitted to the profile and weighed by their evidence."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context, register
+from charact.mtf import edge_checks
+from charact.mtf.edge_families import FamilyFit, FamilyFitter
+from charact.mtf.edge_find import NoEdge, find_edge, no_edge, too_blurred
+from charact.mtf.edge_model import departure_shapes
+from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
+from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, Wide
+from charact.mtf.optics import halo_diameters_px, known_of
+from charact.mtf.region import Region
+from charact.posterior import laplace, sample
+from labdata.frames import FrameStack
+from labdata.measurement import Posterior, Result
+
+Array = NDArray[np.float64]
+
+METHOD = "edge-parametric"
+# A form this much less probable than the best, as a share, adds nothing to the draws.
+LEAST_SHARE = 0.02
+# Gain in chi squared from which on wide light is worth a fit of its own: less is outweighed by its own freedom.
+WORTH_CHI2 = 6.0
+# Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
+DEPARTED_SD = 4.5
+DRAWS, QUICK_DRAWS = 1000, 500
+MAX_STEPS = 3000
+
+
+@register(
+    "edge",
+    METHOD,
+    quantities=("mtf50", "mtf10", "mtf", "edge_angle"),
+    scope=(
+        "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
+        "30 rows and more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) or Moffat, with halo or glare; "
+        "noise may depend on the signal and be correlated. Any other blur is flagged where the data show it; a curved "
+        "response, motion between fields, clipping and windows narrower than the blur break it."
+    ),
+)
+def edge_parametric(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
+    """Measure the MTF across an edge by forms of the point spread.
+
+    Parameters
+    ----------
+    stack
+        Frames of one edge; they are averaged.
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the edge and its plateaus; None: the whole frame.
+    context
+        Seed, whether a Markov chain is wanted, and the camera.
+
+    Returns
+    -------
+    Result
+        `mtf50`, `mtf10`, `mtf` at pinned frequencies and `edge_angle`, the curve "mtf", and the profile as evidence.
+
+    Notes
+    -----
+    Mean of a pixel at distance d: level + step (E(d - shift) - 1/2) + slopes, E the edge spread of aperture x video x
+    form. The draws are those of every form in proportion to its evidence.
+    """
+    began = time.perf_counter()
+    edge = find_edge(stack, region, context)
+    if isinstance(edge, NoEdge):
+        return nothing(METHOD, edge.reason, edge.where, context, began)
+    profile, known = edge.profile, known_of(edge.picture, edge.profile.angle_rad, context)
+    fitter = FamilyFitter(profile, known)
+    fits = fitted_forms(fitter, wides(context, profile.gathered.half_width_px, transposed=edge.picture.transposed))
+    best = fits[0].fit
+    reason = no_edge(best.chi2, fitter.power, best.free) or too_blurred(profile, float(np.exp(best.point[1])))
+    if reason:
+        return nothing(METHOD, reason, edge.where, context, began)
+    drawn = _drawn(fitter, fits, context)
+    outcome = Outcome(
+        method=METHOD,
+        edge=edge,
+        fitted=edge_checks.Fitted(model=best.model, amplitude=best.amplitude, chi2=best.chi2, free=best.free),
+        response=fitter.response_curvature(best),
+        posterior=drawn[0][1],
+        mtf=lambda frequency: (
+            np.abs(known(frequency))
+            * np.concatenate([form.modulus(posterior.draws[:count, 1:], frequency) for form, posterior, count in drawn])
+        ),
+        settings={"forms": {one.fit.family.name: round(one.share, 4) for one in fits}},
+        notes=(_forms_note(fits), *(() if any(one.fit.family.wide for one in fits) else (within_note(profile),))),
+        flags=("model-misfit",) if _departs(fitter, best) else (),
+    )
+    return result_of(outcome, context, began)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighed:
+    """A fitted form with its share of the evidence."""
+
+    fit: FamilyFit
+    share: float
+
+
+def wides(context: Context, half_width_px: float, *, transposed: bool) -> tuple[Wide, ...]:
+    """Return what light beyond the core the window can show."""
+    if context.sensor is not None:
+        low, high = halo_diameters_px(context, transposed=transposed)
+        return (HaloPrior(diameter_px=(low, high)),) if half_width_px >= 0.6 * high else ()
+    if half_width_px < 16.0:
+        return ()
+    return (
+        DiscPrior(diameter_px=(6.0, 1.6 * half_width_px)),
+        HaloPrior(diameter_px=(6.0, 1.6 * half_width_px)),
+        GlarePrior(length_px=(2.0, 0.25 * half_width_px)),
+    )
+
+
+def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
+    """Fit the forms that the data may ask for, simple ones first, and return them, the most probable first."""
+    guess = fitter.guess()
+    start = {core: np.concatenate([[0.0], Family(core=core).start(guess)]) for core in ("gaussian", "exponential")}
+    found = [fitter.fit(Family(core="gaussian"), start["gaussian"], EVEN_PER_PX)]
+    warm = start["exponential"]
+    warm[:2] = found[0].point[:2]
+    found.append(fitter.fit(Family(core="exponential"), warm, EVEN_PER_PX))
+    best = max(found, key=lambda fit: fit.log_evidence)
+    if best.family.core == "exponential":
+        warm = np.concatenate([[0.0], Family(core="moffat").start(guess)])
+        warm[:2] = best.point[:2]
+        found.append(fitter.fit(Family(core="moffat"), warm, EVEN_PER_PX))
+    best = max(found, key=lambda fit: fit.log_evidence)
+    if fitter.uneven(best):
+        found = [fitter.fit(fit.family, fit.point, UNEVEN_PER_PX) for fit in found]
+    cores = [fit for fit in found if fit.log_evidence > max(one.log_evidence for one in found) - 12.0]
+    for prior in wide:
+        for core in cores:
+            gain, begin = fitter.wide_gain(core, prior)
+            if gain > WORTH_CHI2:
+                family = Family(core=core.family.core, wide=prior)
+                found.append(fitter.fit(family, np.concatenate([core.point, begin]), core.slope_sd_per_px))
+    return _weighed(found)
+
+
+def _weighed(found: list[FamilyFit]) -> list[Weighed]:
+    evidence = np.array([fit.log_evidence for fit in found])
+    share = np.exp(evidence - evidence.max())
+    share /= share.sum()
+    return [Weighed(fit=found[i], share=float(share[i])) for i in np.argsort(-share) if share[i] > LEAST_SHARE]
+
+
+def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context) -> list[tuple[Family, Posterior, int]]:
+    """Return draws of every form and how many of them count."""
+    total = sum(one.share for one in fits)
+    wanted = QUICK_DRAWS if context.quick else DRAWS
+    out = []
+    for number, one in enumerate(fits):
+        count = max(1, round(wanted * one.share / total))
+        out.append((one.fit.family, _posterior(fitter, one.fit, context, number, wanted), count))
+    return out
+
+
+def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: int, draws: int) -> Posterior:
+    """Draw from one form's posterior: by Markov chain, or quickly from the curvature."""
+    asked = {
+        "names": ("edge_shift_px", *fit.family.parameters),
+        "units": ("px", *(unit for unit, _ in fit.family.parameters.values())),
+        "start": fit.point,
+        "covariance": fit.covariance,
+        "seed": context.seed + number,
+        "bounds": fitter.bounds(fit.family),
+        "draws": draws,
+    }
+    if context.quick:
+        return laplace(lambda theta: np.zeros(len(theta)), **asked)
+    return sample(fitter.log_probability(fit.family, fit.slope_sd_per_px), **asked, max_steps=MAX_STEPS)
+
+
+def _departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
+    """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
+    gain, count = fitter.departure_gain(fit, departure_shapes)
+    return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
+
+
+def _forms_note(fits: list[Weighed]) -> str:
+    parts = ", ".join(f"{one.fit.family.name} {100 * one.share:.0f} %" for one in fits)
+    return f"Form of the point spread by evidence: {parts}."
