@@ -1,6 +1,7 @@
 """MTF of edges, bars and points: importing this package registers its methods."""
 
 from charact.mtf import (
+    bars_coltman,
     bars_contrast,
     bars_forward,
     edge_forward,
@@ -12,6 +13,7 @@ from charact.mtf import (
 from charact.mtf.measuring import measure
 
 __all__ = [
+    "bars_coltman",
     "bars_contrast",
     "bars_forward",
     "edge_forward",

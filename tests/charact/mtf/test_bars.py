@@ -82,7 +82,7 @@ def test_intervals_cover_under_correlated_noise(seed: int) -> None:
     covered = 0
     for trial in range(80):
         frequency, angle = (0.1, 0.16, 0.24)[trial % 3], float(rng.uniform(2.0, 10.0))
-        found = mtf_at(frames_of(blurred_bars(frequency, angle, 0.9, fine=4), rng), frequency)
+        found = mtf_at(frames_of(blurred_bars(frequency, angle, 0.9), rng), frequency)
         assert found.status == "ok", (found.flags, frequency, trial)
         low, high = found.interval95
         covered += low <= mtf_of(frequency, angle, 0.9) <= high
@@ -93,7 +93,7 @@ def test_one_frame_alone_has_an_interval_that_holds_the_truth(seed: int) -> None
     rng = np.random.default_rng(seed)
     covered = 0
     for _ in range(30):
-        found = mtf_at(frames_of(blurred_bars(0.1, 5.0, 0.9, fine=4), rng, frames=1), 0.1)
+        found = mtf_at(frames_of(blurred_bars(0.1, 5.0, 0.9), rng, frames=1), 0.1)
         low, high = found.interval95
         covered += low <= mtf_of(0.1, 5.0, 0.9) <= high
     assert covered >= 25

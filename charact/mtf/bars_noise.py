@@ -1,0 +1,133 @@
+"""The noise that is in the pixels of a target: its variance by level, and what neighbouring pixels share of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Pixels further apart share nothing; less far, unless neighbours share more than this.
+NEAR_PX, FAR_PX, SHARED = 2, 4, 0.2
+# Frames whose scatter tells the correlation.
+MOST_FRAMES = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Noise of the pixels of a window.
+
+    Parameters
+    ----------
+    variance
+        Of each pixel, shape (pixel,).
+    correlation
+        Correlation of two pixels by how far apart they are, shape (2 k + 1, 2 k + 1), 1 in the middle.
+    inflation
+        Factor on all variances: light that lingers from frame to frame.
+    """
+
+    variance: Array
+    correlation: Array
+    inflation: float = 1.0
+
+    def spread(self, estimator: Array, window: Mask) -> Array:
+        """Return the covariance that the noise gives to linear estimates, shape (estimate, estimate).
+
+        Parameters
+        ----------
+        estimator
+            What each pixel weighs in each estimate, shape (estimate, pixel).
+        window
+            Which pixels they are, shape (row, col).
+        """
+        from scipy.fft import irfft2, next_fast_len, rfft2
+
+        reach = self.correlation.shape[0] // 2
+        rows, cols = np.nonzero(window)
+        top, left = rows.min(), cols.min()
+        shape = (int(rows.max() - top + 1), int(cols.max() - left + 1))
+        size = tuple(int(next_fast_len(side + reach, True) or side) for side in shape)
+        fields = np.zeros((len(estimator), *shape))
+        fields[:, rows - top, cols - left] = estimator * np.sqrt(self.variance)
+        kernel = np.zeros(size)
+        lags = np.arange(-reach, reach + 1)
+        kernel[np.ix_(lags % size[0], lags % size[1])] = self.correlation
+        spectrum = np.asarray(rfft2(fields, s=size)) * np.real(np.asarray(rfft2(kernel)))
+        shared = np.asarray(irfft2(spectrum, size))[:, : shape[0], : shape[1]]
+        flat = fields.reshape(len(fields), -1)
+        return self.inflation * flat @ shared.reshape(len(fields), -1).T
+
+
+def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> Noise:
+    """Return the noise of the mean of frames, from their scatter.
+
+    Parameters
+    ----------
+    frames
+        At least two, shape (frame, row, col).
+    model
+        Picture of the window's pixels, shape (pixel,).
+    inflation
+        Factor by which light that lingers widens the error of the mean, on its square.
+    """
+    left = frames - frames.mean(axis=0)
+    share = len(frames) / (len(frames) - 1.0)
+    variance = variance_of(model, share * np.mean(left[:, window] ** 2, axis=0))
+    field = np.zeros((min(len(frames), MOST_FRAMES), *window.shape))
+    field[:, window] = left[: len(field), window] / np.sqrt(variance)
+    return Noise(variance=variance / len(frames), correlation=correlation_of(field, window), inflation=inflation)
+
+
+def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask) -> Noise:
+    """Return the noise of one frame from what a fit left over.
+
+    Parameters
+    ----------
+    residual, model
+        Pixels less the picture, and the picture, shape (pixel,).
+    absorbed
+        The fit's own error as independent fields, shape (field, pixel): as much noise has gone into the picture.
+    """
+    variance = variance_of(model, residual**2 + np.sum(absorbed**2, axis=0))
+    scale = 1.0 / np.sqrt(variance)
+    fields = np.zeros((1 + len(absorbed), *window.shape))
+    fields[0, window] = residual * scale
+    fields[1:, window] = absorbed * scale
+    return Noise(variance=variance, correlation=correlation_of(fields, window))
+
+
+def variance_of(level: Array, square: Array) -> Array:
+    """Return the variance of each pixel, a rising line in its level, nowhere below a tenth of the mean."""
+    mean = float(square.mean())
+    spread = float(level.std())
+    if not spread > 0 or not mean > 0:
+        return np.full(level.shape, max(mean, 1e-12))
+    slope, offset = np.polyfit((level - level.mean()) / spread, square, 1)
+    line = offset + max(slope, 0.0) * (level - level.mean()) / spread
+    return np.maximum(line, 0.1 * mean)
+
+
+def correlation_of(fields: Array, window: Mask) -> Array:
+    """Return the correlation of noise fields (field, row, col), their products added, between pixels of a window."""
+    near = _correlation(fields, window, NEAR_PX)
+    middle = NEAR_PX
+    if max(near[middle + 1, middle], near[middle, middle + 1]) < SHARED:
+        return near
+    return _correlation(fields, window, FAR_PX)
+
+
+def _correlation(fields: Array, window: Mask, reach: int) -> Array:
+    masked = np.where(window, fields, 0.0)
+    rows, cols = window.shape
+    found = np.zeros((2 * reach + 1, 2 * reach + 1))
+    for down in range(min(reach + 1, rows)):
+        for right in range(-min(reach, cols - 1), min(reach + 1, cols)):
+            here = (slice(0, rows - down), slice(max(0, -right), cols - max(0, right)))
+            there = (slice(down, rows), slice(max(0, right), cols + min(0, right)))
+            pairs = np.count_nonzero(window[here] & window[there])
+            if pairs:
+                shared = float(np.sum(masked[(slice(None), *here)] * masked[(slice(None), *there)])) / pairs
+                found[reach + down, reach + right] = found[reach - down, reach - right] = shared
+    return found / max(found[reach, reach], 1e-30)
