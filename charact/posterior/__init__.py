@@ -3,5 +3,14 @@
 from charact.posterior.chain import sample
 from charact.posterior.curvature import laplace, maximum
 from charact.posterior.diagnostics import has_several_peaks
+from charact.posterior.predictive import PredictiveCheck, predictive_check, predictive_probability
 
-__all__ = ["has_several_peaks", "laplace", "maximum", "sample"]
+__all__ = [
+    "PredictiveCheck",
+    "has_several_peaks",
+    "laplace",
+    "maximum",
+    "predictive_check",
+    "predictive_probability",
+    "sample",
+]

@@ -1,12 +1,11 @@
 """The one wrapper around emcee: independent ensembles that run until they agree, or a flag that they did not.
 
-Moves are differential evolution and its snooker (ter Braak 2006, 2008) with an independence proposal, a Student t of
-the covariance given: where the posterior is nearly Gaussian every second step is then nearly independent, and where
-it is not the other moves do the work. All keep the posterior invariant.
+Moves are differential evolution and an independence proposal, a Student t of the covariance given: where the
+posterior is nearly Gaussian most steps are then nearly independent, and where it is not the other moves do
+the work. Both keep the posterior invariant.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,10 +16,13 @@ from charact.posterior.diagnostics import (
     ensemble_r_hat,
     has_several_peaks,
     leans_on_bound,
+    moves_well,
     split_r_hat,
 )
+from charact.posterior.ensembles import Ensembles, first_places
+from charact.posterior.moves import mixed_moves
 from charact.posterior.open_space import OpenSpace
-from charact.posterior.proposal import mixed_moves
+from labdata.errors import BadInput
 from labdata.measurement import Posterior
 
 STEPS_PER_TAU = 50
@@ -30,11 +32,17 @@ R_HAT = 1.01
 WALKER_R_HAT = 1.15
 # Climbs in search of other peaks, shared out over the parameters: a climb costs as their square.
 CLIMBS = 30
-# Two rounds of learning, steps.
-LEARNING_STEPS = (60, 80)
+# Steps of the first round of learning, how alike two rounds must be, and the steps before the first judgement.
+LEARNING_STEPS = 60
+ALIKE = 3.0
+FIRST_STEPS = 150
+# Differences of fewer walkers than these, four in each half, are too few to choose from.
+LEAST_WALKERS = 8
 # A second peak is further than this from the first and not lower than this in log-probability.
 FAR_SD = 6.0
 LOWEST_PEAK = 8.0
+# How far from the start climbs begin where a parameter has no bound.
+FAR_AROUND_SD = 50.0
 
 
 def sample(
@@ -66,79 +74,120 @@ def sample(
     seed
         Seed of every draw.
     bounds
-        Lower and upper bound of each parameter, shape (parameter, 2); where all are finite, a few climbs from
-        anywhere between them look for peaks besides the start.
+        Lower and upper bound of each parameter, shape (parameter, 2), infinite where there is none. A few climbs from
+        anywhere between them, or within 50 standard deviations of the start, look for peaks besides it.
     draws
-        Number of draws kept, evenly thinned.
+        Number of draws kept, picked at random from the chains.
     ensembles
         Independent ensembles, at least 2.
     max_steps
         Steps of each ensemble after which it is given up.
     walkers
-        Walkers of an ensemble; None: four for each parameter, at least 32.
+        Walkers of an ensemble, at least 8 and two for each parameter; None: four for each parameter, at least 32.
 
     Returns
     -------
     Posterior
         With `not-converged` its draws come from the curvature; `prior-bound` and `several-modes` say what was seen.
 
+    Raises
+    ------
+    BadInput
+        If there are too few walkers.
+    ValueError
+        If no point near the start has a finite log-probability.
+
     Notes
     -----
     Converged: more than 50 autocorrelation times after the burn-in, the time itself steady within 10 % while the
-    chain grew by a third, split R-hat between ensembles below 1.01, and no walker that stays where it began.
+    chain grew by a third, split R-hat between ensembles below 1.01, an acceptance as of a chain that moves, and no
+    walker that stays where it began. Peaks that neither the walkers nor the climbs met are unknown to any chain, and
+    a chain knows nothing of a wrong model: that is for `predictive_check`.
     """
     spread = np.asarray(covariance, float)
     walls = walls_of(bounds, len(spread))
+    count = _walkers(walkers, len(spread))
     places = _peaks(log_probability, np.atleast_2d(np.asarray(start, float)), spread, walls, seed)
-    count = walkers or max(32, 4 * places.shape[1])
     open_space = OpenSpace(walls)
 
     def unbounded(points: NDArray) -> NDArray:
         return log_probability(open_space.inside(points)) + open_space.log_volume(points)
 
-    runners = [
-        _Runner.started(log_probability, unbounded, open_space, places, spread, count + count % 2, child)
-        for child in np.random.SeedSequence(seed).spawn(max(2, ensembles))
-    ]
-    _learn(runners, unbounded)
-    chains, trust = _run(runners, max_steps)
+    running = _started(log_probability, unbounded, open_space, places, spread, (max(2, ensembles), count), seed)
+    _learn(running, unbounded, max_steps)
+    chains, trust = _run(running, max_steps)
     chains = open_space.inside(chains)
-    several = has_several_peaks(_thinned(chains, 4000))
+    seen = _chosen(chains, 4000, seed)
+    several = ("several-modes",) if has_several_peaks(seen) else ()
     if not trust.converged:
-        flags = ("not-converged", *(("several-modes",) if several else ()))
         return laplace(
             log_probability, names=names, units=units, start=places[0], covariance=spread, seed=seed,
-            bounds=bounds, draws=draws, flags=flags,
+            bounds=bounds, draws=draws, flags=("not-converged", *several),
         )  # fmt: skip
-    kept = _thinned(chains, draws)
-    leaning = leans_on_bound(_thinned(chains, 4000), walls).any()
-    flags = (*(("prior-bound",) if leaning else ()), *(("several-modes",) if several else ()))
+    leaning = ("prior-bound",) if leans_on_bound(seen, walls).any() else ()
     return Posterior(
         names=names,
         units=units,
-        draws=kept,
+        draws=_chosen(chains, draws, seed),
         autocorrelation_time=trust.tau,
-        acceptance=float(np.mean([runner.acceptance for runner in runners])),
+        acceptance=float(np.mean(running.acceptance)),
         r_hat=trust.r_hat,
         effective_sample_size=chains.shape[0] * chains.shape[1] * chains.shape[2] / trust.tau,
         seed=seed,
-        flags=flags,
+        flags=(*leaning, *several),
     )
 
 
-def _learn(runners: list["_Runner"], log_probability: Vectorised) -> None:
+def _walkers(asked: int | None, parameters: int) -> int:
+    """Return the number of walkers of an ensemble; too few would stay in the subspace in which they began."""
+    least = max(2 * parameters, LEAST_WALKERS)
+    if asked is None:
+        return max(32, 4 * parameters)
+    if asked < least:
+        raise BadInput(f"walkers must be at least twice the parameters and {LEAST_WALKERS}, {least} here, got {asked}")
+    return asked
+
+
+def _started(
+    log_probability: Vectorised, unbounded: Vectorised, open_space: OpenSpace, places: NDArray, covariance: NDArray,
+    shape: tuple[int, int], seed: int,
+) -> Ensembles:  # fmt: skip
+    """Start the ensembles around their places, in coordinates without walls."""
+    ensembles, walkers = shape
+    generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)]
+    first = [first_places(log_probability, places, covariance, open_space.walls, walkers, rng) for rng in generators]
+    if len(places) == 1:
+        near = open_space.outside(gaussian_within(generators[0], places[0], covariance, open_space.walls, 500))
+        moves = mixed_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)), ensembles)
+    else:
+        stretch = open_space.stretch(places[0])
+        moves = mixed_moves(open_space.outside(places), covariance * np.outer(stretch, stretch), ensembles)
+    return Ensembles(unbounded, moves, open_space.outside(np.array(first)), int(generators[0].integers(2**31)))
+
+
+def _learn(running: Ensembles, log_probability: Vectorised, max_steps: int) -> None:
     """Let the ensembles run for a while and shape the independence proposal after what they saw together.
 
-    What is learnt stays fixed from then on, and these steps are forgotten, so that the chains proper are Markov.
+    Rounds grow until what is seen no longer changes. What is learnt stays fixed from then on, and these steps are
+    forgotten, so that the chains proper are Markov.
     """
-    for steps in LEARNING_STEPS:
-        for runner in runners:
-            runner.advance(steps)
-        seen = np.concatenate([runner.chain()[steps // 2 :] for runner in runners], axis=1)
+    steps, spent, last = LEARNING_STEPS, 0, None
+    while spent < max_steps:
+        running.advance(steps)
+        seen = running.chains()[:, steps // 2 :]
         seen = seen.reshape(-1, seen.shape[-1])
         covariance = np.atleast_2d(np.cov(seen.T)) + 1e-12 * np.diag(seen.var(axis=0))
-        for runner in runners:
-            runner.restarted(log_probability, mixed_moves(seen.mean(axis=0)[None], covariance))
+        running.restart(log_probability, mixed_moves(seen.mean(axis=0)[None], covariance, running.shape[0]))
+        if last is not None and _alike(last, covariance):
+            return
+        steps, spent, last = steps * 4 // 3, spent + steps, covariance
+
+
+def _alike(one: NDArray, other: NDArray) -> bool:
+    """Tell whether the variance in every direction is alike within `ALIKE`."""
+    inverse = np.linalg.pinv(root_of(one))
+    ratios = np.linalg.eigvalsh(inverse @ other @ inverse.T)
+    return bool(ratios.max() < ALIKE and ratios.min() > 1.0 / ALIKE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,23 +199,21 @@ class _Trust:
     converged: bool
 
 
-def _run(runners: list["_Runner"], max_steps: int) -> tuple[NDArray[np.float64], _Trust]:
+def _run(running: Ensembles, max_steps: int) -> tuple[NDArray[np.float64], _Trust]:
     """Advance all ensembles until they are trusted or the steps run out; return the chains after the burn-in."""
-    steps, block, last = 0, 150, np.inf
+    steps, block, last = 0, min(FIRST_STEPS, max_steps), np.inf
     while True:
-        for runner in runners:
-            runner.advance(block)
+        running.advance(block)
         steps += block
-        chains = np.stack([runner.chain() for runner in runners])
-        chains = chains[:, len(chains[0]) // 4 :]
-        trust = _trust(chains, last)
+        chains = running.chains()[:, steps // 4 :]
+        trust = _trust(chains, last, running)
         if trust.converged or steps >= max_steps:
             return chains, trust
         last = trust.tau
         block = int(min(max(steps // 3, 50), max_steps - steps))
 
 
-def _trust(chains: NDArray[np.float64], last_tau: NDArray[np.float64] | float) -> _Trust:
+def _trust(chains: NDArray[np.float64], last_tau: NDArray[np.float64] | float, running: Ensembles) -> _Trust:
     """Judge chains (ensemble, step, walker, parameter) against the rule."""
     ensembles, steps, walkers, parameters = chains.shape
     merged = np.moveaxis(chains, 0, 1).reshape(steps, ensembles * walkers, parameters)
@@ -177,71 +224,28 @@ def _trust(chains: NDArray[np.float64], last_tau: NDArray[np.float64] | float) -
     converged = (
         bool(np.all(steps > STEPS_PER_TAU * tau))
         and steady
+        and moves_well(running.acceptance, running.local_acceptance)
         and bool(np.all(r_hat < R_HAT))
         and bool(np.all(split_r_hat(merged) < WALKER_R_HAT))
     )
     return _Trust(tau=tau, r_hat=r_hat, converged=converged)
 
 
-def _thinned(chains: NDArray[np.float64], draws: int) -> NDArray[np.float64]:
-    """Return draws spread evenly over the steps, walkers and ensembles of chains."""
-    flat = np.moveaxis(chains, 0, 1).reshape(-1, chains.shape[-1])
-    return flat[np.linspace(0, len(flat) - 1, min(draws, len(flat))).round().astype(int)]
+def _chosen(chains: NDArray[np.float64], draws: int, seed: int) -> NDArray[np.float64]:
+    """Return draws picked at random from all steps, walkers and ensembles.
 
-
-class _Runner:
-    """One ensemble: its sampler and where it stands."""
-
-    def __init__(self, log_probability: Vectorised, moves: list, first: NDArray, seed: int) -> None:
-        import emcee
-
-        self._sampler = emcee.EnsembleSampler(len(first), first.shape[1], log_probability, moves=moves, vectorize=True)
-        state = np.random.RandomState(seed).get_state()
-        self._state: Any = emcee.State(first, random_state=state)
-
-    @classmethod
-    def started(
-        cls, log_probability: Vectorised, unbounded: Vectorised, open_space: "OpenSpace", places: NDArray,
-        covariance: NDArray, walkers: int, seed: np.random.SeedSequence,
-    ) -> "_Runner":  # fmt: skip
-        """Start an ensemble around its places, in coordinates without walls."""
-        rng = np.random.default_rng(seed)
-        first = open_space.outside(_first(log_probability, places, covariance, open_space.walls, walkers, rng))
-        if len(places) == 1:
-            near = open_space.outside(gaussian_within(rng, places[0], covariance, open_space.walls, 500))
-            moves = mixed_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)))
-        else:
-            stretch = open_space.stretch(places[0])
-            moves = mixed_moves(open_space.outside(places), covariance * np.outer(stretch, stretch))
-        return cls(unbounded, moves, first, int(rng.integers(2**31)))
-
-    def restarted(self, log_probability: Vectorised, moves: list) -> None:
-        """Go on from here with other moves, forgetting the steps so far."""
-        import emcee
-
-        walkers, parameters = np.shape(self._state.coords)
-        self._sampler = emcee.EnsembleSampler(walkers, parameters, log_probability, moves=moves, vectorize=True)
-
-    def advance(self, steps: int) -> None:
-        """Take steps."""
-        self._state = self._sampler.run_mcmc(self._state, steps, skip_initial_state_check=True)
-
-    def chain(self) -> NDArray[np.float64]:
-        """Return all steps so far, shape (step, walker, parameter)."""
-        return np.asarray(self._sampler.get_chain())
-
-    @property
-    def acceptance(self) -> float:
-        return float(np.mean(self._sampler.acceptance_fraction))
+    An even stride would fall in step with the walkers and keep a few of them at every step.
+    """
+    flat = chains.reshape(-1, chains.shape[-1])
+    picked = np.random.default_rng([seed, 2]).choice(len(flat), min(draws, len(flat)), replace=False)
+    return flat[picked]
 
 
 def _peaks(
     log_probability: Vectorised, places: NDArray, covariance: NDArray, walls: NDArray, seed: int
 ) -> NDArray[np.float64]:
-    """Return the places and every other peak of comparable height that climbs from between the bounds reach."""
-    if not np.isfinite(walls).all():
-        return places
-    wide = np.random.default_rng([seed, 1]).uniform(walls[:, 0], walls[:, 1], (64, len(walls)))
+    """Return the places and every other peak of comparable height that climbs from far around reach."""
+    wide = _far_around(places[0], covariance, walls, np.random.default_rng([seed, 1]))
     possible = wide[np.isfinite(log_probability(wide))][: max(2, CLIMBS // len(walls))]
     inverse = np.linalg.pinv(root_of(covariance))
     for begin in possible:
@@ -253,25 +257,9 @@ def _peaks(
     return places
 
 
-def _first(
-    log_probability: Vectorised,
-    places: NDArray,
-    covariance: NDArray,
-    walls: NDArray,
-    walkers: int,
-    rng: np.random.Generator,
-) -> NDArray[np.float64]:
-    """Return where the walkers begin: around their places, wider than the curvature says."""
-    share = np.array_split(np.arange(walkers), len(places))
-    first = np.concatenate(
-        [
-            gaussian_within(rng, place, 2.0 * covariance, walls, len(part))
-            for place, part in zip(places, share, strict=True)
-        ]
-    )
-    for shrink in 2.0 ** -np.arange(1.0, 20.0):
-        lost = ~np.isfinite(log_probability(first))
-        if not lost.any():
-            return first
-        first[lost] = gaussian_within(rng, places[0], shrink * covariance, walls, int(lost.sum()))
-    raise ValueError(f"no point near the start {places[0].tolist()} has a finite log-probability")
+def _far_around(place: NDArray, covariance: NDArray, walls: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return where to climb from: anywhere between bounds, or `FAR_AROUND_SD` about the start where there are none."""
+    reach = FAR_AROUND_SD * np.sqrt(np.diag(covariance))
+    low = np.where(np.isfinite(walls[:, 0]), walls[:, 0], place - reach)
+    high = np.where(np.isfinite(walls[:, 1]), walls[:, 1], place + reach)
+    return rng.uniform(low, np.maximum(high, low), (64, len(walls)))

@@ -7,6 +7,9 @@ Sources: autocorrelation time averaged over walkers, Goodman & Weare 2010 and Fo
 import numpy as np
 from numpy.typing import NDArray
 
+# Shares of proposals taken by chains that move as they should, and of the median walker by one that is stuck.
+LEAST_ACCEPTANCE, LARGEST_ACCEPTANCE = 0.1, 0.8
+STUCK_SHARE = 0.05
 # Width of the strip at a wall, as a share of what the draws span, and how crowded it may be against a uniform one.
 WALL_STRIP = 0.1
 WALL_CROWD = 1.6
@@ -53,22 +56,40 @@ def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDA
 
     Notes
     -----
-    tau = 1 + 2 sum rho(t) up to the first t > `window` tau; rho is the mean over the walkers of each one's own
-    autocorrelation, not that of the mean chain. A parameter that never moves has an infinite tau.
+    tau = 1 + 2 sum rho(t) up to the first t > `window` tau; rho is the walkers' mean autocovariance over their mean
+    variance, both about the mean of all walkers: about each one's own mean, walkers that never leave their own peak
+    would look healthy. A parameter that never moves has an infinite tau.
     """
     steps = len(chain)
     padded = 2 ** int(np.ceil(np.log2(2 * steps)))
-    centred = chain - chain.mean(axis=0)
-    spectrum = np.fft.rfft(centred, n=padded, axis=0)
-    covariance = np.fft.irfft(np.abs(spectrum) ** 2, n=padded, axis=0)[:steps]
-    moving = covariance[0] > 0
-    correlation = covariance / np.where(moving, covariance[0], 1.0)
-    mean = np.where(moving, correlation, 1.0).mean(axis=1)
-    times = 2.0 * np.cumsum(mean, axis=0) - 1.0
-    beyond = np.arange(steps)[:, None] >= window * times
-    last = np.where(beyond.any(axis=0), np.argmax(beyond, axis=0), steps - 1)
-    tau = np.maximum(times[last, np.arange(times.shape[1])], 1.0)
-    return np.where(moving.any(axis=0), tau, np.inf)
+    lines = np.ascontiguousarray(np.moveaxis(chain - chain.mean(axis=(0, 1)), 0, -1))  # (walker, parameter, step)
+    power = (np.abs(np.fft.rfft(lines, n=padded)) ** 2).mean(axis=0)
+    covariance = np.fft.irfft(power, n=padded)[:, :steps]
+    moving = np.ptp(chain, axis=0).any(axis=0)
+    correlation = covariance / np.where(moving, covariance[:, 0], 1.0)[:, None]
+    times = 2.0 * np.cumsum(correlation, axis=1) - 1.0
+    beyond = np.arange(steps) >= window * times
+    last = np.where(beyond.any(axis=1), np.argmax(beyond, axis=1), steps - 1)
+    return np.where(moving, np.maximum(times[np.arange(len(times)), last], 1.0), np.inf)
+
+
+def moves_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool:
+    """Tell whether walkers move as they should.
+
+    Parameters
+    ----------
+    acceptance
+        Share of the steps in which each walker moved, shape (walker,).
+    local_acceptance
+        Share of the local proposals taken; where nearly all are, their steps are small beside the posterior.
+
+    Notes
+    -----
+    At least a tenth of all steps and at most four fifths of the local ones are taken, and no walker is stuck, moving
+    a twentieth as often as the median one or less.
+    """
+    stuck = acceptance.min() <= STUCK_SHARE * np.median(acceptance)
+    return bool(acceptance.mean() >= LEAST_ACCEPTANCE and local_acceptance <= LARGEST_ACCEPTANCE and not stuck)
 
 
 def leans_on_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -1,0 +1,193 @@
+"""Posterior predictive checks: whether data look like what the model, with its own posterior, would have given.
+
+A chain that has converged says nothing about the model. Chi squared tells noise larger than stated; runs of one sign
+and residuals like their neighbours tell a mean of the wrong shape, long before chi squared does.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+
+Array = NDArray[np.float64]
+
+# Below this probability, shared out over the three signs, the model is called wrong.
+MISFIT_LEVEL = 0.01
+# Numbers replicated at a time, for memory's sake.
+BLOCK = 1 << 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictiveCheck:
+    """Probabilities of residuals at least as odd as these, were the model right; each uniform between 0 and 1 then.
+
+    Parameters
+    ----------
+    chi_squared
+        Of a sum of squares as large: noise beyond what was stated, or any misfit.
+    runs
+        Of as few runs of one sign along the data: a mean of the wrong shape.
+    neighbours
+        Of residuals as like their neighbours, over lags up to the root of their number: a mean of the wrong shape.
+    level
+        Chance of calling a right model wrong.
+    """
+
+    chi_squared: float
+    runs: float
+    neighbours: float
+    level: float = MISFIT_LEVEL
+
+    @property
+    def probability(self) -> float:
+        """Probability of the least likely of the three signs, allowing for there being three (Bonferroni)."""
+        return min(1.0, 3.0 * min(self.chi_squared, self.runs, self.neighbours))
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """`model-misfit` where the model is wrong, else nothing."""
+        return ("model-misfit",) if self.probability < self.level else ()
+
+
+def predictive_check(
+    data: ArrayLike,
+    predictions: ArrayLike,
+    noise: ArrayLike,
+    *,
+    rng: np.random.Generator,
+    replicates: int = 2000,
+    level: float = MISFIT_LEVEL,
+) -> PredictiveCheck:
+    """Compare the residuals of data with those of data replicated from the posterior.
+
+    Parameters
+    ----------
+    data
+        What was measured, along its natural order, shape (datum,).
+    predictions
+        The model's mean of the data at each posterior draw, shape (draw, datum).
+    noise
+        Standard deviation of the noise, shape (datum,), or its covariance, shape (datum, datum).
+    rng
+        Generator of the replicates.
+    replicates
+        How many data sets are replicated; probabilities are no finer than their inverse.
+    level
+        Chance of calling a right model wrong.
+
+    Raises
+    ------
+    BadInput
+        If the shapes do not fit, a number is not finite, or the noise is no covariance.
+
+    Notes
+    -----
+    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H under the model,
+    H the posterior covariance of L^-1 times the prediction: exactly so for Gaussian noise and a mean linear in the
+    parameters with a Gaussian prior, where H is the hat matrix. Replicates are drawn from that law, so that the data
+    are not used twice, which would pull the probabilities towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
+    """
+    measured, mean = np.asarray(data, float), np.asarray(predictions, float)
+    if measured.ndim != 1 or mean.ndim != 2 or mean.shape[1] != measured.size or len(mean) < 2 or measured.size < 4:
+        raise BadInput(f"predictions must be (draw, datum) for 4 data or more, got {mean.shape} and {measured.shape}")
+    if not (np.isfinite(measured).all() and np.isfinite(mean).all()):
+        raise BadInput("data and predictions must be finite")
+    whiten = _whitener(np.asarray(noise, float), measured.size)
+    spread = whiten((mean - mean.mean(axis=0)).T).T / np.sqrt(len(mean) - 1)
+    residual = whiten((measured - mean.mean(axis=0))[:, None])[:, 0]
+    ours = _signs(residual[None])
+    blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // BLOCK))
+    theirs = [_signs(_fitted(rng.standard_normal((len(block), measured.size)), spread)) for block in blocks]
+    odd = [_tail(one[0], many, rng) for one, many in zip(ours, np.concatenate(theirs, axis=1), strict=True)]
+    return PredictiveCheck(chi_squared=odd[0], runs=odd[1], neighbours=odd[2], level=level)
+
+
+def predictive_probability(
+    draws: ArrayLike,
+    data: ArrayLike,
+    replicate: Callable[[Array, np.random.Generator], Array],
+    discrepancy: Callable[[Array, Array], Array],
+    *,
+    rng: np.random.Generator,
+) -> float:
+    """Return the share of replicated data that lie further from the model than the data, for noise of any law.
+
+    Parameters
+    ----------
+    draws
+        Posterior draws, shape (draw, parameter).
+    data
+        What was measured, any shape.
+    replicate
+        Maps draws (draw, parameter) and a generator to data of their own, shape (draw, *data).
+    discrepancy
+        Maps data (draw, *data) and draws to how far each lies from the model, shape (draw,).
+
+    Notes
+    -----
+    Gelman, Meng & Stern 1996: P(T(y_rep, theta) >= T(y, theta)). It uses the data twice and so lies nearer to 1/2
+    than a uniform probability: one below alpha comes at most about as often as alpha, mostly more seldom.
+    """
+    drawn = np.atleast_2d(np.asarray(draws, float))
+    measured = np.asarray(data, float)
+    ours = discrepancy(np.broadcast_to(measured, (len(drawn), *measured.shape)), drawn)
+    theirs = discrepancy(replicate(drawn, rng), drawn)
+    return float(np.mean(theirs > ours) + 0.5 * np.mean(theirs == ours))
+
+
+def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
+    """Return the map that makes noise white and of unit variance, along the first axis."""
+    if noise.shape == (size,):
+        if not (np.isfinite(noise).all() and (noise > 0).all()):
+            raise BadInput("the noise's standard deviations must be positive")
+        return lambda columns: columns / noise[:, None]
+    if noise.shape != (size, size):
+        raise BadInput(f"the noise must be ({size},) or ({size}, {size}), got {noise.shape}")
+    try:
+        root = np.linalg.cholesky(noise)
+    except np.linalg.LinAlgError as error:
+        raise BadInput("the noise's covariance must be positive definite") from error
+    return lambda columns: np.linalg.solve(root, columns)
+
+
+def _fitted(white: Array, spread: Array) -> Array:
+    """Return white noise (replicate, datum) as it is left after the fit: each direction shrunk to variance 1 - H.
+
+    A direction of which the posterior knows no more than its noise allows has H = 1 at most; scatter of the draws
+    beyond that is cut.
+    """
+    _, values, directions = np.linalg.svd(spread, full_matrices=False)
+    left = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
+    return white - ((white @ directions.T) * (1.0 - left)) @ directions
+
+
+def _signs(residual: Array) -> Array:
+    """Return the three signs of white residuals (data set, datum), shape (sign, data set)."""
+    return np.array([_chi_squared(residual), _few_runs(residual), _neighbours(residual)])
+
+
+def _chi_squared(residual: Array) -> Array:
+    return np.sum(residual**2, axis=1)
+
+
+def _few_runs(residual: Array) -> Array:
+    """Minus the number of runs of one sign."""
+    return -np.sum(np.diff(residual > 0, axis=1), axis=1).astype(float)
+
+
+def _neighbours(residual: Array) -> Array:
+    """Sum of the autocorrelations up to a lag of the root of the number of data, each weighed by 1 - lag/(last + 1)."""
+    count = residual.shape[1]
+    last = max(1, round(np.sqrt(count)))
+    products = [np.einsum("rn,rn->r", residual[:, lag:], residual[:, :-lag]) for lag in range(1, last + 1)]
+    weights = 1.0 - np.arange(1, last + 1) / (last + 1)
+    return weights @ np.array(products) / np.sum(residual**2, axis=1)
+
+
+def _tail(ours: float, theirs: Array, rng: np.random.Generator) -> float:
+    """Return the probability of a sign as large, ties broken at random, so that it is uniform under the model."""
+    above, level = np.sum(theirs > ours), np.sum(theirs == ours)
+    return float((above + rng.uniform() * (level + 1)) / (len(theirs) + 1))

@@ -1,0 +1,63 @@
+"""Every move by itself leaves the posterior as it is, and ensembles side by side know nothing of each other."""
+
+import emcee
+import numpy as np
+import pytest
+
+from charact.posterior.ensembles import Ensembles
+from charact.posterior.moves import DifferentialEvolution, IndependentDraws
+
+SCALES = np.array([0.1, 1.0, 10.0])
+MEAN = np.array([1.0, -2.0, 30.0])
+
+
+def gaussian(points):
+    return -0.5 * (((points - MEAN) / SCALES) ** 2).sum(1)
+
+
+def drawn(move, seed, *, steps=1500, ensembles=2, walkers=16):
+    """Chains that begin in the posterior: a move that leaves it as it is keeps them there."""
+    first = MEAN + SCALES * np.random.default_rng(seed).standard_normal((ensembles, walkers, 3))
+    running = Ensembles(gaussian, [(move, 1.0)], first, seed)
+    running.advance(steps)
+    return running, (running.chains() - MEAN) / SCALES
+
+
+@pytest.mark.parametrize(
+    "move",
+    [DifferentialEvolution(2), IndependentDraws(MEAN[None] + SCALES, 2.0 * np.diag(SCALES**2))],
+    ids=["differential evolution", "independent draws about a place beside the peak"],
+)
+def test_a_move_leaves_mean_variance_and_fourth_moment_of_a_gaussian_as_they_are(move, seed):
+    _, chain = drawn(move, seed)
+    for power, moment, variance in ((1, 0.0, 1.0), (2, 1.0, 2.0), (4, 3.0, 96.0)):
+        series = chain**power
+        tau = emcee.autocorr.integrated_time(np.moveaxis(series, 0, 1).reshape(1500, 32, 3), quiet=True)
+        error = np.sqrt(variance * tau / (series.size / 3))
+        assert np.all(np.abs(series.mean((0, 1, 2)) - moment) < 4.5 * error)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_snooker_of_emcee_which_is_left_out_does_not(seed):
+    """A Gaussian of ten dimensions loses a third of its variance; a release that mends it will be told by this."""
+    sampler = emcee.EnsembleSampler(
+        32, 10, lambda points: -0.5 * (points**2).sum(1), moves=emcee.moves.DESnookerMove(), vectorize=True
+    )
+    sampler.run_mcmc(np.random.default_rng(seed).standard_normal((32, 10)), 1500)
+    assert sampler.get_chain()[500:].var() < 0.8
+
+
+def test_an_ensemble_learns_nothing_from_the_one_beside_it(seed):
+    """With the second ensemble nowhere near, the first one's walkers stay on differences of their own."""
+    first = np.random.default_rng(seed).standard_normal((2, 16, 3)) * SCALES + MEAN
+    first[1] *= 1e6
+    running = Ensembles(lambda points: np.zeros(len(points)), [(DifferentialEvolution(2), 1.0)], first, seed)
+    running.advance(5)
+    assert np.abs(running.chains()[0] / first[0].max(axis=0)).max() < 1e4
+
+
+def test_acceptance_of_local_moves_is_that_of_the_steps_counted_by_hand(seed):
+    running, chain = drawn(DifferentialEvolution(2), seed, steps=200)
+    moved = np.any(np.diff(chain, axis=1) != 0, axis=-1).mean()
+    assert running.local_acceptance == pytest.approx(moved, abs=0.01)
+    assert running.acceptance.mean() == pytest.approx(running.local_acceptance, abs=1e-12)
