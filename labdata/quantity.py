@@ -59,7 +59,7 @@ QUANTITIES: dict[str, Quantity] = {
     "streak_length": _entry("Length of the bright column", "px"),
 }
 
-FREQUENCY_UNITS = ("cy/px", "lp/mm", "tvl/ph", "cy/mrad")
+FREQUENCY_UNITS = ("cy/px", "lp/mm", "lp/mm-cathode", "tvl/ph", "cy/mrad")
 
 
 def convert_frequency(
@@ -69,6 +69,7 @@ def convert_frequency(
     pitch_um: float | None = None,
     picture_height_px: float | None = None,
     focal_length_mm: float | None = None,
+    demagnification: float | None = None,
 ) -> float:
     """Convert a spatial frequency from cycles per pixel to another unit.
 
@@ -79,11 +80,14 @@ def convert_frequency(
     unit
         One of `FREQUENCY_UNITS`.
     pitch_um
-        Pixel pitch along the frequency's direction, um; needed for lp/mm and cy/mrad.
+        Pixel pitch along the frequency's direction, um; needed for lp/mm at detector and cathode and for cy/mrad.
     picture_height_px
         Picture height in the same pitches, px; needed for television lines per picture height (two lines a cycle).
     focal_length_mm
         Focal length, mm; needed for cy/mrad.
+    demagnification
+        Length at the photocathode over its image's at the detector, dimensionless; needed for lp/mm at the cathode,
+        and for cy/mrad of a camera that has one. None: the lens forms its image on the detector.
 
     Raises
     ------
@@ -94,11 +98,14 @@ def convert_frequency(
         return frequency_cy_per_px
     if unit == "lp/mm":
         return frequency_cy_per_px / _needed(pitch_um, "pitch_um", unit) * 1e3
+    if unit == "lp/mm-cathode":
+        cathode_um = _needed(pitch_um, "pitch_um", unit) * _needed(demagnification, "demagnification", unit)
+        return frequency_cy_per_px / cathode_um * 1e3
     if unit == "tvl/ph":
         return 2.0 * frequency_cy_per_px * _needed(picture_height_px, "picture_height_px", unit)
     if unit == "cy/mrad":
-        milliradian_per_px = _needed(pitch_um, "pitch_um", unit) / _needed(focal_length_mm, "focal_length_mm", unit)
-        return frequency_cy_per_px / milliradian_per_px
+        image_um = _needed(pitch_um, "pitch_um", unit) * (1.0 if demagnification is None else demagnification)
+        return frequency_cy_per_px * _needed(focal_length_mm, "focal_length_mm", unit) / image_um
     raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {unit!r}")
 
 

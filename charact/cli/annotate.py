@@ -3,39 +3,73 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from charact.cli.captions import Box, placed
+from charact.cli.output import Frequency, in_cycles_per_pixel
 from labdata.errors import BadInput
+from labdata.flags import FLAGS
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 
-GREEN, AMBER, RED = (80, 200, 80), (40, 170, 250), (60, 60, 240)
-COLOURS = {"ok": GREEN, "suspect": AMBER, "refused": RED}
+Picture = NDArray[np.uint8]
+
+# Blue, orange and vermilion keep apart for every kind of colour vision (Okabe and Ito); blue, green, red order.
+COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235)}
+LOOKS = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
+LEAST_WIDTH_PX = 1500
+LINE_PX, DASH_PX = 18, 12
+INK, PAPER = (255, 255, 255), (25, 25, 25)
 
 
-def annotated(stack: FrameStack, result: Result, path: Path) -> None:
-    """Write the mean frame as PNG with the regions of a result drawn in; refused ones in red with their reason."""
+def annotated(stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel) -> None:
+    """Write the mean frame as PNG with the regions of a result drawn in.
+
+    Parameters
+    ----------
+    frequency
+        Converts a frequency in cy/px to the unit of the captions.
+
+    Raises
+    ------
+    BadInput
+        If the file is not named .png.
+    """
     import cv2
 
-    picture = cv2.cvtColor(_stretched(stack), cv2.COLOR_GRAY2BGR)
-    scale = max(1, round(640 / picture.shape[1]))
-    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
-    for measurement in _one_a_region(result):
-        row, col, height, width = (scale * edge for edge in measurement.region or (0, 0, *stack.shape[1:]))
-        colour = COLOURS[measurement.status]
-        cv2.rectangle(picture, (col, row), (col + width - 1, row + height - 1), colour, 2)
-        for line, text in enumerate(_caption(measurement)):
-            origin = (col + 6, max(row + 20 + 18 * line, 14))
-            cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
-            cv2.putText(picture, text, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
     if path.suffix.lower() != ".png":
         raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
-    ok, encoded = cv2.imencode(".png", picture)
+    ok, encoded = cv2.imencode(".png", drawn(stack, result, frequency))
     if not ok:
         raise BadInput(f"the annotated picture could not be encoded for {path}")
     path.write_bytes(encoded.tobytes())
 
 
-def _stretched(stack: FrameStack) -> np.ndarray:
+def drawn(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Picture:
+    """Return the annotated picture, shape (row, col, 3), blue, green, red.
+
+    Every region has a frame in the colour and the line of its verdict, and a caption with the number and its 95 %
+    interval; a leader leads from it to the region's middle. A strip below tells what is what.
+    """
+    import cv2
+
+    scale = max(1, int(np.ceil(LEAST_WIDTH_PX / stack.shape[2])))
+    grey = cv2.resize(_stretched(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+    picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
+    shown = _one_a_region(result)
+    boxes = [_box(measurement, stack, scale) for measurement in shown]
+    for measurement, box in zip(shown, boxes, strict=True):
+        _outline(picture, box, measurement.status)
+    captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown]
+    sizes = [(LINE_PX * len(lines) + 8, max(_width(line) for line in lines) + 12) for lines in captions]
+    for measurement, box, lines, place in zip(
+        shown, boxes, captions, placed(boxes, sizes, picture.shape[:2]), strict=True
+    ):
+        _write(picture, lines, place, box, measurement.status)
+    return np.concatenate([picture, _legend(shown, frequency, picture.shape[1])])
+
+
+def _stretched(stack: FrameStack) -> Picture:
     mean = stack.data.mean(axis=0)
     low, high = np.percentile(mean, (0.5, 99.5))
     return (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)
@@ -45,16 +79,103 @@ def _one_a_region(result: Result) -> list[Measurement]:
     """The measurement that stands for each region: its MTF50, else the first one it has."""
     by_region: dict[object, Measurement] = {}
     for measurement in result.measurements:
-        if measurement.region not in by_region or measurement.quantity == "mtf50":
+        held = by_region.get(measurement.region)
+        if held is None or (measurement.quantity == "mtf50" and held.quantity != "mtf50"):
             by_region[measurement.region] = measurement
     return list(by_region.values())
 
 
-def _caption(m: Measurement) -> list[str]:
+def _box(measurement: Measurement, stack: FrameStack, scale: int) -> Box:
+    """Return top, left, bottom and right of a region in the enlarged picture."""
+    row, col, height, width = measurement.region or (0, 0, *stack.shape[1:])
+    return scale * row, scale * col, scale * (row + height) - 1, scale * (col + width) - 1
+
+
+def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
+    """Return the lines of a caption: in full where there is but one, else the number and its interval."""
+    name = f"{m.quantity} " if alone else ""
     if m.value is None:
-        return [f"{m.quantity}: refused", str(m.reason)[:70]]
-    at = f" at {m.frequency_cy_per_px:.3g} cy/px" if m.frequency_cy_per_px is not None else ""
-    lines = [f"{m.quantity}{at} {m.value:.3g} {m.unit if m.unit != '1' else ''}".strip()]
+        return [f"{name}refused", *([str(m.reason)[:90]] if alone else [])]
+    convert = (lambda value: frequency(value, m)) if m.unit == "cy/px" else (lambda value: (value, m.unit))
+    value, unit = convert(m.value)
+    of = f" {unit}" if alone and unit != "1" else ""
+    at = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
+    lines = [f"{name}{value:#.4g}{of}{at}"]
     if m.interval95:
-        lines.append(f"95 %: {m.interval95[0]:.3g} to {m.interval95[1]:.3g}")
-    return [*lines, ", ".join((m.status, *m.flags))]
+        low, high = (convert(end)[0] for end in m.interval95)
+        lines.append(f"{low:#.4g} to {high:#.4g}" + (" (95 %)" if alone else ""))
+    return [*lines, *(m.flags if alone else m.flags[:1])]
+
+
+def _width(text: str) -> int:
+    import cv2
+
+    return cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)[0][0]
+
+
+def _outline(picture: Picture, box: Box, status: str) -> None:
+    """Draw a region's frame: whole, dashed or crossed out, as its verdict is."""
+    import cv2
+
+    top, left, bottom, right = box
+    corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
+    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+        _line(picture, start, end, COLOURS[status], dashed=status == "suspect")
+    if status == "refused":
+        cv2.line(picture, corners[0], corners[2], COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(picture, corners[1], corners[3], COLOURS[status], 1, cv2.LINE_AA)
+
+
+def _line(
+    picture: Picture, start: tuple[int, int], end: tuple[int, int], colour: tuple[int, int, int], *, dashed: bool
+) -> None:
+    import cv2
+
+    length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
+    stops = np.arange(0.0, length, DASH_PX) if dashed else np.array([0.0])
+    ends = np.minimum(stops + 0.6 * DASH_PX, length) if dashed else np.array([length])
+    for first, last in zip(stops / max(length, 1.0), ends / max(length, 1.0), strict=True):
+        one, other = ([round(a + share * (b - a)) for a, b in zip(start, end, strict=True)] for share in (first, last))
+        cv2.line(picture, one, other, PAPER, 3)
+        cv2.line(picture, one, other, colour, 2)
+
+
+def _write(picture: Picture, lines: list[str], place: tuple[int, int], box: Box, status: str) -> None:
+    """Write a caption on its own ground, led to its region where it stands beside it."""
+    import cv2
+
+    top, left = place
+    height, width = LINE_PX * len(lines) + 8, max(_width(line) for line in lines) + 12
+    middle = ((box[1] + box[3]) // 2, (box[0] + box[2]) // 2)
+    if not (left <= middle[0] <= left + width and top <= middle[1] <= top + height):
+        nearest = (int(np.clip(middle[0], left, left + width)), int(np.clip(middle[1], top, top + height)))
+        cv2.line(picture, nearest, middle, PAPER, 3, cv2.LINE_AA)
+        cv2.line(picture, nearest, middle, COLOURS[status], 1, cv2.LINE_AA)
+        cv2.circle(picture, middle, 4, PAPER, -1, cv2.LINE_AA)
+        cv2.circle(picture, middle, 3, COLOURS[status], -1, cv2.LINE_AA)
+    cv2.rectangle(picture, (left, top), (left + width, top + height), PAPER, -1)
+    cv2.rectangle(picture, (left, top), (left + width, top + height), COLOURS[status], 1)
+    for number, line in enumerate(lines):
+        origin = (left + 6, top + LINE_PX * (number + 1))
+        cv2.putText(picture, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+
+
+def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Picture:
+    """Return the strip below the picture: what is written, how verdicts look, and what the flags mean."""
+    import cv2
+
+    quantities = dict.fromkeys(f"{m.quantity}, {frequency(0.0, m)[1] if m.unit == 'cy/px' else m.unit}" for m in shown)
+    flags = dict.fromkeys(flag for m in shown for flag in m.flags)
+    lines = [f"{'; '.join(quantities)}: value and 95 % interval", *(f"{flag}: {FLAGS[flag]}" for flag in flags)]
+    strip = np.full((LINE_PX * (len(lines) + 1) + 16, width, 3), PAPER, np.uint8)
+    left = 10
+    for status in (status for status in COLOURS if any(m.status == status for m in shown)):
+        _outline(strip, (9, left, 9 + LINE_PX - 4, left + 40), status)
+        count = sum(m.status == status for m in shown)
+        text = f"{status} ({LOOKS[status]}): {count}"
+        cv2.putText(strip, text, (left + 50, 8 + LINE_PX - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+        left += 80 + _width(text)
+    for number, line in enumerate(lines):
+        origin = (10, 8 + LINE_PX * (number + 2) - 4)
+        cv2.putText(strip, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+    return strip

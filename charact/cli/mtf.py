@@ -1,13 +1,16 @@
 """The verbs `mtf edge|bars|point`: the MTF of one image or stack."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends, frequency_converter, show
-from labdata.errors import BadInput
+from charact.cli.output import bad_input_ends, show
+
+if TYPE_CHECKING:
+    from charact.cli.units import FrequencyUnit
+    from labdata.sensor import Sensor
 
 app = typer.Typer(no_args_is_help=True, help="MTF of one image or stack: a slanted edge, a bar target, a point source.")
 
@@ -26,6 +29,9 @@ def edge(
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
     pitch_um: options.PitchUm = None,
+    demagnification: options.Demagnification = None,
+    focal_length_mm: options.FocalLengthMm = None,
+    at_most: options.AtMost = 24,
     annotate: options.Annotate = None,
     as_json: options.Json = False,
     events: options.Events = False,
@@ -40,7 +46,10 @@ def edge(
 @app.command()
 def bars(
     file: File,
-    frequency: Annotated[float, typer.Option(help="Frequency of the bars, cy/px along the direction across them.")],
+    frequency: Annotated[
+        float | None,
+        typer.Option(help="Frequency of the bars, cy/px across them; else groups along rows and columns are found."),
+    ] = None,
     bars: Annotated[int, typer.Option(help="Number of bars.", min=2)] = 4,
     roi: options.Roi = None,
     method: options.MethodName = "auto",
@@ -51,6 +60,9 @@ def bars(
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
     pitch_um: options.PitchUm = None,
+    demagnification: options.Demagnification = None,
+    focal_length_mm: options.FocalLengthMm = None,
+    at_most: options.AtMost = 24,
     annotate: options.Annotate = None,
     as_json: options.Json = False,
     events: options.Events = False,
@@ -77,6 +89,9 @@ def point(
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
     pitch_um: options.PitchUm = None,
+    demagnification: options.Demagnification = None,
+    focal_length_mm: options.FocalLengthMm = None,
+    at_most: options.AtMost = 24,
     annotate: options.Annotate = None,
     as_json: options.Json = False,
     events: options.Events = False,
@@ -101,6 +116,9 @@ def _measure(
     sensor: str | None,
     units: str,
     pitch_um: float | None,
+    demagnification: float | None,
+    focal_length_mm: float | None,
+    at_most: int,
     annotate: Path | None,
     as_json: bool,
     events: bool,
@@ -114,17 +132,19 @@ def _measure(
         known = _sensor(sensor)
         region = options.parsed_region(roi)
         stack = read_frames(file, plane=plane)
-        frequency = _frequency(units, pitch_um, known, rows=stack.shape[1])
+        frequency = _unit(units, pitch_um, demagnification, focal_length_mm, known, rows=stack.shape[1])
         context = Context(seed=seed, quick=quick, sensor=known, interlaced=known is not None and known.video.interlaced)
         if kind == "bars":
             target = {"bars": target["bars"], "frequency_cy_per_px": target["frequency"]}
-        result = mtf.measure(
-            kind, stack, region=region, method=method, within_percent=within, context=context, **target
-        )
+        asked = {"method": method, "within_percent": within, "context": context, **target}
+        if region is None:
+            result = mtf.measure_all(kind, stack, at_most=at_most, **asked)
+        else:
+            result = mtf.measure(kind, stack, region=region, **asked)
         if annotate is not None:
             from charact.cli.annotate import annotated
 
-            annotated(stack, result, annotate)
+            annotated(stack, result, annotate, frequency)
         show(
             result,
             given=str(file),
@@ -143,10 +163,25 @@ def _sensor(name: str | None):
     return load_sensor(name)
 
 
-def _frequency(units: str, pitch_um: float | None, sensor, *, rows: int):
-    if pitch_um is not None and pitch_um <= 0:
-        raise BadInput(f"--pitch-um must be positive, got {pitch_um:g}")
-    focal_length_mm = None if sensor is None else float(sensor.optics.focal_length_mm)
-    if pitch_um is None and sensor is not None:
-        pitch_um = float(sensor.ccd.pitch_x_um)
-    return frequency_converter(units, pitch_um, rows, focal_length_mm)
+def _unit(
+    units: str,
+    pitch_um: float | None,
+    demagnification: float | None,
+    focal_length_mm: float | None,
+    sensor: "Sensor | None",
+    *,
+    rows: int,
+) -> "FrequencyUnit":
+    """Return the unit asked for; what is not given comes from the sensor."""
+    from charact.cli.units import FrequencyUnit
+
+    pitch_y_um = pitch_um
+    if sensor is not None:
+        if pitch_um is None:
+            pitch_um, pitch_y_um = float(sensor.ccd.pitch_x_um), float(sensor.ccd.pitch_y_um)
+        demagnification = demagnification or float(sensor.taper.demagnification) / float(sensor.tube.magnification)
+        focal_length_mm = focal_length_mm or float(sensor.optics.focal_length_mm)
+    return FrequencyUnit(
+        unit=units, pitch_x_um=pitch_um, pitch_y_um=pitch_y_um, rows=rows, focal_length_mm=focal_length_mm,
+        demagnification=demagnification,
+    )  # fmt: skip

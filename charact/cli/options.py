@@ -18,9 +18,23 @@ Roi = Annotated[str | None, typer.Option("--roi", help="Region ROW,COL,HEIGHT,WI
 Plane = Annotated[str | None, typer.Option(help="Colour plane: r, g1, g2, b or mono.")]
 SensorName = Annotated[str | None, typer.Option("--sensor", help="A shipped sensor's name, or a path to its TOML.")]
 Units = Annotated[
-    str, typer.Option(help="Frequency unit for people: cy/px, lp/mm, tvl/ph or cy/mrad. JSON stays cy/px.")
+    str,
+    typer.Option(
+        help="Frequency unit for people: cy/px, lp/mm (at the detector), lp/mm-cathode, tvl/ph or cy/mrad. "
+        "JSON stays cy/px."
+    ),
 ]
-PitchUm = Annotated[float | None, typer.Option("--pitch-um", help="Pixel pitch for lp/mm and cy/mrad, um.")]
+PitchUm = Annotated[
+    float | None, typer.Option("--pitch-um", help="Pixel pitch for lp/mm and cy/mrad, um; else the sensor's.")
+]
+Demagnification = Annotated[
+    float | None,
+    typer.Option(help="Length at the cathode over length at the detector, for lp/mm-cathode; else the sensor's."),
+]
+FocalLengthMm = Annotated[
+    float | None, typer.Option("--focal-length-mm", help="Focal length for cy/mrad, mm; else the sensor's.")
+]
+AtMost = Annotated[int, typer.Option("--at-most", help="Most targets of one frame that are measured.", min=1)]
 Annotate = Annotated[Path | None, typer.Option(help="Write the image with the regions and their MTF50 drawn in, PNG.")]
 
 

@@ -14,15 +14,14 @@ import typer
 from charact import __version__
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
-from labdata.quantity import convert_frequency
 
 if TYPE_CHECKING:
     from labdata.measurement import Measurement, Result
 
-Frequency = Callable[[float], tuple[float, str]]
+Frequency = Callable[[float, "Measurement | None"], tuple[float, str]]
 
 
-def in_cycles_per_pixel(frequency_cy_per_px: float) -> tuple[float, str]:
+def in_cycles_per_pixel(frequency_cy_per_px: float, of: "Measurement | None" = None) -> tuple[float, str]:
     """The frequency and unit of the contract."""
     return frequency_cy_per_px, "cy/px"
 
@@ -88,7 +87,9 @@ def show(
 
         print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
     else:
-        print("\n".join(lines_of(result.measurements, frequency)))
+        several = len({m.region for m in result.measurements}) > 1
+        lines = lines_of_regions if several else lines_of
+        print("\n".join(lines(result.measurements, frequency)))
     if all(m.value is None for m in result.measurements):
         reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
         say(f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events)
@@ -112,36 +113,71 @@ def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cy
 
 def _line(m: "Measurement", frequency: Frequency, *, directed: bool) -> str:
     """Return one measurement's line; `directed` names its direction."""
-    where = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px))
+    where = _at(m, frequency)
     where += f" along {m.orientation_deg:.3g} deg" if directed and m.orientation_deg is not None else ""
     where += f" of {m.stack}" if m.stack else ""
     spent = f", {m.seconds:.1f} s" if m.seconds is not None else ""
     if m.value is None:
         return f"{m.quantity}{where}: refused: {m.reason} ({m.method}{spent})"
-    convert = frequency if m.unit == "cy/px" else lambda value: (value, "" if m.unit == "1" else m.unit)
+    return f"{m.quantity}{where} {number_of(m, frequency)}, {_verdict(m)}, {m.method}{spent}"
+
+
+def _at(m: "Measurement", frequency: Frequency) -> str:
+    """Return at which frequency a measurement stands, if at one."""
+    if m.frequency_cy_per_px is None:
+        return ""
+    value, unit = frequency(m.frequency_cy_per_px, m)
+    return f" at {value:.3g} {unit}"
+
+
+def number_of(m: "Measurement", frequency: Frequency = in_cycles_per_pixel) -> str:
+    """Return the value with its unit and its 95 % interval."""
+    if m.value is None:
+        return "refused"
+    convert = (lambda value: frequency(value, m)) if m.unit == "cy/px" else (lambda value: (value, m.unit))
     value, unit = convert(m.value)
     low, high = (convert(end)[0] for end in m.interval95) if m.interval95 else (None, None)
     band = "no interval" if low is None else f"[{low:.4g}, {high:.4g}] 95 %"
-    verdict = m.status + (f" ({', '.join(m.flags)})" if m.flags else "")
-    return f"{m.quantity}{where} {value:.4g} {unit} {band}, {verdict}, {m.method}{spent}".replace("  ", " ")
+    return f"{value:.4g} {band}" if unit == "1" else f"{value:.4g} {unit} {band}"
 
 
-def frequency_converter(
-    unit: str, pitch_um: float | None, rows: int | None, focal_length_mm: float | None
-) -> Frequency:
-    """Return the conversion of a frequency in cy/px to a unit; raises BadInput now if a length is missing."""
+def _verdict(m: "Measurement") -> str:
+    return m.status + (f" ({', '.join(m.flags)})" if m.flags else "")
 
-    def convert(frequency_cy_per_px: float) -> tuple[float, str]:
-        return (
-            convert_frequency(
-                frequency_cy_per_px,
-                unit,
-                pitch_um=pitch_um,
-                picture_height_px=rows,
-                focal_length_mm=focal_length_mm,
-            ),
-            unit,
-        )
 
-    convert(0.1)
-    return convert
+def lines_of_regions(
+    measurements: Iterable["Measurement"], frequency: Frequency = in_cycles_per_pixel
+) -> Iterator[str]:
+    """One line for each region; after those what their flags mean and what the notes say."""
+    by_region: dict[object, list[Measurement]] = {}
+    for m in measurements:
+        by_region.setdefault(m.region, []).append(m)
+    for number, members in enumerate(by_region.values(), 1):
+        yield f"{number:3d}  {_region_line(members, frequency)}"
+    everything = [m for members in by_region.values() for m in members]
+    for flag in dict.fromkeys(flag for m in everything for flag in m.flags):
+        yield f"    {flag}: {FLAGS[flag]}"
+    for note in dict.fromkeys(note for m in everything for note in m.notes):
+        yield f"    note{_where(note, by_region)}: {note}"
+
+
+def _region_line(members: list["Measurement"], frequency: Frequency) -> str:
+    """Return the line of a region: where it lies, then the leading quantity in its directions."""
+    first = members[0]
+    leading = [m for m in members if m.quantity == "mtf50"] or [m for m in members if m.quantity == first.quantity]
+    place = ",".join(str(number) for number in first.region or ())
+    if all(m.value is None for m in leading):
+        return f"{place:<16} {first.quantity} refused: {leading[0].reason}"
+    told = (
+        f"{m.quantity}{_at(m, frequency)} {number_of(m, frequency)}"
+        + (f", {m.orientation_deg:.1f} deg" if m.orientation_deg is not None else "")
+        + f", {_verdict(m)}"
+        for m in leading
+    )
+    return f"{place:<16} {'; '.join(told)}"
+
+
+def _where(note: str, by_region: dict[object, list["Measurement"]]) -> str:
+    """Return the numbers of the regions that a note speaks of, where it is not all of them."""
+    having = [k for k, members in enumerate(by_region.values(), 1) if any(note in m.notes for m in members)]
+    return "" if len(having) == len(by_region) else " of " + ", ".join(str(number) for number in having)

@@ -11,6 +11,7 @@ from charact.mtf import (
     point_spread,
 )
 from charact.mtf.measuring import measure
+from charact.mtf.several import measure_all
 
 __all__ = [
     "bars_coltman",
@@ -20,6 +21,7 @@ __all__ = [
     "edge_parametric",
     "edge_slanted",
     "measure",
+    "measure_all",
     "point_forward",
     "point_spread",
 ]

@@ -1,0 +1,279 @@
+"""The groups of parallel bars in a frame: where they lie, which way they point and how often they repeat."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.find.bar_profile import BEYOND, combed
+from charact.mtf.find.picture import averaged, highest
+from charact.mtf.region import Region
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float32]
+
+# Frequencies looked at, cycles per pixel: geometric steps that half a group's bandwidth covers.
+LOWEST, HIGHEST, STEP = 0.012, 0.46, 1.12
+# A bar's length over its width, at least: USAF bars have 5, STANAG bars 7; the filter takes in this share of five.
+ASPECT, CENTRAL = 5.0, 0.8
+# A picture is binned as long as a period keeps so many pixels.
+PIXELS_A_PERIOD = 8.0
+# A response over its own robust spread.
+LEAST_RESPONSE = 7.0
+RAYLEIGH_MEDIAN = 1.1774
+# Modulation over the picture's range below which bars are none, and how many answers are looked at closely.
+LEAST_CONTRAST, MOST_ANSWERS = 0.01, 600
+# Length of the bars over their width from which they are bars.
+LEAST_ASPECT = 3.5
+MARGIN_PERIODS, LEAST_MARGIN_PX = 1.5, 14.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundBars:
+    """A group of bars found in a frame.
+
+    Parameters
+    ----------
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the group and its surroundings up to the next one, px.
+    frequency_cy_per_px
+        Cycles per pixel across the bars, known to a few per cent.
+    orientation_deg
+        Direction across the bars from the row direction: 0 for bars that lie along columns, 90 along rows.
+    significance
+        Response of a filter for these bars over its spread.
+    """
+
+    region: Region
+    frequency_cy_per_px: float
+    orientation_deg: float
+    significance: float
+
+
+def find_bar_groups(pictures: NDArray | FrameStack, bars: int = 4) -> tuple[FoundBars, ...]:
+    """Find groups of bright bars that lie along columns or rows, up to about 8 degrees off.
+
+    Parameters
+    ----------
+    pictures
+        Picture (row, col), stack (frame, row, col) or frames; a stack is averaged.
+    bars
+        Number of bars of a group; groups of another number are not taken.
+
+    Returns
+    -------
+    tuple of FoundBars
+        In the order of their frequencies, low ones first.
+
+    Raises
+    ------
+    BadInput
+        If fewer than 3 bars are asked for: two bars repeat too little to be told from other things.
+
+    Notes
+    -----
+    A filter of `bars` cycles, its mean taken off, answers to bars of its frequency wherever they lie. Where it peaks
+    over frequency and place the profile along it must hold just so many equal and even bars with ground on both sides.
+    """
+    if bars < 3:
+        raise BadInput(f"a group of bars that is looked for must have at least 3 bars, got {bars}")
+    picture, _ = averaged(pictures)
+    found = [
+        group
+        for transposed in (False, True)
+        for group in _upright(np.ascontiguousarray(picture.T) if transposed else picture, bars, transposed=transposed)
+    ]
+    apart = _apart(found)
+    boxes = [_box(group) for group in apart]
+    return tuple(
+        FoundBars(
+            region=_region(group, [box for box in boxes if box != _box(group)], picture.shape),
+            frequency_cy_per_px=group.frequency,
+            orientation_deg=90.0 if group.transposed else 0.0,
+            significance=group.significance,
+        )
+        for group in sorted(apart, key=lambda group: group.frequency)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Group:
+    """A group in the frame: its middle, frequency, number of bars and length of them, px."""
+
+    row: float
+    col: float
+    frequency: float
+    bars: int
+    length_px: float
+    transposed: bool
+    significance: float
+
+
+def _upright(picture: Array, bars: int, *, transposed: bool) -> list[_Group]:
+    """Return the groups whose bars lie along columns: the strongest answers first, each looked at more closely."""
+    answers = sorted(_answers(picture, bars), key=lambda answer: -answer.amplitude)[:MOST_ANSWERS]
+    found: list[_Group] = []
+    for answer in answers:
+        if not any(_inside(answer, _box(group)) for group in found):
+            group = _verified(picture, answer, bars)
+            if group is not None:
+                found.append(group)
+    return [_turned(group) for group in found] if transposed else found
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Answer:
+    """A place and frequency at which the filter answers: px, cycles per pixel, DN, and over its spread."""
+
+    row: float
+    col: float
+    frequency: float
+    amplitude: float
+    significance: float
+
+
+def _inside(answer: _Answer, box: tuple[float, float, float, float]) -> bool:
+    return box[0] <= answer.row <= box[2] and box[1] <= answer.col <= box[3]
+
+
+def _answers(picture: Array, bars: int) -> Iterator[_Answer]:
+    """Answers of filters of all frequencies."""
+    low, high = np.quantile(picture[::2, ::2], (0.001, 0.999))
+    floor = LEAST_CONTRAST * float(high - low)
+    count = int(np.log(HIGHEST / LOWEST) / np.log(STEP)) + 1
+    for frequency in HIGHEST / STEP ** np.arange(count):
+        factor = max(1, int(1.0 / (frequency * PIXELS_A_PERIOD)))
+        small = _binned(picture, factor)
+        period = 1.0 / (frequency * factor)
+        if small.shape[1] < (bars + 1) * period or small.shape[0] < 0.5 * ASPECT * period:
+            continue
+        response = _response(small, bars, period)
+        spread = float(np.median(response)) / RAYLEIGH_MEDIAN
+        for row, col in _peaks(response, max(LEAST_RESPONSE * spread, floor), bars, period):
+            amplitude = float(response[row, col])
+            yield _Answer(
+                row=(row + 0.5) * factor - 0.5, col=(col + 0.5) * factor - 0.5, frequency=float(frequency),
+                amplitude=amplitude, significance=amplitude / max(spread, 1e-12),
+            )  # fmt: skip
+
+
+def _turned(group: _Group) -> _Group:
+    return replace(group, row=group.col, col=group.row, transposed=True)
+
+
+def _binned(picture: Array, factor: int) -> Array:
+    rows, cols = (side // factor for side in picture.shape)
+    cut = picture[: rows * factor, : cols * factor]
+    return cut.reshape(rows, factor, cols, factor).mean(axis=(1, 3))
+
+
+def _response(picture: Array, bars: int, period_px: float) -> Array:
+    """Return the amplitude of a cosine of so many cycles around each pixel, averaged along the bars."""
+    import cv2
+
+    half = int(np.ceil(0.5 * bars * period_px))
+    place = np.arange(-half, half + 1)
+    inside = np.clip(0.5 * bars * period_px + 0.5 - np.abs(place), 0.0, 1.0)
+    wave = inside * np.exp(2j * np.pi * place / period_px)
+    wave -= inside * wave.sum() / inside.sum()
+    wave /= 0.5 * np.sum(inside)
+    along = np.full(max(1, round(0.5 * ASPECT * CENTRAL * period_px)), 1.0, np.float32)
+    along /= along.size
+    parts = (
+        cv2.sepFilter2D(picture, cv2.CV_32F, part.astype(np.float32), along, borderType=cv2.BORDER_REFLECT_101)
+        for part in (wave.real, wave.imag)
+    )
+    return np.hypot(*(np.asarray(part, np.float32) for part in parts))
+
+
+def _peaks(response: Array, least: float, bars: int, period_px: float) -> list[tuple[int, int]]:
+    """Return (row, col) of the places that reach a height, each the highest of its surroundings."""
+    size = (2 * round(0.25 * ASPECT * period_px) + 1, 2 * round(0.25 * bars * period_px) + 1)
+    rows, cols = np.nonzero((response >= highest(response, *size)) & (response > least))
+    return list(zip(rows.tolist(), cols.tolist(), strict=True))
+
+
+def _verified(picture: Array, answer: _Answer, bars: int) -> _Group | None:
+    """Return the group at a place if the profile there is that of so many bars, else None."""
+    strip = _strip(picture, answer, bars)
+    fitted = None if strip is None else combed(*strip, answer.frequency, bars)
+    if fitted is None:
+        return None
+    centre, frequency = fitted
+    top, bottom = _length(picture, answer.row, answer.col + centre, frequency, bars)
+    if (bottom - top) * frequency < LEAST_ASPECT / 2:
+        return None
+    return _Group(
+        row=0.5 * (top + bottom), col=answer.col + centre, frequency=frequency, bars=bars, length_px=bottom - top,
+        transposed=False, significance=answer.significance,
+    )  # fmt: skip
+
+
+def _strip(picture: Array, answer: _Answer, bars: int) -> tuple[NDArray, NDArray] | None:
+    """Return distances from the middle and the rows there, the ground beside the bars included; None off the frame."""
+    half = max(1, round(0.25 * CENTRAL * ASPECT / answer.frequency))
+    top, bottom = round(answer.row) - half, round(answer.row) + half + 1
+    reach = (0.5 * bars + BEYOND) / answer.frequency
+    left, right = int(np.floor(answer.col - reach)), int(np.ceil(answer.col + reach)) + 1
+    if top < 0 or bottom > picture.shape[0] or left < 0 or right > picture.shape[1]:
+        return None
+    factor = max(1, int(1.0 / (answer.frequency * 2.0 * PIXELS_A_PERIOD)))
+    rows = picture[top:bottom, left : left + (right - left) // factor * factor]
+    binned = rows.reshape(len(rows), -1, factor).mean(axis=2, dtype=np.float64)
+    return left + (np.arange(binned.shape[1]) + 0.5) * factor - 0.5 - answer.col, binned
+
+
+def _length(picture: Array, row: float, col: float, frequency: float, bars: int) -> tuple[float, float]:
+    """Return between which rows the modulation stands at half of what it is in the middle or more."""
+    half = 0.5 * bars / frequency
+    left, right = max(int(np.floor(col - half)), 0), min(int(np.ceil(col + half)) + 1, picture.shape[1])
+    phase = np.exp(-2j * np.pi * frequency * (np.arange(left, right) - col))
+    reach = round(6.0 / frequency)
+    first, last = max(round(row) - reach, 0), min(round(row) + reach + 1, picture.shape[0])
+    part = picture[first:last, left:right]
+    wave = (part - part.mean(axis=1, keepdims=True)) @ phase
+    size = max(1, round(0.5 / frequency))
+    smooth = np.convolve(wave, np.ones(size) / size, "same")
+    here = round(row) - first
+    near = slice(max(here - size, 0), here + size + 1)
+    level = float(np.median(np.abs(smooth[near])))
+    low = np.abs(smooth) < 0.5 * level
+    above, below = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])
+    return (
+        float(first + (above[-1] + 1 if above.size else 0)),
+        float(first + (here + below[0] if below.size else len(low))),
+    )
+
+
+def _apart(groups: list[_Group]) -> list[_Group]:
+    """Return one group for each place, the most significant."""
+    kept: list[_Group] = []
+    for group in sorted(groups, key=lambda group: -group.significance):
+        if not any(_overlap(_box(group), _box(other)) for other in kept):
+            kept.append(group)
+    return kept
+
+
+def _box(group: _Group) -> tuple[float, float, float, float]:
+    """Return top, left, bottom and right of the bars."""
+    across, along = 0.5 * (group.bars - 0.5) / group.frequency, 0.5 * group.length_px
+    down, right = (across, along) if group.transposed else (along, across)
+    return group.row - down, group.col - right, group.row + down, group.col + right
+
+
+def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+def _region(group: _Group, others: list[tuple[float, float, float, float]], shape: tuple[int, ...]) -> Region:
+    """Return the group with a margin, cut half way to its neighbours."""
+    box = _box(group)
+    margin = max(LEAST_MARGIN_PX, MARGIN_PERIODS / group.frequency) + 4.0
+    gaps = [max(o[0] - box[2], box[0] - o[2], o[1] - box[3], box[1] - o[3]) for o in others]
+    margin = min(margin, max(0.5 * min(gaps, default=np.inf), 2.0))
+    top, left = max(int(np.floor(box[0] - margin)), 0), max(int(np.floor(box[1] - margin)), 0)
+    bottom = min(int(np.ceil(box[2] + margin)) + 1, shape[0])
+    right = min(int(np.ceil(box[3] + margin)) + 1, shape[1])
+    return top, left, bottom - top, right - left

@@ -1,0 +1,171 @@
+"""The point sources of a frame, told from single hot pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.find.picture import averaged, highest, smoothed
+from charact.mtf.region import Region
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float32]
+
+# Smoothing for the search, and the wider one that stands for the ground, px.
+SMOOTHING_PX, GROUND_PX = 1.2, 8.0
+# A source stands out by so many robust standard deviations, and by this share of the brightest one.
+DETECTED, LEAST_SHARE = 9.0, 0.02
+# Next-neighbour light over the peak's: no lens and square pixel give less than this; of a known blur half is taken.
+LEAST_NEIGHBOURS = 0.08
+# The longer diameter of a spot over the shorter one from which it is a line.
+LONGEST = 2.5
+# Regions reach so far where nothing is in the way, and at least so far.
+REACH_PX, LEAST_REACH_PX = 48, 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundPoint:
+    """A point source found in a frame.
+
+    Parameters
+    ----------
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the source alone, px.
+    row, col
+        Centroid of its light, px.
+    significance
+        Height over the standard deviation of the smoothed background.
+    saturated
+        Whether its core stands at full scale.
+    """
+
+    region: Region
+    row: float
+    col: float
+    significance: float
+    saturated: bool
+
+
+def find_pinholes(
+    pictures: NDArray | FrameStack, *, blur_px: float | None = None, full_scale_dn: float | None = None
+) -> tuple[FoundPoint, ...]:
+    """Find the point sources of a frame.
+
+    Parameters
+    ----------
+    pictures
+        Picture (row, col), stack (frame, row, col) or frames; a stack is averaged.
+    blur_px
+        Standard deviation of the camera's blur, px; a spot whose neighbours hold less than half the light that it
+        puts there is a hot pixel. None: less than any lens and pixel put there.
+    full_scale_dn
+        Highest code, DN; of frames that know it their own is taken.
+
+    Returns
+    -------
+    tuple of FoundPoint
+        Brightest first; sources nearer than 24 px to each other are left out, for each spoils the other's surroundings.
+
+    Notes
+    -----
+    A square pixel shares a centred Gaussian spot of standard deviation s with its neighbours as
+    (Phi(1.5/s) - Phi(0.5/s)) / (2 Phi(0.5/s) - 1) of the peak: 0.20 at s = 0.5 px. The four neighbours' mean is
+    taken, so that a spot between pixels, whose brightest neighbour is as bright as itself, is never a hot pixel.
+    """
+    picture, _ = averaged(pictures)
+    if full_scale_dn is None and isinstance(pictures, FrameStack):
+        full_scale_dn = pictures.full_scale_dn
+    if min(picture.shape) < 2 * LEAST_REACH_PX + 1:
+        return ()
+    picture = _without_hot_pixels(picture, _least_neighbours(blur_px))
+    smooth = smoothed(picture, SMOOTHING_PX) - smoothed(picture, GROUND_PX)
+    middle = float(np.median(smooth))
+    robust = 1.4826 * float(np.median(np.abs(smooth - middle)))
+    spread = max(robust, _upper_tail(smooth, middle), 1e-6 * float(np.ptp(smooth)))
+    least = max(DETECTED * spread, LEAST_SHARE * float(smooth.max() - middle)) + middle
+    places = _peaks(smooth, least)
+    spots = [spot for place in places if (spot := _spot(picture, place, full_scale_dn)) is not None]
+    found = [
+        FoundPoint(
+            region=region, row=row, col=col, saturated=saturated,
+            significance=float(smooth[round(row), round(col)] - middle) / spread,
+        )
+        for row, col, saturated in spots
+        if (region := _region(row, col, spots, picture.shape)) is not None
+    ]  # fmt: skip
+    return tuple(sorted(found, key=lambda point: -point.significance))
+
+
+def _upper_tail(smooth: Array, middle: float) -> float:
+    """Return what the upper tail of the background says of its standard deviation: pulses make it heavy."""
+    return (float(np.quantile(smooth[::2, ::2], 0.97)) - middle) / 1.8808
+
+
+def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
+    """Return the middle of every spot above a height, highest first; a flat top is one spot."""
+    size = 2 * round(2.0 * SMOOTHING_PX) + 1
+    rows, cols = np.nonzero((smooth >= highest(smooth, size, size)) & (smooth > least))
+    order = np.argsort(-smooth[rows, cols])[:500]
+    kept: list[tuple[int, int]] = []
+    for row, col in zip(rows[order].tolist(), cols[order].tolist(), strict=True):
+        # A lesser peak on the flank of a higher one is its noise.
+        near = ((r, c) for r, c in kept if np.hypot(row - r, col - c) < LEAST_REACH_PX)
+        if not any(smooth[row, col] < 0.25 * smooth[place] for place in near):
+            kept.append((row, col))
+    return kept
+
+
+def _without_hot_pixels(picture: Array, least_neighbours: float) -> Array:
+    """Replace pixels that stand alone, their neighbours holding less than a share of their light, by these."""
+    import cv2
+
+    ground = np.asarray(cv2.medianBlur(picture, 5), np.float32)
+    cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4.0
+    around = np.asarray(cv2.filter2D(picture, -1, cross, borderType=cv2.BORDER_REFLECT_101), np.float32)
+    over = picture - ground
+    noise = 1.4826 * float(np.median(np.abs(over)))
+    hot = (over > DETECTED * noise) & (around - ground < least_neighbours * over + noise)
+    return np.where(hot, around, picture)
+
+
+def _spot(picture: Array, place: tuple[int, int], full_scale_dn: float | None) -> tuple[float, float, bool] | None:
+    """Return centroid and saturation of a spot; None of a line or a blot."""
+    row, col = place
+    reach = 6
+    if not (reach <= row < picture.shape[0] - reach and reach <= col < picture.shape[1] - reach):
+        return None
+    part = picture[row - reach : row + reach + 1, col - reach : col + reach + 1].astype(float)
+    border = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
+    light = part - float(np.median(border))
+    core = np.where(light > 0.3 * light[4:-4, 4:-4].max(), light, 0.0)
+    rows, cols = np.mgrid[: core.shape[0], : core.shape[1]]
+    total = core.sum()
+    centre = np.array([(core * rows).sum(), (core * cols).sum()]) / total
+    apart = np.stack([rows - centre[0], cols - centre[1]])
+    moments = np.einsum("iyx,jyx,yx->ij", apart, apart, core) / total + np.eye(2) / 12.0
+    narrow, wide = np.sqrt(np.linalg.eigvalsh(moments))
+    if wide > LONGEST * narrow or wide > 0.5 * reach:
+        return None
+    saturated = full_scale_dn is not None and bool(part.max() >= 0.999 * full_scale_dn)
+    return float(row - reach + centre[0]), float(col - reach + centre[1]), saturated
+
+
+def _least_neighbours(blur_px: float | None) -> float:
+    """Return the least share of the peak that neighbours of a spot of a blur may hold."""
+    if blur_px is None:
+        return LEAST_NEIGHBOURS
+    from scipy.special import ndtr
+
+    inner = ndtr(0.5 / blur_px)
+    return 0.5 * float((ndtr(1.5 / blur_px) - inner) / (2.0 * inner - 1.0))
+
+
+def _region(row: float, col: float, spots: list[tuple[float, float, bool]], shape: tuple[int, ...]) -> Region | None:
+    """Return a square around a source up to half way to its nearest neighbour, None if that is too near."""
+    gaps = [max(abs(row - r), abs(col - c)) for r, c, _ in spots if (r, c) != (row, col)]
+    half = int(min([REACH_PX, *(0.5 * gap for gap in gaps)]))
+    if half < LEAST_REACH_PX:
+        return None
+    top, left = max(round(row) - half, 0), max(round(col) - half, 0)
+    bottom, right = min(round(row) + half + 1, shape[0]), min(round(col) + half + 1, shape[1])
+    return (top, left, bottom - top, right - left) if min(bottom - top, right - left) > LEAST_REACH_PX else None

@@ -1,0 +1,142 @@
+"""All targets of one frame measured, each in the region where it was found."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+import charact
+from charact.method import Context
+from charact.mtf.find import find_bar_groups, find_edges, find_pinholes
+from charact.mtf.measuring import measure
+from charact.mtf.region import Region
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Measurement, Provenance, Result, refused
+
+# One curve of a region is called so: the curve's own name, then this.
+REGION_NAME = ":{},{},{},{}"
+NAMES = {"edge": "edges", "bars": "groups of bars", "point": "points"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """A target found: its region and what its method is told of it."""
+
+    region: Region
+    told: dict[str, Any] = field(default_factory=dict)
+
+
+def measure_all(
+    kind: str,
+    stack: FrameStack,
+    *,
+    method: str = "auto",
+    within_percent: float = 2.0,
+    at_most: int = 24,
+    context: Context,
+    **target: Any,
+) -> Result:
+    """Find the targets of a frame and measure the MTF of each.
+
+    Parameters
+    ----------
+    kind, stack, method, within_percent, context, target
+        As for `measure`; for bars `frequency_cy_per_px` may be None: it is found.
+    at_most
+        Most targets that are measured, the most promising ones; a note says how many were left out.
+
+    Returns
+    -------
+    Result
+        The measurements of every region in reading order. Curves carry their region, as in "mtf:100,200,80,60"; the
+        curve "mtf" is the one known best, which a note on its measurements says. Of a frame with one target or none
+        the result is that of `measure`.
+
+    Raises
+    ------
+    BadInput
+        If `at_most` is less than 1, or as for `measure`.
+    """
+    if at_most < 1:
+        raise BadInput(f"at least 1 target must be measured, got at most {at_most}")
+    asked = {"method": method, "within_percent": within_percent, "context": context}
+    if kind == "bars" and target.get("frequency_cy_per_px") is not None:
+        return measure(kind, stack, **asked, **target)
+    found = targets(kind, stack, context, **target)
+    if kind == "bars" and not found:
+        return _no_bars(target.get("bars", 4), stack)
+    if len(found) < 2 and kind != "bars":
+        return measure(kind, stack, **asked, **target)
+    chosen = sorted(found[:at_most], key=lambda one: one.region[:2])
+    results = []
+    for done, one in enumerate(chosen):
+        context.progress(f"{kind} in {one.region}", done / len(chosen))
+        results.append(measure(kind, stack, region=one.region, **asked, **{**target, **one.told}))
+    return _together(results, chosen, len(found) - len(chosen), kind)
+
+
+def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> list[Target]:
+    """Return the targets of a kind in a frame, the most promising first."""
+    if kind == "edge":
+        return [Target(region=edge.region) for edge in find_edges(stack)]
+    if kind == "point":
+        full_scale_dn = context.full_scale_dn or stack.full_scale_dn
+        return [Target(region=point.region) for point in find_pinholes(stack, full_scale_dn=full_scale_dn)]
+    if kind == "bars":
+        ratio = {0.0: 1.0, 90.0: context.pitch_ratio}
+        return [
+            # Bars that lie along rows repeat so often per row; methods count column pitches.
+            Target(
+                region=group.region,
+                told={"frequency_cy_per_px": group.frequency_cy_per_px / ratio[group.orientation_deg]},
+            )
+            for group in find_bar_groups(stack, int(target.get("bars", 4)))
+        ]
+    raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
+
+
+def _together(results: list[Result], chosen: list[Target], left_out: int, kind: str) -> Result:
+    """Return one result of several regions, its first curves those of the region known best."""
+    best = min(range(len(results)), key=lambda number: _distrust(results[number]))
+    merged = Result(curves=dict(results[best].curves))
+    for number, (result, one) in enumerate(zip(results, chosen, strict=True)):
+        notes = tuple(_notes(number == best, len(results), left_out, number == 0, kind, bool(merged.curves)))
+        suffix = REGION_NAME.format(*one.region)
+        merged += Result(
+            measurements=tuple(
+                m.with_(region=m.region or one.region, notes=(*m.notes, *notes)) for m in result.measurements
+            ),
+            curves={name + suffix: curve for name, curve in result.curves.items()},
+            evidence={name + suffix: dict(shown) for name, shown in result.evidence.items()},
+        )
+    return merged
+
+
+def _notes(best: bool, count: int, left_out: int, first: bool, kind: str, curves: bool) -> Iterator[str]:
+    if best and curves and count > 1:
+        yield f"The curve mtf is of this region, the one known best of {count}."
+    if first and left_out:
+        yield f"{left_out} more {NAMES[kind]} were found and left out: {count} are measured at most."
+
+
+def _distrust(result: Result) -> tuple[int, float]:
+    """Order results: ok before suspect before refused, then by the width of the interval over the value."""
+    leading: Measurement | None = next(iter(result.find("mtf50") or result.measurements), None)
+    if leading is None or leading.value is None or leading.interval95 is None:
+        return 2, np.inf
+    width = (leading.interval95[1] - leading.interval95[0]) / max(abs(leading.value), 1e-12)
+    return int(leading.status != "ok"), width
+
+
+def _no_bars(bars: int, stack: FrameStack) -> Result:
+    reason = (
+        f"no target: no group of {bars} bars along rows or columns was found in the frame; "
+        "a frequency, or a region and a frequency, say where to look"
+    )
+    one = refused(
+        "mtf", "1", reason, method="find", flags=("no-target",), region=(0, 0, *stack.shape[1:]), seconds=0.0,
+        provenance=Provenance(version=charact.__version__),
+    )  # fmt: skip
+    return Result(measurements=(one,))

@@ -1,0 +1,145 @@
+"""`charact mtf` on a whole frame: each target its region, units at detector and cathode, and the annotated picture."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from charact.cli.annotate import COLOURS, drawn
+from charact.cli.application import app
+from charact.cli.captions import placed
+from charact.cli.units import FrequencyUnit
+from charact.study.edge import EdgeScene
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Result as Measured
+from labdata.measurement import measured, refused
+
+
+def charact(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def two_edges(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two frames of one edge each, side by side, with even ground between them."""
+    rng = np.random.default_rng(0)
+    one = EdgeScene(rows=120, cols=120, snr=60.0).frames_drawn(rng).data[0]
+    # The mirrored twin goes from bright to dark, so that the frame is whole where they meet.
+    path = tmp_path_factory.mktemp("frame") / "two.npy"
+    np.save(path, np.concatenate([one, one[:, ::-1]], axis=1))
+    return path
+
+
+def test_each_edge_of_a_frame_has_its_region_and_its_curve(two_edges: Path) -> None:
+    document = json.loads(charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--json").stdout)
+    regions = {tuple(m["region"]) for m in document["measurements"]}
+    assert len(regions) == 2
+    assert {"mtf", *(f"mtf:{','.join(map(str, region))}" for region in regions)} == set(document["curves"])
+    left, right = sorted(regions, key=lambda region: region[1])
+    assert left[1] + left[3] <= 185
+    assert right[1] >= 55
+
+
+def test_people_get_one_line_a_region(two_edges: Path) -> None:
+    lines = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted").stdout.splitlines()
+    assert [line[:3] for line in lines[:2]] == ["  1", "  2"]
+    assert all("mtf50" in line and "95 %" in line for line in lines[:2])
+
+
+def test_a_region_overrides_the_search(two_edges: Path) -> None:
+    done = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--roi", "10,10,90,100", "--json")
+    regions = {tuple(m["region"]) for m in json.loads(done.stdout)["measurements"]}
+    assert len(regions) == 1
+
+
+def test_bars_that_are_nowhere_are_refused_in_one_sentence(two_edges: Path) -> None:
+    done = charact("mtf", "bars", two_edges, "--quick")
+    assert done.exit_code == 1
+    assert "no group of 4 bars" in done.stderr
+
+
+def test_lines_at_the_cathode_are_wider_by_the_taper() -> None:
+    """11 um pixels behind a taper of 18/11 are 18 um at the cathode: 0.5 cy/px is 27.8 lp/mm there."""
+    lengths = {"pitch_x_um": 11.0, "pitch_y_um": 13.0, "demagnification": 18 / 11, "focal_length_mm": 36.0}
+    at_cathode = FrequencyUnit(unit="lp/mm-cathode", **lengths)
+    assert at_cathode(0.5)[0] == pytest.approx(1e3 * 0.5 / 18.0)
+    assert FrequencyUnit(unit="lp/mm", **lengths)(0.5)[0] == pytest.approx(1e3 * 0.5 / 11.0)
+    # An angle of one milliradian is 36 um on the cathode, two pixels.
+    assert FrequencyUnit(unit="cy/mrad", **lengths)(0.5)[0] == pytest.approx(1.0)
+
+
+def test_an_edge_along_rows_counts_their_pitch() -> None:
+    """Rows of 13 um: 0.5 cycles per row are 38.5 lp/mm, and 493 rows hold 493 lines of them."""
+    unit = FrequencyUnit(unit="lp/mm", pitch_x_um=11.0, pitch_y_um=13.0)
+    lying = measured("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=95.0)
+    standing = measured("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=5.0)
+    point = measured("mtf50", "cy/px", 0.5, None, None, method="point-forward", orientation_deg=90.0)
+    assert unit(0.5, lying)[0] == pytest.approx(500 / 13)
+    assert unit(0.5, standing)[0] == pytest.approx(500 / 11)
+    assert unit(0.5, point)[0] == pytest.approx(500 / 11)
+    lines = FrequencyUnit(unit="tvl/ph", pitch_x_um=11.0, pitch_y_um=13.0, rows=493)
+    assert lines(0.5, lying)[0] == pytest.approx(493)
+    assert lines(0.5, standing)[0] == pytest.approx(493 * 13 / 11)
+
+
+@pytest.mark.parametrize(
+    ("unit", "given", "words"),
+    [
+        ("lp/mm", {}, ("pitch_um", "--pitch-um")),
+        ("lp/mm-cathode", {"pitch_x_um": 11.0}, ("demagnification", "--sensor")),
+        ("cy/mrad", {"pitch_x_um": 11.0}, ("focal_length_mm", "--focal-length-mm")),
+        ("lp/mm", {"pitch_x_um": -1.0}, ("--pitch-um must be positive, got -1",)),
+        ("furlongs", {}, ("furlongs", "lp/mm-cathode")),
+    ],
+)
+def test_a_missing_length_is_named_with_its_remedy(unit: str, given: dict[str, float], words: tuple[str, ...]) -> None:
+    with pytest.raises(BadInput) as error:
+        FrequencyUnit(unit=unit, **given)
+    assert all(word in str(error.value) for word in words)
+
+
+def test_captions_cover_neither_one_another_nor_what_was_measured() -> None:
+    boxes = [(100 * k, 150 * j, 100 * k + 60, 150 * j + 60) for k in range(4) for j in range(5)]
+    size = (44, 120)
+    places = placed(boxes, [size] * 20, (493, 900))
+    for k, (top, left) in enumerate(places):
+        assert top >= 0 and top + size[0] < 493 and left >= 0 and left + size[1] < 900
+        for other_top, other_left in places[:k]:
+            assert abs(top - other_top) >= size[0] or abs(left - other_left) >= size[1]
+        for box in boxes:
+            row, col = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+            assert not (top <= row <= top + size[0] and left <= col <= left + size[1])
+
+
+def test_verdicts_differ_in_more_than_colour() -> None:
+    """Of a suspect region half the outline is drawn, of a refused one the diagonals too."""
+    stack = FrameStack(data=np.zeros((1, 300, 300), np.uint8))
+    common = {"method": "edge-forward", "region": (100, 100, 90, 90)}
+    share = {}
+    for status, one in {
+        "ok": measured("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), **common),
+        "suspect": measured("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), flags=("clipped",), **common),
+        "refused": refused("mtf50", "cy/px", "nothing there", **common),
+    }.items():
+        picture = drawn(stack, Measured(measurements=(one,)))
+        assert picture.shape[1] >= 1500
+        top_line = picture[498:503, 505:945]
+        share[status] = np.all(top_line == COLOURS[status], axis=2).any(axis=0).mean()
+        crossed = np.all(np.abs(picture[530:540, 530:540].astype(int) - COLOURS[status]) < 60, axis=2).any()
+        assert crossed == (status == "refused")
+    assert share["ok"] > 0.99 and share["refused"] > 0.99
+    assert 0.4 < share["suspect"] < 0.9
+
+
+def test_the_annotated_picture_is_written(two_edges: Path, tmp_path: Path) -> None:
+    path = tmp_path / "out.png"
+    done = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--annotate", path)
+    assert done.exit_code == 0, done.output
+    picture = cv2.imread(str(path))
+    assert picture is not None and picture.shape[1] >= 1500
+    wrong = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--annotate", tmp_path / "out.jpg")
+    assert wrong.exit_code == 1 and "must name a .png file" in wrong.stderr
