@@ -150,7 +150,7 @@ def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
         root = np.linalg.cholesky(noise)
     except np.linalg.LinAlgError as error:
         raise BadInput("the noise's covariance must be positive definite") from error
-    return lambda columns: np.linalg.solve(root, columns)
+    return lambda columns: np.asarray(np.linalg.solve(root, columns), np.float64)
 
 
 def _fitted(white: Array, spread: Array) -> Array:
