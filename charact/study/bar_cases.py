@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from charact.study.bar_strips import StripScene
 from charact.study.bars import BarScene
 from charact.study.edge import Blur
 from charact.study.harness import Case
@@ -30,13 +31,27 @@ AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
     "offset of the target": ("px", (0, 10, 20, 30, 40, 60), (0, 20)),
     "gap to a neighbour": ("px", (4, 8, 12, 20, 30, 40), (40, 40)),
     "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0)),
+    "strip of 20 rows": ("cy/px", (0.03, 0.05, 0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.48), (0.05, 0.3)),
+    "strip of 20 rows, SNR": ("level / pixel noise", (100, 30, 10, 5, 2, 1), (10, 100)),
 }
 # Deep noise clips on eight bits, which is another axis.
 TWELVE_BITS: dict[str, Any] = {"pedestal_dn": 1200.0, "level_dn": 300.0, "full_scale_dn": 4095.0}
 
 
-def _scene(axis: str, position: float, common: dict[str, Any]) -> BarScene:
+Scene = BarScene | StripScene
+
+
+def _strip(axis: str, position: float, common: dict[str, Any]) -> StripScene:
+    """The strip of an axis at a position."""
+    swept = {"snr": position} if axis.endswith("SNR") else {"frequency_cy_per_px": position}
+    kept = {key: common[key] for key in ("blur", "frequency_cy_per_px", "angle_deg")}
+    return StripScene(**{**kept, "phase_px": common["col_px"], "turned": common["row_px"] > 0, **swept})
+
+
+def _scene(axis: str, position: float, common: dict[str, Any]) -> Scene:
     """The scene of an axis at a position, all other knobs at harmless values."""
+    if axis.startswith("strip"):
+        return _strip(axis, position, common)
     knob: dict[str, Any] = {
         "bar SNR": {"snr": position, **TWELVE_BITS},
         "one frame, bar SNR": {"snr": position, "frames": 1, **TWELVE_BITS},
@@ -60,14 +75,14 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> BarScene:
     return BarScene(**{**common, **knob})
 
 
-def _asked(axis: str, position: float, scene: BarScene) -> dict[str, Any]:
+def _asked(axis: str, position: float, scene: Scene) -> dict[str, Any]:
     """What the method is told of the target: the truth, but on the axes of a wrong word."""
     bars = int(position) if axis == "bars asked for, of 4" else scene.bars
     off = 1 + position / 100 if axis == "frequency asked for" else 1.0
     return {"bars": bars, "frequency_cy_per_px": scene.frequency_cy_per_px * off}
 
 
-def _case(axis: str, position: float, unit: str, scene: BarScene, in_scope: bool, seed: int) -> Case:
+def _case(axis: str, position: float, unit: str, scene: Scene, in_scope: bool, seed: int) -> Case:
     return Case(
         kind="bars",
         name=f"{axis} {position:g} {unit}".strip(),
