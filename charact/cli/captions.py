@@ -8,8 +8,8 @@ Box = tuple[int, int, int, int]
 """Top, left, bottom, right, px."""
 
 RING_STEP_PX, RINGS, DIRECTIONS = 14, 24, 16
-# What a caption costs, in px of distance: a region's middle covered.
-MIDDLE_PX, COVERED = 14, 120.0
+# Reach of the inner part of a small region, and what covering such parts with all of a caption costs in distance, px.
+LEAST_HEART_PX, COVERED_PX = 14, 250.0
 
 
 def placed(boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -27,13 +27,13 @@ def placed(boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[
     Notes
     -----
     One after the other, each to the nearest place around the middle of its box that covers no caption before it and,
-    if possible, no region's middle: there is what was measured.
+    if possible, no region's inner half: there is what was measured.
     """
     taken: list[Box] = []
     places = []
-    middles = [_middle(box) for box in boxes]
+    hearts = [_heart(box) for box in boxes]
     for box, size in zip(boxes, sizes, strict=True):
-        options = [(_cost(option, box, taken, middles), option) for option in _around(box, size, frame)]
+        options = [(_cost(option, box, taken, hearts), option) for option in _around(box, size, frame)]
         best = min(options, key=lambda option: option[0])[1]
         taken.append(best)
         places.append(best[:2])
@@ -59,16 +59,21 @@ def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator
             yield top, left, top + size[0], left + size[1]
 
 
-def _cost(option: Box, box: Box, taken: list[Box], middles: list[tuple[float, float]]) -> float:
+def _heart(box: Box) -> Box:
+    """Return the inner half of a box, and a little more of a small one: there is what was measured."""
+    row, col = _middle(box)
+    down, right = (max(0.25 * (box[k + 2] - box[k]), LEAST_HEART_PX) for k in (0, 1))
+    return int(row - down), int(col - right), int(row + down), int(col + right)
+
+
+def _cost(option: Box, box: Box, taken: list[Box], hearts: list[Box]) -> float:
     """Return how far a place is from its box's middle, more where it covers what others need."""
     here, there = _middle(option), _middle(box)
     distance = float(np.hypot(here[0] - there[0], here[1] - there[1]))
-    covered = sum(
-        option[0] - MIDDLE_PX < row < option[2] + MIDDLE_PX and option[1] - MIDDLE_PX < col < option[3] + MIDDLE_PX
-        for row, col in middles
-    )
+    area = (option[2] - option[0]) * (option[3] - option[1])
+    covered = sum(_overlap(option, heart) for heart in hearts) / area
     over = sum(_overlap(option, other) for other in taken)
-    return distance + COVERED * covered + 100.0 * over
+    return distance + COVERED_PX * covered + 100.0 * over
 
 
 def _overlap(one: Box, other: Box) -> float:

@@ -60,7 +60,7 @@ def find_bar_groups(pictures: NDArray | FrameStack, bars: int = 4) -> tuple[Foun
     pictures
         Picture (row, col), stack (frame, row, col) or frames; a stack is averaged.
     bars
-        Number of bars of a group; groups of another number are not taken.
+        Number of bars of a group. Groups of fewer are not taken; in groups of more some may be taken for a group.
 
     Returns
     -------

@@ -55,7 +55,7 @@ def test_every_group_is_found_with_its_frequency(bars: int, tilt_deg: float, asp
 
 
 @pytest.mark.parametrize(("there", "asked"), [(3, 4), (4, 5)])
-def test_groups_of_another_number_are_not_taken(there: int, asked: int) -> None:
+def test_groups_of_fewer_bars_are_not_taken(there: int, asked: int) -> None:
     frame = noisy(chart(there, 1.0).mean(), np.random.default_rng(3), sd_dn=40.0)
     assert find_bar_groups(frame, asked) == ()
 
