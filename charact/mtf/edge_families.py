@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.edge_checks import response_curvature
-from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, Profile
+from charact.mtf.edge_profile import Profile
 from charact.mtf.families import Family, Wide
 from charact.mtf.optics import Known
 from charact.mtf.spread import SpreadTable, nodes, spread_table
 
 Array = NDArray[np.float64]
+
+Departures = Callable[[Array, float], NDArray[np.complex128]]
 
 SHIFT_PX = 6.0
 # Half frequencies among which the first guess is taken, cycles per pixel.
@@ -43,6 +45,8 @@ class FamilyFit:
         Change of the profile with each parameter, shape (parameter, bin), DN.
     log_evidence
         ln of the evidence by Laplace's approximation, up to what all forms share.
+    cost
+        -2 ln of likelihood and Gaussian priors at the peak.
     chi2, free
         Chi squared at the peak, and the bins less the parameters.
     slope_sd_per_px
@@ -56,6 +60,7 @@ class FamilyFit:
     model: Array
     tangents: Array
     log_evidence: float
+    cost: float
     chi2: float
     free: int
     slope_sd_per_px: float
@@ -124,14 +129,14 @@ class FamilyFitter:
         overlap = white @ self._data
         return float(GUESSES[int(np.argmax(overlap**2 / np.sum(white**2, axis=1)))])
 
-    def fit(self, family: Family, start: Array, slope_sd_per_px: float) -> FamilyFit:
+    def fit(self, family: Family, start: Array, slope_sd_per_px: float, *, iterations: int = ITERATIONS) -> FamilyFit:
         """Fit a form from a starting point (shift and the form's parameters)."""
         bounds = self.bounds(family)
         width = bounds[:, 1] - bounds[:, 0]
         prior = self._prior(family, slope_sd_per_px)
         point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), 1e-3
         here = self._linearised(family, point, width, bounds, prior)
-        for _ in range(ITERATIONS):
+        for _ in range(iterations):
             step = _solved(here, point, bounds, damping)
             trial = np.clip(point + step, bounds[:, 0], bounds[:, 1])
             there = self._linearised(family, trial, width, bounds, prior)
@@ -212,6 +217,7 @@ class FamilyFitter:
             model=here.model,
             tangents=here.tangents,
             log_evidence=float(-0.5 * here.cost + flat + log_linear + log_volume),
+            cost=here.cost,
             chi2=chi2,
             free=max(len(self._data) - point.size - 2, 1),
             slope_sd_per_px=slope,
@@ -222,24 +228,42 @@ class FamilyFitter:
         return np.concatenate([[[-SHIFT_PX, SHIFT_PX]], family.bounds])
 
     def uneven(self, fit: FamilyFit) -> bool:
-        """Tell whether the plateaus slope more than they do in a good set-up: by the gain in chi squared."""
-        return self._gain(fit, np.zeros((0, len(self._data))), free_slopes=True) > 2.0 * np.log(
-            UNEVEN_PER_PX / EVEN_PER_PX
-        )
+        """Tell whether the plateaus may slope more than they do in a good set-up."""
+        scale = max(abs(self.profile.step), 1e-300) * fit.slope_sd_per_px
+        return bool(np.abs(fit.amplitude[2:]).max() > 0.7 * scale)
 
-    def wide_gain(self, fit: FamilyFit, wide: Wide) -> tuple[float, Array]:
-        """Return the gain in chi squared from light beyond the core, to first order, and where to begin its fit."""
+    def fit_wide(self, core: FamilyFit, wide: Wide, worth_chi2: float) -> FamilyFit | None:
+        """Fit a core with light beyond it, from several sizes; None where even to first order it is not worth it."""
+        family = Family(core=core.family.core, wide=wide)
+        starts = self._wide_starts(core, wide)
+        if max(gain for gain, _ in starts) < worth_chi2:
+            return None
+        begun = [
+            self.fit(family, start, core.slope_sd_per_px, iterations=6)
+            for _, start in sorted(starts, key=lambda one: -one[0])[:4]
+        ]
+        best = min(begun, key=lambda one: one.cost)
+        return self.fit(family, best.point, core.slope_sd_per_px)
+
+    def _wide_starts(self, fit: FamilyFit, wide: Wide) -> list[tuple[float, Array]]:
+        """Return gains in chi squared from light beyond the core, to first order, and where to begin its fit."""
         bounds = np.array([bound for _, bound in wide.parameters.values()])
-        sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, 7)
-        middle = bounds[2:].mean(axis=1)
-        shapes = np.concatenate([sizes[:, None], np.tile(middle, (sizes.size, 1))], axis=1)
+        sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, 9)
+        others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
+        shapes = np.array([[size, *other] for other in others for size in sizes])
         core = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
         away = self._at(core * (wide.transfer(self._grid, shapes) - 1.0), float(fit.point[0]))
-        gains = [self._gain(fit, one[None]) for one in away]
-        best = int(np.argmax(gains))
-        return gains[best], np.concatenate([[0.05], shapes[best]])
+        limits = self.bounds(fit.family)
+        starts = []
+        for shape, one in zip(shapes, away, strict=True):
+            gain, moved = self._gain(fit, one[None])
+            share = float(np.clip(moved[-1] * abs(self.profile.step) / fit.amplitude[0], 0.02, 0.3))
+            # Half a step of the core: what the light beyond it changes is not small.
+            core_point = np.clip(fit.point + 0.5 * moved[: fit.point.size], limits[:, 0], limits[:, 1])
+            starts.append((gain if moved[-1] > 0 else 0.0, np.concatenate([core_point, [share], shape])))
+        return starts
 
-    def departure_gain(self, fit: FamilyFit, shapes_at: Callable[[Array, float], NDArray[np.complex128]]) -> tuple[float, int]:
+    def departure_gain(self, fit: FamilyFit, shapes_at: Departures) -> tuple[float, int]:
         """Return the gain in chi squared from smooth departures of modulus and phase, to first order, and how many.
 
         Parameters
@@ -250,28 +274,22 @@ class FamilyFitter:
         transfer = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
         departures = shapes_at(self._grid, float(np.exp(fit.point[1])))
         moved = self._at(transfer * departures, float(fit.point[0]), lopsided=True)
-        return self._gain(fit, moved), len(moved)
+        return self._gain(fit, moved)[0], len(moved)
 
-    def _gain(self, fit: FamilyFit, shapes: Array, *, free_slopes: bool = False) -> float:
-        """Return the gain in chi squared from adding shapes (shape, bin) to a fit, to first order."""
+    def _gain(self, fit: FamilyFit, shapes: Array) -> tuple[float, Array]:
+        """Return the gain in chi squared from adding shapes (shape, bin) to a fit, to first order, and the change.
+
+        The change holds that of the parameters, of step, level and slopes, and the amplitudes of the shapes, steps.
+        """
         scale = max(abs(self.profile.step), 1e-300)
-        slope_sd = (UNEVEN_PER_PX if free_slopes else fit.slope_sd_per_px) * scale
-        spread = self.spread_of(fit)
+        rows = np.concatenate([fit.tangents, self.spread_of(fit)[None], self._levels.T])
         residual = self._root @ (self.profile.value - fit.model)
-        rows = np.concatenate([fit.tangents, spread[None], self._levels.T])
-        count = len(rows)
-        both = (np.concatenate([rows, shapes * scale]) @ self._root.T).T
-        prior = np.zeros(both.shape[1])
-        prior[count - 2 : count] = slope_sd**-2
-        mean, precision = fit.family.prior_precision()
-        prior[1 : 1 + mean.size] = precision
-        pull = np.zeros(both.shape[1])
-        pull[1 : 1 + mean.size] = (mean - fit.point[1:]) * precision
-        pull[count - 2 : count] = -fit.amplitude[2:] * prior[count - 2 : count]
-        more = _explained(both, residual, prior, pull)
-        prior[count - 2 : count] = (fit.slope_sd_per_px * scale) ** -2
-        pull[count - 2 : count] = -fit.amplitude[2:] * prior[count - 2 : count]
-        return more - _explained(both[:, :count], residual, prior[:count], pull[:count])
+        both = self._root @ np.concatenate([rows, shapes * scale]).T
+        mean, precision = self._prior(fit.family, fit.slope_sd_per_px)
+        pull = (mean - np.concatenate([fit.point, fit.amplitude])) * precision
+        more = np.zeros(len(shapes))
+        gain, change = _explained(both, residual, np.append(precision, more), np.append(pull, more))
+        return gain - _explained(both[:, : len(rows)], residual, precision, pull)[0], change
 
     def spread_of(self, fit: FamilyFit) -> Array:
         """Return the fitted edge spread less one half at the bins."""
@@ -318,13 +336,14 @@ class _Linearised:
     cost: float
 
 
-def _explained(design: Array, residual: Array, prior: Array, pull: Array) -> float:
-    """Return how much a fit of columns under a Gaussian prior lowers chi squared and the prior's own cost."""
+def _explained(design: Array, residual: Array, prior: Array, pull: Array) -> tuple[float, Array]:
+    """Return how much a fit of columns under a Gaussian prior lowers chi squared and the prior's cost, and the fit."""
     gradient = design.T @ residual + pull
     normal = design.T @ design + np.diag(prior)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-11, hermitian=True)
-    return float((gradient / scale) @ inverse @ (gradient / scale))
+    found = inverse @ (gradient / scale)
+    return float((gradient / scale) @ found), found / scale
 
 
 def _solved(here: _Linearised, point: Array, bounds: Array, damping: float) -> Array:

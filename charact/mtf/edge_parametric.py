@@ -1,7 +1,7 @@
 """The parametric method for edges: forms of the point spread, fitted to the profile and weighed by their evidence."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from charact.method import Context, register
 from charact.mtf import edge_checks
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
-from charact.mtf.edge_find import NoEdge, find_edge, no_edge, too_blurred
+from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_model import departure_shapes
-from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, with_shading
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, Wide
-from charact.mtf.optics import halo_diameters_px, known_of
+from charact.mtf.optics import Known, halo_diameters_px, known_of
 from charact.mtf.region import Region
 from charact.posterior import laplace, sample
 from labdata.frames import FrameStack
@@ -27,6 +27,8 @@ METHOD = "edge-parametric"
 LEAST_SHARE = 0.02
 # Gain in chi squared from which on wide light is worth a fit of its own: less is outweighed by its own freedom.
 WORTH_CHI2 = 6.0
+# Forms within this of the best in ln of the evidence are worth pursuing.
+CLOSE = 8.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
 DRAWS, QUICK_DRAWS = 1000, 500
@@ -70,10 +72,9 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     edge = find_edge(stack, region, context)
     if isinstance(edge, NoEdge):
         return nothing(METHOD, edge.reason, edge.where, context, began)
-    profile, known = edge.profile, known_of(edge.picture, edge.profile.angle_rad, context)
-    fitter = FamilyFitter(profile, known)
-    fits = fitted_forms(fitter, wides(context, profile.gathered.half_width_px, transposed=edge.picture.transposed))
-    best = fits[0].fit
+    known = known_of(edge.picture, edge.profile.angle_rad, context)
+    fitter, fits = _fitted(edge, known, context)
+    edge, profile, best = replace(edge, profile=fitter.profile), fitter.profile, fits[0].fit
     reason = no_edge(best.chi2, fitter.power, best.free) or too_blurred(profile, float(np.exp(best.point[1])))
     if reason:
         return nothing(METHOD, reason, edge.where, context, began)
@@ -93,6 +94,18 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
         flags=("model-misfit",) if _departs(fitter, best) else (),
     )
     return result_of(outcome, context, began)
+
+
+def _fitted(edge: FoundEdge, known: Known, context: Context) -> "tuple[FamilyFitter, list[Weighed]]":
+    """Fit an edge, first as if its plateaus were even, then with the shading that the forms leave over, if any."""
+    wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
+    fitter = FamilyFitter(with_shading(edge.profile, np.zeros_like(edge.profile.value)), known)
+    fits = fitted_forms(fitter, wide)
+    shaded = with_shading(fitter.profile, fitter.profile.value - fits[0].fit.model)
+    if shaded.shading_sd > 0:
+        fitter = FamilyFitter(shaded, known)
+        fits = fitted_forms(fitter, wide)
+    return fitter, fits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,16 +143,14 @@ def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
         warm = np.concatenate([[0.0], Family(core="moffat").start(guess)])
         warm[:2] = best.point[:2]
         found.append(fitter.fit(Family(core="moffat"), warm, EVEN_PER_PX))
+    top = max(fit.log_evidence for fit in found)
+    cores = [fit for fit in found if fit.log_evidence > top - CLOSE or fit.family.core == "exponential"]
+    with_wide = [fitter.fit_wide(core, prior, WORTH_CHI2) for prior in wide for core in cores]
+    found += [fit for fit in with_wide if fit is not None]
     best = max(found, key=lambda fit: fit.log_evidence)
     if fitter.uneven(best):
-        found = [fitter.fit(fit.family, fit.point, UNEVEN_PER_PX) for fit in found]
-    cores = [fit for fit in found if fit.log_evidence > max(one.log_evidence for one in found) - 12.0]
-    for prior in wide:
-        for core in cores:
-            gain, begin = fitter.wide_gain(core, prior)
-            if gain > WORTH_CHI2:
-                family = Family(core=core.family.core, wide=prior)
-                found.append(fitter.fit(family, np.concatenate([core.point, begin]), core.slope_sd_per_px))
+        near = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE]
+        found += [fitter.fit(fit.family, fit.point, UNEVEN_PER_PX) for fit in near]
     return _weighed(found)
 
 

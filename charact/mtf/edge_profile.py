@@ -246,13 +246,25 @@ def with_grain(profile: Profile, grain: Grain) -> Profile:
     """Return the profile with another noise: the covariance of its bins and what shading is left beside it."""
     level = (profile.value - profile.dark) / (profile.step if profile.step != 0 else 1.0)
     covariance = bin_covariance(grain, profile.gathered, level, profile.count, profile.keep, profile.slopes)
-    shading = _shading(profile, covariance)
+    return with_shading(replace(profile, grain=grain, covariance=covariance, shading_sd=0.0), profile.value)
+
+
+def with_shading(profile: Profile, left_over: Array) -> Profile:
+    """Return the profile with slow undulations of its plateaus allowed for, as large as values left over show them.
+
+    Parameters
+    ----------
+    left_over
+        The bins' values, or what a model leaves of them, shape (bin,), DN.
+    """
     apart = (profile.distance[:, None] - profile.distance[None, :]) / SHADING_LENGTH_PX
-    covariance = covariance + shading**2 * np.exp(-0.5 * apart**2)
-    return replace(profile, grain=grain, covariance=covariance, shading_sd=shading)
+    kernel = np.exp(-0.5 * apart**2)
+    covariance = profile.covariance - profile.shading_sd**2 * kernel
+    shading = _shading(replace(profile, covariance=covariance), left_over)
+    return replace(profile, covariance=covariance + shading**2 * kernel, shading_sd=shading)
 
 
-def _shading(profile: Profile, covariance: Array) -> float:
+def _shading(profile: Profile, left_over: Array) -> float:
     """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins."""
     excess, weight, scatter = 0.0, 0.0, 0.0
     for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
@@ -261,8 +273,8 @@ def _shading(profile: Profile, covariance: Array) -> float:
         place = profile.distance[side]
         design = np.stack([np.ones_like(place), place, place**2], axis=1)
         project = np.eye(place.size) - design @ np.linalg.pinv(design)
-        left = project @ profile.value[side]
-        noise = project @ covariance[np.ix_(side, side)] @ project
+        left = project @ left_over[side]
+        noise = project @ profile.covariance[np.ix_(side, side)] @ project
         kernel = np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
         excess += float(left @ left - np.trace(noise))
         scatter += 2.0 * float(np.sum(noise**2))
