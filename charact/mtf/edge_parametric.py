@@ -17,6 +17,7 @@ from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, Wide
 from charact.mtf.optics import Known, halo_diameters_px, known_of
 from charact.mtf.region import Region
 from charact.posterior import laplace, sample
+from charact.posterior.diagnostics import leans_on_bound
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 
@@ -31,6 +32,7 @@ WORTH_CHI2 = 6.0
 CLOSE = 8.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
+NATURAL_BOUNDS = ("halo_fraction", "disc_fraction", "glare_fraction", "halo_elastic_share", "moffat_exponent")
 DRAWS, QUICK_DRAWS = 1000, 500
 MAX_STEPS = 3000
 
@@ -184,8 +186,15 @@ def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: i
         "draws": draws,
     }
     if context.quick:
-        return laplace(lambda theta: np.zeros(len(theta)), **asked)
-    return sample(fitter.log_probability(fit.family, fit.slope_sd_per_px), **asked, max_steps=MAX_STEPS)
+        posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
+    else:
+        posterior = sample(fitter.log_probability(fit.family, fit.slope_sd_per_px), **asked, max_steps=MAX_STEPS)
+    # A bound that nature or the next form sets (no halo, all electrons elastic, wings as faint as a Gaussian's) is
+    # one to lean on; one that was merely chosen is not.
+    chosen = ~np.array([False, *(name in NATURAL_BOUNDS for name in fit.family.parameters)])
+    leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
+    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
+    return replace(posterior, flags=flags)
 
 
 def _departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
