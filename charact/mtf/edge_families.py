@@ -232,36 +232,53 @@ class FamilyFitter:
         scale = max(abs(self.profile.step), 1e-300) * fit.slope_sd_per_px
         return bool(np.abs(fit.amplitude[2:]).max() > 0.7 * scale)
 
-    def fit_wide(self, core: FamilyFit, wide: Wide, worth_chi2: float) -> FamilyFit | None:
-        """Fit a core with light beyond it, from several sizes; None where even to first order it is not worth it."""
-        family = Family(core=core.family.core, wide=wide)
-        starts = self._wide_starts(core, wide)
-        if max(gain for gain, _ in starts) < worth_chi2:
-            return None
-        begun = [
-            self.fit(family, start, core.slope_sd_per_px, iterations=6)
-            for _, start in sorted(starts, key=lambda one: -one[0])[:4]
-        ]
-        best = min(begun, key=lambda one: one.cost)
-        return self.fit(family, best.point, core.slope_sd_per_px)
+    def fit_wide(self, core: FamilyFit, wide: Wide, worth_chi2: float, hopeless_cost: float) -> FamilyFit | None:
+        """Fit a core with light beyond it, from several sizes.
 
-    def _wide_starts(self, fit: FamilyFit, wide: Wide) -> list[tuple[float, Array]]:
-        """Return gains in chi squared from light beyond the core, to first order, and where to begin its fit."""
+        Parameters
+        ----------
+        worth_chi2
+            Gain in chi squared, to first order, below which no fit is tried.
+        hopeless_cost
+            Cost of a fit begun beyond which it is given up.
+
+        Returns
+        -------
+        FamilyFit or None
+            The best fit; None where it was not tried or given up.
+        """
+        gains, starts = self._wide_starts(core, wide)
+        order = np.argsort(-gains)
+        if gains[order[0]] < worth_chi2:
+            return None
+        family, slope = Family(core=core.family.core, wide=wide), core.slope_sd_per_px
+        # The best size, and the best of those that are far from it.
+        apart = [
+            i for i in order if abs(np.log(starts[i][-wide.after_size] / starts[order[0]][-wide.after_size])) > 0.5
+        ]
+        begun = [self.fit(family, starts[i], slope, iterations=5) for i in (order[0], *apart[:1])]
+        best = min(begun, key=lambda one: one.cost)
+        return None if best.cost > hopeless_cost else self.fit(family, best.point, slope)
+
+    def _wide_starts(self, fit: FamilyFit, wide: Wide) -> tuple[Array, Array]:
+        """Return gains in chi squared from light beyond the core, to first order, and where to begin its fits.
+
+        Light that would have to be taken away gains nothing.
+        """
         bounds = np.array([bound for _, bound in wide.parameters.values()])
         sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, 9)
         others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
         shapes = np.array([[size, *other] for other in others for size in sizes])
         core = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
         away = self._at(core * (wide.transfer(self._grid, shapes) - 1.0), float(fit.point[0]))
+        gains, amplitudes, change = self._gains(fit, away)
+        share = np.clip(amplitudes * abs(self.profile.step) / fit.amplitude[0], 0.02, 0.3)
         limits = self.bounds(fit.family)
-        starts = []
-        for shape, one in zip(shapes, away, strict=True):
-            gain, moved = self._gain(fit, one[None])
-            share = float(np.clip(moved[-1] * abs(self.profile.step) / fit.amplitude[0], 0.02, 0.3))
-            # Half a step of the core: what the light beyond it changes is not small.
-            core_point = np.clip(fit.point + 0.5 * moved[: fit.point.size], limits[:, 0], limits[:, 1])
-            starts.append((gain if moved[-1] > 0 else 0.0, np.concatenate([core_point, [share], shape])))
-        return starts
+        # Half a step of the core: what the light beyond it changes is not small.
+        cores = np.clip(fit.point + 0.5 * change, limits[:, 0], limits[:, 1])
+        return np.where(amplitudes * fit.amplitude[0] > 0, gains, 0.0), np.concatenate(
+            [cores, share[:, None], shapes], axis=1
+        )
 
     def departure_gain(self, fit: FamilyFit, shapes_at: Departures) -> tuple[float, int]:
         """Return the gain in chi squared from smooth departures of modulus and phase, to first order, and how many.
@@ -274,22 +291,35 @@ class FamilyFitter:
         transfer = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
         departures = shapes_at(self._grid, float(np.exp(fit.point[1])))
         moved = self._at(transfer * departures, float(fit.point[0]), lopsided=True)
-        return self._gain(fit, moved)[0], len(moved)
+        residual, old, new = self._whitened(fit, moved)
+        both = np.linalg.qr(np.concatenate([old, new], axis=1))[0]
+        return float(np.sum((residual @ both) ** 2) - np.sum((residual @ np.linalg.qr(old)[0]) ** 2)), len(moved)
 
-    def _gain(self, fit: FamilyFit, shapes: Array) -> tuple[float, Array]:
-        """Return the gain in chi squared from adding shapes (shape, bin) to a fit, to first order, and the change.
+    def _gains(self, fit: FamilyFit, shapes: Array) -> tuple[Array, Array, Array]:
+        """Return the gain in chi squared from adding each shape (shape, bin) to a fit alone, to first order.
 
-        The change holds that of the parameters, of step, level and slopes, and the amplitudes of the shapes, steps.
+        Also its amplitude, steps, and what it moves of the parameters, shape (shape, parameter).
         """
-        scale = max(abs(self.profile.step), 1e-300)
+        residual, old, new = self._whitened(fit, shapes)
+        basis, upper = np.linalg.qr(old)
+        left = residual - basis @ (basis.T @ residual)
+        away = new - basis @ (basis.T @ new)
+        power, overlap = np.maximum(np.sum(away**2, axis=0), 1e-300), left @ away
+        amplitude = overlap / power
+        moved = np.linalg.solve(upper, basis.T @ (residual[:, None] - new * amplitude))
+        return overlap * amplitude, amplitude, moved[: fit.point.size].T
+
+    def _whitened(self, fit: FamilyFit, shapes: Array) -> tuple[Array, Array, Array]:
+        """Return residual, columns of a fit and columns of shapes (shape, bin) in steps, priors as further data."""
         rows = np.concatenate([fit.tangents, self.spread_of(fit)[None], self._levels.T])
-        residual = self._root @ (self.profile.value - fit.model)
-        both = self._root @ np.concatenate([rows, shapes * scale]).T
         mean, precision = self._prior(fit.family, fit.slope_sd_per_px)
-        pull = (mean - np.concatenate([fit.point, fit.amplitude])) * precision
-        more = np.zeros(len(shapes))
-        gain, change = _explained(both, residual, np.append(precision, more), np.append(pull, more))
-        return gain - _explained(both[:, : len(rows)], residual, precision, pull)[0], change
+        firm = np.sqrt(precision)
+        off = mean - np.concatenate([fit.point, fit.amplitude])
+        residual = np.concatenate([self._root @ (self.profile.value - fit.model), firm * off])
+        # A parameter that the data do not feel keeps the columns apart by a trifle.
+        old = np.concatenate([self._root @ rows.T, np.diag(firm + 1e-9 * np.abs(self._root @ rows.T).max(axis=0))])
+        new = np.concatenate([self._root @ shapes.T * abs(self.profile.step), np.zeros((firm.size, len(shapes)))])
+        return residual, old, new
 
     def spread_of(self, fit: FamilyFit) -> Array:
         """Return the fitted edge spread less one half at the bins."""
@@ -334,16 +364,6 @@ class _Linearised:
     pull: Array
     precision: Array
     cost: float
-
-
-def _explained(design: Array, residual: Array, prior: Array, pull: Array) -> tuple[float, Array]:
-    """Return how much a fit of columns under a Gaussian prior lowers chi squared and the prior's cost, and the fit."""
-    gradient = design.T @ residual + pull
-    normal = design.T @ design + np.diag(prior)
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-11, hermitian=True)
-    found = inverse @ (gradient / scale)
-    return float((gradient / scale) @ found), found / scale
 
 
 def _solved(here: _Linearised, point: Array, bounds: Array, damping: float) -> Array:

@@ -30,6 +30,8 @@ LEAST_SHARE = 0.02
 WORTH_CHI2 = 6.0
 # Forms within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 8.0
+# A fit that began this much worse than the best in chi squared is not carried on.
+HOPELESS = 100.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
 NATURAL_BOUNDS = ("halo_fraction", "disc_fraction", "glare_fraction", "halo_elastic_share", "moffat_exponent")
@@ -146,9 +148,12 @@ def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
         warm[:2] = best.point[:2]
         found.append(fitter.fit(Family(core="moffat"), warm, EVEN_PER_PX))
     top = max(fit.log_evidence for fit in found)
-    cores = [fit for fit in found if fit.log_evidence > top - CLOSE or fit.family.core == "exponential"]
-    with_wide = [fitter.fit_wide(core, prior, WORTH_CHI2) for prior in wide for core in cores]
-    found += [fit for fit in with_wide if fit is not None]
+    cores = [fit for fit in found if fit.log_evidence > top - CLOSE or fit.family.core != "moffat"]
+    for prior in wide:
+        for core in cores:
+            hopeless = min(fit.cost for fit in found) + HOPELESS
+            fit = fitter.fit_wide(core, prior, WORTH_CHI2, hopeless)
+            found += [] if fit is None else [fit]
     best = max(found, key=lambda fit: fit.log_evidence)
     if fitter.uneven(best):
         near = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE]

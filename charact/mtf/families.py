@@ -35,6 +35,7 @@ class HaloPrior:
     fraction: tuple[float, float] = WIDE_SHARE
 
     name = "halo"
+    after_size = 2
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
@@ -58,6 +59,7 @@ class DiscPrior:
     fraction: tuple[float, float] = WIDE_SHARE
 
     name = "disc"
+    after_size = 1
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
@@ -77,6 +79,7 @@ class GlarePrior:
     fraction: tuple[float, float] = WIDE_SHARE
 
     name = "glare"
+    after_size = 1
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
