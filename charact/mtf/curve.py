@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 # Frequencies of a reported curve, and the finer ones on which levels are looked for.
 REPORTED = np.linspace(0.0, 0.5, 101)
-FINE = np.concatenate([[1e-6], np.arange(0.002, 0.6, 0.002), np.arange(0.6, 1.5, 0.01)])
+FINE = np.concatenate([[1e-6], np.geomspace(0.003, 1.5, 230)])
 
 
 def curve_of(frequency: Array, draws: Array) -> Curve:
@@ -20,6 +20,7 @@ def curve_of(frequency: Array, draws: Array) -> Curve:
         value=middle,
         interval68=np.stack([low68, high68]),
         interval95=np.stack([low95, high95]),
+        draws=draws,
     )
 
 

@@ -10,7 +10,7 @@ from charact.method import Context, register
 from charact.mtf import edge_checks
 from charact.mtf.edge_find import WIDEST_PX, FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_fit import EdgeFit, curvature, fit, refit
-from charact.mtf.edge_profile import refined
+from charact.mtf.edge_profile import refined, with_shading
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.region import Region
@@ -93,7 +93,7 @@ class _Found:
 
 def _fitted(edge: FoundEdge, context: Context) -> _Found | str:
     """Fit the edge, its noise estimated anew after a first fit; a sentence where there is none."""
-    profile = edge.profile
+    profile = with_shading(edge.profile, edge.profile.value)
     known = known_of(edge.picture, profile.angle_rad, context)
     halo, certain = halo_of(edge.picture, profile.gathered.half_width_px, context)
     first = fit(profile, known, halo=halo, halo_certain=certain)

@@ -95,7 +95,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
         ),
         settings={"forms": {one.fit.family.name: round(one.share, 4) for one in fits}},
         notes=(_forms_note(fits), *(() if any(one.fit.family.wide for one in fits) else (within_note(profile),))),
-        flags=("model-misfit",) if _departs(fitter, best) else (),
+        flags=("model-misfit",) if departs(fitter, best) else (),
     )
     return result_of(outcome, context, began)
 
@@ -103,7 +103,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
 def _fitted(edge: FoundEdge, known: Known, context: Context) -> "tuple[FamilyFitter, list[Weighed]]":
     """Fit an edge, first as if its plateaus were even, then with the shading that the forms leave over, if any."""
     wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
-    fitter = FamilyFitter(with_shading(edge.profile, np.zeros_like(edge.profile.value)), known)
+    fitter = FamilyFitter(edge.profile, known)
     fits = fitted_forms(fitter, wide)
     shaded = with_shading(fitter.profile, fitter.profile.value - fits[0].fit.model)
     if shaded.shading_sd > 0:
@@ -202,7 +202,7 @@ def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: i
     return replace(posterior, flags=flags)
 
 
-def _departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
+def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
     gain, count = fitter.departure_gain(fit, departure_shapes)
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)

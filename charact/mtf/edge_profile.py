@@ -239,14 +239,15 @@ def refined(profile: Profile, picture: Picture, model_value: Array) -> Profile:
     level = (at_pixel - profile.dark) / profile.step
     value = np.where(profile.gathered.used, picture.value - at_pixel, 0.0)
     residual = _without_slope(value, profile.gathered, level)
-    return with_grain(profile, grain_of(residual, level, profile.gathered, profile.variance_floor))
+    anew = with_grain(profile, grain_of(residual, level, profile.gathered, profile.variance_floor))
+    return with_shading(anew, profile.value)
 
 
 def with_grain(profile: Profile, grain: Grain) -> Profile:
-    """Return the profile with another noise: the covariance of its bins and what shading is left beside it."""
+    """Return the profile with another noise, its plateaus taken as even."""
     level = (profile.value - profile.dark) / (profile.step if profile.step != 0 else 1.0)
     covariance = bin_covariance(grain, profile.gathered, level, profile.count, profile.keep, profile.slopes)
-    return with_shading(replace(profile, grain=grain, covariance=covariance, shading_sd=0.0), profile.value)
+    return replace(profile, grain=grain, covariance=covariance, shading_sd=0.0)
 
 
 def with_shading(profile: Profile, left_over: Array) -> Profile:

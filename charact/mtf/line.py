@@ -143,7 +143,7 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
         shift, turn = float(np.clip(shift + step[0], -reach, reach)), turn + step[1]
         width = float(np.clip(width + np.clip(move[4], -0.5 * width, width), 0.4, 20.0))
         size = abs(step[0]) + abs(step[1]) * rows
-        if iteration > 4 and size < 1e-4 and last < 1e-2:
+        if iteration > 3 and size < 1e-3 and last < 0.1:
             break
         last = size
     return replace(line, position=line.position + shift, slope=line.slope + turn)
@@ -177,19 +177,26 @@ def refine(picture: Picture, line: Line) -> RowFit:
     """
     rows = picture.value.shape[0]
     row = np.arange(rows) - (rows - 1) / 2
-    for _ in range(2):
-        offset, good = _row_offsets(picture, line, 0.5)
-        if good.sum() < 3:
-            return RowFit(line=line, offset=offset, offset_sd=np.inf)
-        good &= np.abs(offset - np.median(offset[good])) < 6 * _spread(offset[good]) + 1e-9
-        design = np.stack([np.ones(rows), row], axis=1)[good]
-        shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0]
-        if abs(shift) + abs(turn) * rows < 0.02:
-            break
+    offset, good, shift, turn = _against(picture, line, row)
+    if abs(shift) + abs(turn) * rows > 0.02:
         shift, turn = float(np.clip(shift, -3, 3)), float(np.clip(turn * rows, -6, 6) / rows)
         line = replace(line, position=line.position + shift, slope=line.slope + turn)
+        offset, good, shift, turn = _against(picture, line, row)
+    if good.sum() < 3:
+        return RowFit(line=line, offset=offset, offset_sd=np.inf)
     offset = np.where(good, offset - shift - turn * row, np.nan)
     return RowFit(line=line, offset=offset, offset_sd=_spread(offset[good]))
+
+
+def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
+    """Return the rows' displacements, which of them hold the edge, and their mean and slope over the rows."""
+    offset, good = _row_offsets(picture, line, 0.5)
+    if good.sum() < 3:
+        return offset, good, 0.0, 0.0
+    good &= np.abs(offset - np.median(offset[good])) < 6 * _spread(offset[good]) + 1e-9
+    design = np.stack([np.ones_like(row), row], axis=1)[good]
+    shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0]
+    return offset, good, float(shift), float(turn)
 
 
 def _row_offsets(picture: Picture, line: Line, blur_px: float) -> tuple[Array, NDArray[np.bool_]]:
