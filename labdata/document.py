@@ -115,7 +115,7 @@ def _measurement(measurement: Measurement) -> dict[str, Any]:
 
 
 def _curve(curve: Curve) -> dict[str, Any]:
-    whole = {item.name: _value(getattr(curve, item.name)) for item in fields(curve)}
+    whole = {item.name: _value(getattr(curve, item.name)) for item in fields(curve) if item.name != "draws"}
     return {name: value for name, value in whole.items() if value is not None or name != "stack"}
 
 

@@ -226,6 +226,9 @@ class Curve:
         Lower and upper bounds, shape (2, n), or None.
     stack
         Label of the stack it was measured on.
+    draws
+        Curves drawn from its posterior, shape (draw, n), from which follows how errors at two frequencies are
+        correlated; None where nothing is drawn. They stay in memory: no document holds them.
     """
 
     frequency_cy_per_px: NDArray[np.float64]
@@ -233,6 +236,7 @@ class Curve:
     interval68: NDArray[np.float64] | None = None
     interval95: NDArray[np.float64] | None = None
     stack: str | None = None
+    draws: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
