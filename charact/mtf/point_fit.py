@@ -172,7 +172,9 @@ def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, 
     whole[size:, size:] = np.diag(window.ring_variance)
     pulse = np.zeros(bright.size) if noise is None else noise.gain * light * np.diag(noise.pulse) * memory.frame_same
     scatter = np.append(pulse[keep], np.full(rings.size, np.inf))
-    whole += _rounding(window, np.append(bright[keep], rings), scatter, noise)
+    if window.quiet > 0.0:
+        pulses = SPARSE if noise is None else PULSE_VARIANCE / (noise.gain * noise.sharpness)
+        whole += rounding_covariance(np.append(bright[keep], rings), scatter, window.floor, pulses)
     root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole)), np.float64)
     return PointFit(model=model, data=np.concatenate([window.core.ravel()[keep], window.ring_dn]), white=root,
                     keep=window.keep)  # fmt: skip
@@ -190,8 +192,19 @@ def _core_covariance(window: Window, bright: Array, noise: Noise | None, memory,
     return covariance + np.eye(bright.size) * window.floor / count + PATTERN**2 * np.outer(bright, bright) * pattern
 
 
-def _rounding(window: Window, height: Array, pulse_variance: Array, noise: Noise | None) -> Array:
+def rounding_covariance(height: Array, pulse_variance: Array, floor: float, pulses_per_dn: float) -> Array:
     """Return the covariance of what rounding to codes adds to means, shape (value, value).
+
+    Parameters
+    ----------
+    height
+        Values above the pedestal, shape (value,), DN.
+    pulse_variance
+        Variance of one frame by pulses, shape (value,), DN^2.
+    floor
+        Variance of a dark pixel, DN^2.
+    pulses_per_dn
+        Pulses that make one DN: sparse ones leave quiet moments.
 
     Notes
     -----
@@ -200,11 +213,8 @@ def _rounding(window: Window, height: Array, pulse_variance: Array, noise: Noise
     two values' errors go as the cosine of their difference. Sparse pulses leave quiet moments: there the factor is not
     below exp(-their number).
     """
-    if window.quiet == 0.0:
-        return np.zeros((height.size, height.size))
-    own = min(window.floor, QUIET_SD**2)
-    pulses = SPARSE if noise is None else PULSE_VARIANCE / (noise.gain * noise.sharpness)
-    damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses * np.maximum(height, 0.0))
+    own = min(floor, QUIET_SD**2)
+    damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses_per_dn * np.maximum(height, 0.0))
     size = np.exp(-2.0 * np.pi**2 * own - damping) / np.pi
     phase = 2.0 * np.pi * height
     return 0.5 * np.outer(size, size) * np.cos(phase[:, None] - phase)

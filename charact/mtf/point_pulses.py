@@ -1,0 +1,205 @@
+"""Noise around a point by few numbers: what the dark surroundings show, and pulses of light that neighbours share."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Surroundings from which noise is taken: beyond this distance, px, and where the region is small beyond this share.
+FAR_PX, FAR_SHARE = 12.0, 0.6
+MOST_FRAMES = 16
+LAGS = tuple((row, col) for row in range(3) for col in range(-2, 3) if (row, col) > (0, 0))
+WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
+# Correlations of neighbours that differ from zero by chance no further than this many standard errors.
+BY_CHANCE = 4.0
+# Shares of the blur that may lie behind the gain; 0: every pixel counts its own light.
+SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
+GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
+# Places of the pulses: spacing and reach, px. Pixels whose noise is compared lie this near.
+STEP_PX, REACH_PX, NEAR_PX = 0.6, 10.2, 5.0
+RADII_PX = np.linspace(0.0, 16.0, 80)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dark:
+    """Noise of the surroundings of a source.
+
+    Parameters
+    ----------
+    variance
+        Of one pixel in one frame, DN^2.
+    common, width_px
+        Share of it that neighbours have in common, and how wide along rows and columns, px: the correlation is
+        common exp(-x^2 / 4 w^2) in either direction.
+    """
+
+    variance: float
+    common: float = 0.0
+    width_px: tuple[float, float] = (0.01, 0.01)
+
+    @property
+    def grain(self) -> float:
+        """Sum of a pixel's correlations with all others and itself."""
+        along, down = (np.exp(-0.25 * (np.arange(-12, 13) / w) ** 2).sum() for w in self.width_px)
+        return float(1.0 - self.common + self.common * along * down)
+
+    def covariance(self, x: Array, y: Array) -> Array:
+        """Return the covariance of pixels at columns x and rows y counted in pixels, shape (pixel, pixel), DN^2."""
+        along, down = (
+            np.exp(-0.25 * ((at[:, None] - at) / w) ** 2) for at, w in zip((x, y), self.width_px, strict=True)
+        )
+        shared = np.einsum("ab,cd->acbd", down, along).reshape(x.size * y.size, -1)
+        return self.variance * ((1.0 - self.common) * np.eye(len(shared)) + self.common * shared)
+
+
+def dark_of(data: NDArray, row: int, col: int) -> Dark:
+    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness."""
+    rows, cols = data.shape[1:]
+    distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
+    far = (distance > min(FAR_PX, FAR_SHARE * float(distance.max()))) & (distance < 4.0 * FAR_PX)
+    frames = data[:MOST_FRAMES].astype(float)
+    if len(frames) > 1:
+        off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)
+    else:
+        y, x = np.nonzero(far)
+        plane = np.stack([np.ones(y.size), y, x], axis=1)
+        fitted = np.linalg.lstsq(plane, frames[0][far], rcond=None)[0]
+        every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
+        off, freedom = frames - every, 1.0
+    # A flash of one ion is no noise of the camera.
+    centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
+    variance = float((centre[:, far] ** 2).mean()) / freedom
+    rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
+    if variance <= rounding:
+        return Dark(variance=rounding)
+    return _correlated(np.where(far, centre, 0.0), far, variance * freedom, variance)
+
+
+def _correlated(off: Array, far: NDArray[np.bool_], norm: float, variance: float) -> Dark:
+    """Return the surroundings' noise with the correlation of neighbours, if it is more than chance."""
+    found, count = [], []
+    rows, cols = far.shape
+    for down, along in LAGS:
+        a = (slice(None, rows - down), slice(max(0, -along), cols - max(0, along)))
+        b = (slice(down, None), slice(max(0, along), cols + min(0, along)))
+        pairs = max(int((far[a] & far[b]).sum()), 1)
+        found.append(float(np.einsum("frc,frc->", off[:, *a], off[:, *b])) / (pairs * len(off) * norm))
+        count.append(pairs * max(len(off) - 1, 1))
+    correlation, error = np.array(found), 1.0 / np.sqrt(np.array(count, float))
+    if np.abs(correlation / error).max() < BY_CHANCE:
+        return Dark(variance=variance)
+    down, along = (np.exp(-0.25 * (lag / WIDTHS_PX[:, None]) ** 2) for lag in np.array(LAGS, float).T)
+    shapes = (down[:, None] * along[None]).reshape(-1, len(LAGS))
+    common = np.clip(shapes @ correlation / np.maximum(np.sum(shapes**2, axis=1), 1e-12), 0.0, 1.0)
+    best = int(np.argmin(np.sum((correlation - common[:, None] * shapes) ** 2, axis=1)))
+    high, wide = np.unravel_index(best, (WIDTHS_PX.size, WIDTHS_PX.size))
+    return Dark(
+        variance=variance, common=float(common[best]), width_px=(float(WIDTHS_PX[wide]), float(WIDTHS_PX[high]))
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pulses:
+    """Noise of the light itself.
+
+    Parameters
+    ----------
+    gain
+        Variance over light, DN.
+    share
+        Share of the blur behind the gain.
+    unit
+        Covariance of one frame at unit gain, shape (pixel, pixel), DN.
+    """
+
+    gain: float
+    share: float
+    unit: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of one frame, DN^2."""
+        return self.gain * self.unit
+
+
+def pulse_covariance(radial: tuple[Array, Array], share: float, mean: Array, x: Array, y: Array) -> Array:
+    """Return the covariance at unit gain of light whose pulses spread over neighbours, shape (pixel, pixel), DN.
+
+    Parameters
+    ----------
+    radial
+        Frequencies, cycles per column pitch, and the blur's transfer there averaged over directions.
+    share
+        Share of the blur's logarithm behind the gain; its pulses are taken as Gaussians of the same half frequency.
+    mean
+        Light in every pixel, DN.
+    x, y
+        Places of columns and rows from the source, column pitches.
+
+    Notes
+    -----
+    Photoelectrons of density d(u) with pulses p make the covariance sum_u d(u) p(x - u) p(y - u), never negative. It
+    is scaled so that variance over mean is 1 on the whole.
+    """
+    if share == 0.0:
+        return np.diag(np.maximum(mean, 0.0))
+    from scipy.special import j0
+
+    frequency, transfer = radial
+    log = np.log(np.clip(transfer, 1e-12, 1.0))
+    half = float(np.interp(np.log(2.0), -share * log, frequency))
+    sigma = np.sqrt(np.log(2.0) / 2.0) / np.pi / half
+    step = np.gradient(frequency)
+    landed = (j0(2.0 * np.pi * RADII_PX[:, None] * frequency)) @ (
+        2.0 * np.pi * frequency * step * np.exp((1.0 - share) * log - 0.5 * (np.pi * frequency * STEP_PX) ** 2 / 3.0)
+    )
+    places = np.arange(-REACH_PX, REACH_PX + 1e-9, STEP_PX)
+    density = np.interp(np.hypot(places[:, None], places), RADII_PX, np.maximum(landed, 0.0)) * STEP_PX**2
+    along, down = (_pulse(at, places, sigma) for at in (x, y))
+    columns = (along[:, :, None] * along[:, None, :]).reshape(places.size, -1)
+    rows = (down[:, :, None] * down[:, None, :]).reshape(places.size, -1)
+    both = (rows.T @ density @ columns).reshape(y.size, y.size, x.size, x.size)
+    unit = both.transpose(0, 2, 1, 3).reshape(x.size * y.size, -1)
+    return unit * (float(np.maximum(mean, 0.0).sum()) / max(float(np.trace(unit)), 1e-300))
+
+
+def _pulse(at: Array, places: Array, sigma: float) -> Array:
+    """Return a Gaussian pulse integrated over pixels, shape (place, pixel)."""
+    from scipy.special import ndtr
+
+    half = 0.5 * float(np.diff(at[:2])[0])
+    off = at - places[:, None]
+    return ndtr((off + half) / sigma) - ndtr((off - half) / sigma)
+
+
+def pulses_of(samples: Array, dark: Array, units: dict[float, Array], near: NDArray[np.int64]) -> Pulses:
+    """Return the pulses that make independent samples of the noise most probable.
+
+    Parameters
+    ----------
+    samples
+        Deviations, each of the noise of one frame, shape (sample, pixel), DN.
+    dark
+        Covariance of the dark noise, shape (pixel, pixel).
+    units
+        Covariance at unit gain for each share.
+    near
+        Pixels that are compared.
+    """
+    root = np.linalg.inv(np.linalg.cholesky(dark[np.ix_(near, near)]))
+    white = samples[:, near] @ root.T
+    best: tuple[float, float, float] | None = None
+    for share, unit in units.items():
+        values, vectors = np.linalg.eigh(root @ unit[np.ix_(near, near)] @ root.T)
+        values = np.maximum(values, 0.0)
+        gains = GAINS / max(float(values.mean()), 1e-300)
+        power = ((white @ vectors) ** 2).sum(axis=0)
+        variance = gains[:, None] * values + 1.0
+        fit = -0.5 * (len(white) * np.log(variance) + power / variance).sum(axis=1)
+        top = int(np.argmax(fit))
+        if best is None or fit[top] > best[0]:
+            best = float(fit[top]), float(gains[top]), share
+    assert best is not None
+    return Pulses(gain=best[1], share=best[2], unit=units[best[2]])
