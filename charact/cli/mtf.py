@@ -1,4 +1,4 @@
-"""The verbs `mtf edge|bars|point`: the MTF of one image or stack."""
+"""The verbs `mtf edge|bars|point|flats`: the MTF of one image or stack, or of a session's flats."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,8 +11,12 @@ from charact.cli.output import bad_input_ends, show
 if TYPE_CHECKING:
     from charact.cli.units import FrequencyUnit
     from labdata.sensor import Sensor
+    from labdata.session import Session
 
-app = typer.Typer(no_args_is_help=True, help="MTF of one image or stack: a slanted edge, a bar target, a point source.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="MTF of one image or stack: a slanted edge, a bar target, a point source, the noise of flats.",
+)
 
 File = Annotated[Path, typer.Argument(help="Image or stack: .tif .npy .fits .png .dng")]
 
@@ -101,6 +105,55 @@ def point(
     Example: charact mtf point pinhole.tif --pinhole-px 1.0 --roi 200,300,96,96
     """
     _measure("point", **locals())
+
+
+@app.command()
+def flats(
+    file: Annotated[Path, typer.Argument(help="Folder of a session with flats and darks, or one stack of flats.")],
+    method: options.MethodName = "auto",
+    within: options.Within = 2.0,
+    quick: options.Quick = False,
+    seed: options.Seed = 0,
+    sensor: options.SensorName = None,
+    units: options.Units = "cy/px",
+    as_json: options.Json = False,
+    events: options.Events = False,
+) -> None:
+    """MTF of what comes after the gain, from the noise of flats; no target is needed.
+
+    Example: charact mtf flats my-session --quick
+    """
+    with bad_input_ends(str(file), as_json=as_json, events=events):
+        from charact import mtf
+        from charact.measuring import context_of
+
+        session = _flats_of(file, _sensor(sensor))
+        rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
+        result = mtf.measure_flats(
+            session, method=method, within_percent=within, context=context_of(session, quick=quick, seed=seed)
+        )
+        show(
+            result,
+            given=str(file),
+            as_json=as_json,
+            events=events,
+            frequency=_unit(units, None, None, None, session.sensor, rows=rows),
+            next_verb="charact mtf edge FILE: the MTF of the whole camera, lens and cathode gap in it",
+        )
+
+
+def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
+    """The session in a folder, or one made of a single stack of flats."""
+    from dataclasses import replace
+
+    from labdata.conditions import Conditions
+    from labdata.session import MANIFEST, Session, StackEntry, open_session
+
+    if file.name == MANIFEST or (file / MANIFEST).is_file():
+        session = open_session(file)
+        return session if sensor is None else replace(session, sensor=sensor)
+    entry = StackEntry(label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent)
+    return Session(folder=file.parent, name=file.name, stacks=(entry,), sensor=sensor)
 
 
 def _measure(

@@ -53,7 +53,7 @@ class Method:
     Parameters
     ----------
     kind
-        What it works on: "edge", "bars", "point", "flats", "bloom".
+        What it works on: "edge", "bars", "point", "flats", "post-gain" (flats, for the MTF), "bloom".
     name
         Its name on the command line.
     quantities

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from charact.method import Method
 from charact.method.registry import of_kind
-from charact.study import bar_cases, edge_cases, flats, point_cases, white_flats
+from charact.study import bar_cases, edge_cases, flats, noise_spectrum_cases, point_cases, white_flats
 from charact.study.harness import Case
 from labdata.errors import BadInput
 
@@ -88,12 +88,23 @@ WHITE_FLATS = Study(
     quick_count=2,
     repeats=1,
 )
+NOISE_SPECTRUM = Study(
+    kind="post-gain",
+    package="charact.mtf",
+    axes=tuple(noise_spectrum_cases.AXES),
+    chart_cases=noise_spectrum_cases.chart_cases,
+    stability_cases=noise_spectrum_cases.stability_cases,
+    chart_count=40,
+    quick_count=4,
+    repeats=2,
+)
 
 STUDIES: dict[str, tuple[Study, ...]] = {
     "mtf50": (EDGE, POINT),
     "mtf": (BARS,),
     "covariance_gain": (FLATS,),
     "system_gain": (WHITE_FLATS,),
+    "post_gain_mtf50": (NOISE_SPECTRUM,),
 }
 
 
