@@ -99,6 +99,8 @@ def _tasks(session: Session, within_percent: float) -> list[tuple[str, Task]]:
     tasks: list[tuple[str, Task]] = []
     if session.of_kind("dark", "flat"):
         tasks.append(("noise against gain", partial(_noise, session, within_percent)))
+    if session.of_kind("flat"):
+        tasks.append(("MTF after the gain, from the noise of flats", partial(_post_gain, session, within_percent)))
     if session.of_kind("point"):
         tasks.append(("halo and blooming", partial(_bloom, session, within_percent)))
     targets = session.of_kind("edge", "bars")
@@ -112,6 +114,12 @@ def _noise(session: Session, within_percent: float, context: Context) -> Result:
     from charact import noise
 
     return noise.measure(session, within_percent=within_percent, context=context)
+
+
+def _post_gain(session: Session, within_percent: float, context: Context) -> Result:
+    from charact import mtf
+
+    return mtf.measure_flats(session, within_percent=within_percent, context=context)
 
 
 def _bloom(session: Session, within_percent: float, context: Context) -> Result:
