@@ -63,7 +63,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     envelope w(d) = 1/(1 + (d/a)^2) or exp(-sqrt(1 + (d/a)^2)), its odd part made smaller by a factor; envelope, a, l
     and factor on a grid by marginal likelihood, s by the step. Regularised line spread with the regularisation chosen
     by evidence (MacKay, Neural Computation 4, 1992, 415). Light beyond the region is taken to lie anywhere between
-    none and as much as the outer half of the region holds: tails of a tube carry nine tenths of that.
+    none and twice what the outer half of the region holds.
     """
     began = time.perf_counter()
     edge = find_edge(stack, region, context)

@@ -27,6 +27,9 @@ TAILS = ("short", "long")
 CLOSE = 6.0
 # Size of what is lopsided in a line spread, as a share of what is symmetric.
 LOPSIDED = (0.03, 0.3)
+# Light beyond the region lies between none and this many times what the outer half of the region holds: a tube's
+# tails carry about nine tenths of that there, and the levels of the plateaus hide as much again.
+BEYOND = 2.0
 DRAWS = 600
 # Settings this much less probable than the best, as a share, add nothing to the draws.
 LEAST_SHARE = 0.01
@@ -222,7 +225,7 @@ class Transfers:
         real, imaginary = weighted @ (np.cos(phase) * smooth), weighted @ (np.sin(phase) * smooth)
         total = weighted.sum(axis=1)
         outer = weighted[:, np.abs(self.places) > 0.5 * self.places[-1]].sum(axis=1)
-        beyond = np.random.default_rng(self.seed).uniform(size=len(total)) * np.maximum(outer / total, 0.0)
+        beyond = np.random.default_rng(self.seed).uniform(0.0, BEYOND, len(total)) * np.maximum(outer / total, 0.0)
         return np.hypot(real, imaginary) / (np.abs(total) * (1.0 + beyond))[:, None] * np.abs(self.known(frequency))
 
 

@@ -57,3 +57,36 @@ def noisy(mean, rng, *, snr, step, frames=1, shot=0.5, blur=False):
         for axis in (1, 2):
             white = sum(k * np.roll(white, s, axis) for k, s in zip(kernel, (-1, 0, 1), strict=True))
     return FrameStack(data=np.clip(np.rint(mean + sd * white), 0, 4095).astype(np.uint16), full_scale_dn=4095.0)
+
+
+def frame_of(mtf_along_normal, rows, cols, *, angle_deg, offset_px=0.0):
+    """Edge from 0 to 1 of any rotationally symmetric blur and square pixels, by a numerical transform of its own.
+
+    `mtf_along_normal` maps frequencies along the normal to the transfer without the pixel. The edge spread is
+    1/2 + sum M(f) sin(2 pi f d) / (pi f) df over a frequency comb so fine that its copies lie 4096 px away.
+    """
+    turn = np.deg2rad(angle_deg)
+    frequency = (np.arange(1, 8 * 4096) - 0.5) / 4096.0 / 2.0
+    weight = mtf_along_normal(frequency) * np.sinc(frequency * np.cos(turn)) * np.sinc(frequency * np.sin(turn))
+    weight = weight / (np.pi * frequency) / 8192.0
+    kept = np.abs(weight) > 1e-12
+    distance = np.concatenate([np.arange(0.0, 16.0, 0.02), np.arange(16.0, 200.0, 0.25)])
+    spread = np.array([np.sin(2 * np.pi * d * frequency[kept]) @ weight[kept] for d in distance])
+    row = np.arange(rows)[:, None] - (rows - 1) / 2
+    col = np.arange(cols)[None, :] - (cols - 1) / 2
+    away = col * np.cos(turn) + row * np.sin(turn) - offset_px
+    return 0.5 + np.sign(away) * np.interp(np.abs(away), distance, spread)
+
+
+def transfer_of(mtf_along_normal, frequency, angle_deg):
+    """MTF along the normal, pixel included."""
+    turn = np.deg2rad(angle_deg)
+    pixel = np.sinc(frequency * np.cos(turn)) * np.sinc(frequency * np.sin(turn))
+    return np.abs(mtf_along_normal(frequency) * pixel)
+
+
+def level_of(mtf_along_normal, angle_deg, level=0.5):
+    """Frequency where the MTF along the normal falls to a level."""
+    grid = np.linspace(1e-4, 1.5, 60001)
+    below = transfer_of(mtf_along_normal, grid, angle_deg) < level
+    return float(grid[np.argmax(below)])
