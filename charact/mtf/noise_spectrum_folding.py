@@ -40,6 +40,8 @@ class Known:
         Extent of a pixel as read along columns, column pitches; two rows where fields sum pairs of them.
     video
         Bandwidth in MHz, pixel clock in MHz and order of the filter along rows, or None.
+    fibres
+        Pitch of the taper's fibres, column pitches, and f0 of its interfaces exp(-(f/f0)^2), cycles per column pitch.
     anisotropy_sd
         Prior standard deviation of the logarithm of the anisotropy.
     """
@@ -47,14 +49,19 @@ class Known:
     height_px: float
     video: tuple[float, float, int] | None
     anisotropy_sd: float
+    fibres: tuple[float, float] | None = None
 
     def electronics(self, column: Array) -> Array:
         """Return |V| of the video at frequencies along rows; it acts on sampled pixels, so it has no replicas."""
         return np.ones_like(column) if self.video is None else np.abs(forms.video(column, *self.video))
 
     def aperture(self, column: Array, row: Array) -> Array:
-        """Return |sinc sinc| of the pixel."""
-        return np.abs(np.sinc(column) * np.sinc(row * self.height_px))
+        """Return |sinc sinc| of the pixel, and the taper where it is described."""
+        pixel = np.abs(np.sinc(column) * np.sinc(row * self.height_px))
+        if self.fibres is None:
+            return pixel
+        radius, (pitch, interface) = np.hypot(column, row), self.fibres
+        return pixel * np.abs(forms.disc(radius, pitch)) * np.exp(-((radius / interface) ** 2))
 
 
 @dataclass(frozen=True, kw_only=True)

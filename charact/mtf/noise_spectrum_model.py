@@ -47,9 +47,13 @@ def known_of(context: Context) -> Known:
     if context.sensor is None:
         return Known(height_px=1.0, video=None, anisotropy_sd=UNKNOWN_SD)
     rows = 2.0 if context.interlaced else 1.0
+    pitch_um, taper = float(context.sensor.ccd.pitch_x_um), context.sensor.taper
     return Known(
-        height_px=rows * context.pitch_ratio, video=context.sensor.video.low_pass, anisotropy_sd=ROUND_SD
-    )  # fmt: skip
+        height_px=rows * context.pitch_ratio,
+        video=context.sensor.video.low_pass,
+        anisotropy_sd=ROUND_SD,
+        fibres=(float(taper.fibre_pitch_um) / pitch_um, float(taper.interface_mtf_lp_per_mm) * pitch_um * 1e-3),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
