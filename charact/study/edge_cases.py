@@ -120,16 +120,24 @@ def _noise_case(kind: str, seed: int) -> Case:
     )
 
 
+def _blur(number: int, rng: np.random.Generator) -> Blur:
+    """Return a lens, a tube, wings of a power law or a lens with a halo, in turn."""
+    sigma, cut = float(rng.uniform(0.5, 1.8)), float(rng.uniform(0.15, 0.4))
+    share, diameter = float(rng.uniform(0.05, 0.25)), float(rng.uniform(15.0, 35.0))
+    return (
+        Blur(sigma_px=sigma),
+        Blur(form="exponential", frequency_cy_per_px=cut),
+        Blur(form="moffat", moffat_px=sigma + 0.8, moffat_exponent=float(rng.uniform(1.8, 4.0))),
+        Blur(sigma_px=sigma, halo_share=share, halo_px=diameter),
+    )[number % 4]
+
+
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, direction, phase, polarity, size, noise and its correlation."""
     seeds, rng = _seeds(seed), np.random.default_rng([seed, 2])
     cases = []
     for number in range(count):
-        blur = (
-            Blur(sigma_px=float(rng.uniform(0.5, 1.8)))
-            if number % 2
-            else Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.15, 0.4)))
-        )
+        blur = _blur(number, rng)
         side = int(rng.integers(80, 129))
         scene = EdgeScene(
             blur=blur,

@@ -201,8 +201,8 @@ def coverage_row(trials: Sequence[Trial], method: str) -> dict[str, Any]:
         "ok": len(sure),
         "suspect": len(numbers) - len(sure),
         "refused": len(own) - len(numbers),
-        "covers68": float(np.mean([trial.covers68 for trial in sure])),
-        "covers95": float(np.mean([trial.covers95 for trial in sure])),
+        "covers68": float(np.mean([bool(trial.covers68) for trial in sure])),
+        "covers95": float(np.mean([bool(trial.covers95) for trial in sure])),
         "silent": sum(trial.silent for trial in own),
         "rms_percent": 100.0 * float(np.sqrt(np.mean([(trial.relative_error or 0.0) ** 2 for trial in sure]))),
         "median_seconds": float(np.median([trial.seconds for trial in own])),
@@ -241,8 +241,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=600, help="frames at each signal-to-noise ratio")
     parser.add_argument("--regions", type=int, default=1000, help="regions of mixed blur, noise and light")
     parser.add_argument("--out", type=Path, default=TABLE, help="table to write")
+    parser.add_argument("--methods", default=",".join(METHODS), help="names of edge methods, commas between")
     asked = parser.parse_args()
-    found = study(asked.frames, asked.regions)
+    found = study(asked.frames, asked.regions, tuple(asked.methods.split(",")))
     for row in [*found["efficiency"], *found["coverage"]]:
         print(json.dumps({key: round(value, 4) if isinstance(value, float) else value for key, value in row.items()}))
     write_json(asked.out, found)

@@ -188,7 +188,9 @@ def test_cases_are_the_same_for_the_same_seed_and_others_for_another(quantity):
 
 
 def test_a_quantity_without_a_study_is_refused_with_those_that_have_one():
-    with pytest.raises(BadInput, match=r"must be of one of mtf50, mtf, covariance_gain, system_gain, got 'prnu'"):
+    with pytest.raises(
+        BadInput, match=r"must be of one of mtf50, mtf, covariance_gain, system_gain, post_gain_mtf50, got 'prnu'"
+    ):
         chart("prnu")
 
 
