@@ -55,14 +55,23 @@ def measure(
         result += task(context)
         context = _knowing_halo(context, result)
     progress("measured", 1.0)
-    return result + _agreement(session, result)
+    return result + _together(session, result, context)
 
 
-def _agreement(session: Session, result: Result) -> Result:
-    """How far apart the targets of a session are in their MTF, where it has several."""
+def _together(session: Session, result: Result, context: Context) -> Result:
+    """What the targets of a session tell of one MTF, and whether they agree, where it has several."""
     from charact.mtf.agreement import agreement
+    from charact.mtf.constancy import constancy
+    from charact.mtf.joint import joint
 
-    return agreement(result, {entry.label: entry.kind for entry in session.of_kind("edge", "bars", "point")})
+    targets = session.of_kind("edge", "bars", "point")
+    kinds = {entry.label: entry.kind for entry in targets}
+    conditions = {entry.label: entry.conditions for entry in targets}
+    return (
+        joint(result, kinds, context=context)
+        + agreement(result, kinds)
+        + constancy(result, kinds, conditions, context=context)
+    )
 
 
 def _knowing_halo(context: Context, result: Result) -> Context:

@@ -66,7 +66,7 @@ def _target_way(session: Session | None, label: str | None) -> str:
 def _direction(session: Session | None, name: str, label: str | None) -> str:
     """Direction of a curve, from its name or from the target of its stack."""
     kind, _, suffix = name.partition(":")
-    return VERTICAL if kind == "mtf_vertical" else _target_way(session, label or suffix)
+    return VERTICAL if "vertical" in kind else _target_way(session, label or suffix)
 
 
 def _panel(

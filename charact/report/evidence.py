@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.report import blooms, edges, noise
+from charact.report import blooms, edges, joint, noise
 from charact.report.numerals import plain
 from charact.report.style import as_svg, styled
 
@@ -15,6 +15,8 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "bars": ("mtf", edges.bars),
     "point-spread": ("mtf", blooms.point_spread),
     "agreement": ("mtf", edges.agreement),
+    "joint-mtf": ("mtf", joint.joint_mtf),
+    "constancy": ("mtf", joint.constancy),
     "point-profile": ("bloom", blooms.point_profile),
     "bloom-series": ("bloom", blooms.bloom_series),
     "halo-constancy": ("bloom", blooms.halo_constancy),
