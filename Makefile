@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study docs frontier peers lock clean
+.PHONY: demo test test-seeds check bench study mtf-study docs frontier peers lock clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -35,6 +35,10 @@ study: $(READY)
 	for quantity in mtf50 mtf covariance_gain system_gain; do \
 	  $(BIN)/charact chart $$quantity --update --out study && $(BIN)/charact stability $$quantity --out study || exit 1; \
 	done
+
+# Edge methods against the Cramer-Rao bound and their own intervals; half an hour on two cores.
+mtf-study: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_efficiency
 
 # The tree of files, and every picture by simulation.
 docs: $(READY)

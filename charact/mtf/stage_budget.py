@@ -200,9 +200,9 @@ def stage_budget(
 
     Notes
     -----
-    lens exp(-2 (pi f s)^2) times diffraction, tube exp(-(f/fc)^n), of whose exponent a share acts after the gain, at the cathode; fibres
-    2 J1(pi p f)/(pi p f) and their interfaces exp(-(f/f0)^2), pixel sinc and video 1/sqrt(1 + (f/f0)^2n) at the
-    detector. A curve after the gain lacks the lens and the tube's share before it.
+    At the cathode: lens exp(-2 (pi f s)^2) times diffraction, tube exp(-(f/fc)^n), of whose exponent a share acts after
+    the gain. At the detector: fibres 2 J1(pi p f)/(pi p f) and their interfaces exp(-(f/f0)^2), pixel sinc and video
+    1/sqrt(1 + (f/f0)^2n). A curve after the gain lacks the lens and the tube's share before it.
     """
     if not curves:
         raise BadInput("a stage budget must have at least one measured curve, got none")
