@@ -1,0 +1,37 @@
+"""The study of agreement: its cameras have the MTF they say, and a target out of focus is found and named."""
+
+import numpy as np
+import pytest
+
+from charact.study.agreement import Chain, SessionScene
+from charact.study.agreement_table import judged, row
+from charact.study.edge import Blur
+
+
+def test_two_gaussian_blurs_add_in_squares_and_defocus_widens_both() -> None:
+    chain, f = Chain(Blur(sigma_px=0.6), 0.8), np.linspace(0.0, 0.5, 11)
+    whole = Blur(sigma_px=1.0)
+    assert np.allclose(chain.mtf(f, 20.0), whole.mtf(f, 20.0), rtol=1e-12)
+    assert np.allclose(chain.defocused(0.1).mtf(f, 0.0), Blur(sigma_px=1.1).mtf(f, 0.0), rtol=1e-12)
+
+
+def test_a_camera_drawn_anew_is_another_and_the_same_seed_gives_it_back() -> None:
+    one, same, other = (SessionScene.drawn(np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert one == same
+    assert one != other
+
+
+def test_a_target_out_of_focus_by_15_percent_is_found_and_named() -> None:
+    one = judged(2, made="closed form", seed=0, defocus=0.15, of="edge")
+    assert not one.inside
+    assert not one.ok
+    assert one.differs_most == "edge"
+
+
+def test_sessions_are_summed_up() -> None:
+    whole = judged(2, made="closed form", seed=0)
+    assert whole.targets >= 6
+    assert whole.inside
+    summed = row([whole, whole], made="closed form", defocus=0.0, of="edge")
+    assert summed["agree"] == summed["sessions"] == 2
+    assert summed["mtf50_rms_z"] == pytest.approx(abs(whole.z))
