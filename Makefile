@@ -36,9 +36,10 @@ study: $(READY)
 	  $(BIN)/charact chart $$quantity --update --out study && $(BIN)/charact stability $$quantity --out study || exit 1; \
 	done
 
-# Edge methods against the Cramer-Rao bound and their own intervals; half an hour on two cores.
+# Edge methods against the Cramer-Rao bound and their own intervals, and how often all targets agree; an hour on two cores.
 mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_efficiency
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep
 
 # The tree of files, and every picture by simulation.
 docs: $(READY)
