@@ -10,6 +10,11 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 
+# The chart's cases have one blur each. A described camera is a cascade of stages, part of them taken as known: on edges
+# of six simulated specimens forms alone were off by 1 % at an MTF of 0.1 (rms z 1.7), departures from a form were not
+# (rms z 0.6). Points by forms have not been held against specimens yet.
+OF_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
+
 
 def measure(
     kind: str,
@@ -53,6 +58,8 @@ def measure(
         stack.region(*region)  # type: ignore[misc]
     if kind == "bars":
         _checked_bars(**target)
+    if method == "auto" and context.sensor is not None:
+        method = OF_DESCRIBED_CAMERAS.get(kind, method)
     chosen = choose(kind, method, within_percent=within_percent)
     return chosen.function(stack, region=region, context=context, **target)
 
