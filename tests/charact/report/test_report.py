@@ -243,6 +243,11 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "neighbour_correlation": spread, "neighbour_sd": spread, "lag_exposures": spread,
             "lag_correlation": spread, "lag_correlation_sd": spread,
         },
+        "joint-mtf": {"kind": ["edge", "bars"], "target": ["edge", "bars-0.1"], "residuals_sd": [spread, [0.3]]},
+        "constancy": {
+            "slopes": {"row_px": 0.0}, "row_px": spread, "mtf50_cy_per_px": spread, "sd_cy_per_px": spread,
+            "mean_mtf50_cy_per_px": 1.0,
+        },
     }  # fmt: skip
     assert examples.keys() == DRAWN.keys()
     for kind, data in examples.items():
