@@ -110,6 +110,10 @@ class FakeCamera:
         """Have one frame sent."""
         self.write(TRIGGER_SOFTWARE, 1)
 
+    def take_trigger_back(self) -> None:
+        """Forget a trigger that no frame was sent for."""
+        self.write(TRIGGER_SOFTWARE, 0)
+
     def _call(self, name: str, *arguments: Any) -> Any:
         return getattr(self._library, name)(*arguments)
 

@@ -105,7 +105,7 @@ class VirtualCamera:
         self._wire.hold_trigger()
         scene = self._scene()
         if not self._wire.read(aravis.ACQUISITION):
-            self._drain()
+            self._take_back()
             self._prepare(scene)
             time.sleep(IDLE_S)
         elif self._slot.empty():
@@ -127,7 +127,9 @@ class VirtualCamera:
             self._tube.prepare(scene)
             self._prepared = scene.placement
 
-    def _drain(self) -> None:
+    def _take_back(self) -> None:
+        """Take a frame back that was not sent, and its trigger first: the wire would wait for another frame."""
+        self._wire.take_trigger_back()
         with contextlib.suppress(queue.Empty):
             self._slot.get_nowait()
 
