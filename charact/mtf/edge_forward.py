@@ -21,7 +21,8 @@ from labdata.measurement import Posterior, Result
 Array = NDArray[np.float64]
 
 QUANTITIES = ("mtf50", "mtf10", "mtf", "edge_angle")
-MAX_STEPS = 3000
+# With a halo single walkers linger in its tail for some thousand steps.
+MAX_STEPS = 8000
 METHOD = "edge-forward"
 
 
