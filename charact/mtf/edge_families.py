@@ -2,16 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.edge_checks import response_curvature
+from charact.mtf.edge_maps import EdgeMaps
 from charact.mtf.edge_profile import Profile
 from charact.mtf.families import Family, Wide
 from charact.mtf.optics import Known
-from charact.mtf.spread import SpreadTable, nodes, spread_table
 
 Array = NDArray[np.float64]
 
@@ -43,6 +42,9 @@ class FamilyFit:
         Profile at the bins, DN.
     tangents
         Change of the profile with each parameter, shape (parameter, bin), DN.
+    residual, design
+        What is left of the data and the change of the model with every parameter and level, both whitened,
+        shape (bin,) and (bin, parameter + level).
     log_evidence
         ln of the evidence by Laplace's approximation, up to what all forms share.
     cost
@@ -59,6 +61,8 @@ class FamilyFit:
     amplitude: Array
     model: Array
     tangents: Array
+    residual: Array
+    design: Array
     log_evidence: float
     cost: float
     chi2: float
@@ -79,67 +83,33 @@ class FamilyFitter:
 
     def __init__(self, profile: Profile, known: Known) -> None:
         self.profile = profile
-        grid = nodes(fine=profile.gathered.half_width_px > 24.0)
-        self._grid, self._fixed = grid, known(grid)
-        self._table: SpreadTable = spread_table(grid.tobytes())
-        self._lopsided = bool(np.any(self._fixed.imag))
-        self._root = _inverse_root(profile.covariance)
-        self._data = self._root @ profile.value
-        place = profile.distance
-        self._levels = np.stack([np.ones_like(place), np.maximum(place, 0.0), np.minimum(place, 0.0)], axis=1)
-        self._white_levels = self._root @ self._levels
+        self.maps = EdgeMaps(profile, known)
 
-    @cached_property
+    @property
     def power(self) -> float:
         """Chi squared of a level alone."""
-        level = self._white_levels[:, :1]
-        return float(self._data @ self._data - (level[:, 0] @ self._data) ** 2 / (level[:, 0] @ level[:, 0]))
-
-    def spreads(self, family: Family, points: Array) -> Array:
-        """Return edge spreads less one half at the bins, shape (n, parameter) -> (n, bin); the shifts must agree."""
-        transfer = family.modulus(points[:, 1:], self._grid) * self._fixed
-        return self._at(transfer, float(points[0, 0]))
-
-    def _at(self, transfer: NDArray[np.complex128], shift_px: float, *, lopsided: bool = False) -> Array:
-        """Return edge spreads less one half of transfers without the shift, shape (n, node) -> (n, bin)."""
-        table, real = self._table, transfer.real
-        distance = self.profile.distance - shift_px
-        first, weight = table.taps(distance)
-        # Only as far as the bins reach; the rest of the table is for wider pictures.
-        stop = min(int(first.max()) + 4, len(table.distance))
-        bend = 0.5 * self.profile.spread_px**2
-        side = np.where(distance < 0, -1.0, 1.0)
-        plain, bent = real @ table.even[:stop].T, real @ table.even_bend[:stop].T
-        index = first[:, None] + np.arange(4)
-        spread = side * (np.sum(plain[:, index] * weight, -1) + bend * np.sum(bent[:, index] * weight, -1))
-        if self._lopsided or lopsided:
-            plain, bent = (transfer.imag @ part[:stop].T for part in (table.odd, table.odd_bend))
-            spread = spread + np.sum(plain[:, index] * weight, -1) + bend * np.sum(bent[:, index] * weight, -1)
-        return spread
+        return self.maps.power
 
     def guess(self) -> float:
         """Return the half frequency at which a form between lens and tube fits best."""
         family = Family(core="exponential")
         points = np.stack([np.zeros_like(GUESSES), np.log(GUESSES), np.full_like(GUESSES, 1.6)], axis=1)
-        spreads = self.spreads(family, points)
-        level = self._white_levels[:, :1]
-        level = level / np.linalg.norm(level)
-        white = spreads @ self._root.T
-        white = white - (white @ level) @ level.T
-        overlap = white @ self._data
+        white = self.maps.white(self.maps.shifted(family.modulus(points[:, 1:], self.maps.grid), 0.0))
+        level = self.maps.white_levels[:, 0] / np.linalg.norm(self.maps.white_levels[:, 0])
+        white = white - np.outer(white @ level, level)
+        overlap = white @ self.maps.data
         return float(GUESSES[int(np.argmax(overlap**2 / np.sum(white**2, axis=1)))])
 
     def fit(self, family: Family, start: Array, slope_sd_per_px: float, *, iterations: int = ITERATIONS) -> FamilyFit:
         """Fit a form from a starting point (shift and the form's parameters)."""
         bounds = self.bounds(family)
-        width = bounds[:, 1] - bounds[:, 0]
         prior = self._prior(family, slope_sd_per_px)
         point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), 1e-3
-        here = self._linearised(family, point, width, bounds, prior)
+        here = self._linearised(family, point, bounds, prior)
         for _ in range(iterations):
             step = _solved(here, point, bounds, damping)
             trial = np.clip(point + step, bounds[:, 0], bounds[:, 1])
-            there = self._linearised(family, trial, width, bounds, prior)
+            there = self._linearised(family, trial, bounds, prior)
             gain = here.cost - there.cost
             if gain >= 0:
                 point, here, damping = trial, there, max(damping * 0.1, 1e-9)
@@ -161,34 +131,34 @@ class FamilyFitter:
             np.concatenate([[0.0], precision, [0.0, 0.0], slopes]),
         )
 
-    def _linearised(self, family: Family, point: Array, width: Array, bounds: Array, prior) -> "_Linearised":
-        """Return the model at a point with the best linear parameters, and its tangents, whitened."""
-        count = point.size - 1
+    def _transfers(self, family: Family, point: Array, bounds: Array) -> NDArray[np.complex128]:
+        """Return the transfer at a point, its change with each of the form's parameters, and with the shift."""
         # Differences run inwards, so that they stay within the bounds.
         sign = np.where(point[1:] > bounds[1:].mean(axis=1), -1.0, 1.0)
-        moves = np.diag(sign * DIFFERENCE * width[1:])
-        points = np.concatenate([point[None], point[None] + np.pad(moves, ((0, 0), (1, 0)))])
-        transfer = family.modulus(points[:, 1:], self._grid) * self._fixed
-        shift = float(point[0])
-        spreads = self._at(transfer, shift)
-        little = 1e-4
-        moved = self._at(transfer[:1], shift + little)[0]
-        slopes = [(moved - spreads[0]) / little, *((spreads[1 + k] - spreads[0]) / moves[k, k] for k in range(count))]
-        shapes = np.concatenate([spreads[:1], self._levels.T])
-        white = self._root @ np.concatenate([np.array(slopes), spreads[:1]]).T
-        linear = np.concatenate([white[:, -1:], self._white_levels], axis=1)
+        moves = sign * DIFFERENCE * (bounds[1:, 1] - bounds[1:, 0])
+        forms = np.concatenate([point[None, 1:], point[1:] + np.diag(moves)])
+        transfer = self.maps.shifted(family.modulus(forms, self.maps.grid), float(point[0]))
+        transfer[1:] = (transfer[1:] - transfer[:1]) / moves[:, None]
+        return self.maps.with_shift_slope(transfer)
+
+    def _linearised(self, family: Family, point: Array, bounds: Array, prior: tuple[Array, Array]) -> "_Linearised":
+        """Return the model at a point with the best linear parameters, and its tangents, whitened."""
+        transfer = self._transfers(family, point, bounds)
+        white = self.maps.white(transfer).T
+        linear = np.concatenate([white[:, :1], self.maps.white_levels], axis=1)
+        tangents = np.concatenate([white[:, -1:], white[:, 1:-1]], axis=1)
         mean, precision = prior
-        keep = np.diag(precision[-LINEAR:])
-        amplitude = np.asarray(np.linalg.solve(linear.T @ linear + keep, linear.T @ self._data), float)
-        residual = self._data - linear @ amplitude
+        normal = linear.T @ linear
+        normal.flat[:: LINEAR + 1] += precision[-LINEAR:]
+        amplitude = np.linalg.solve(normal, linear.T @ self.maps.data)
+        residual = self.maps.data - linear @ amplitude
         off = point - mean[: point.size]
         cost = float(residual @ residual + off**2 @ precision[: point.size] + amplitude**2 @ precision[-LINEAR:])
         return _Linearised(
             residual=residual,
-            design=np.concatenate([white[:, :-1] * amplitude[0], linear], axis=1),
-            tangents=np.array(slopes) * amplitude[0],
+            design=np.concatenate([tangents * amplitude[0], linear], axis=1),
+            transfer=transfer,
             amplitude=amplitude,
-            model=shapes.T @ amplitude,
             pull=-np.concatenate([off, amplitude]) * precision,
             precision=precision,
             cost=cost,
@@ -209,17 +179,20 @@ class FamilyFitter:
         mean, precision = family.prior_precision()
         flat = float(family.log_prior(point[None, 1:])[0]) + 0.5 * float((point[1:] - mean) ** 2 @ precision)
         chi2 = float(here.residual @ here.residual)
+        plain = self.maps.plain(here.transfer)
         return FamilyFit(
             family=family,
             point=point,
             covariance=covariance,
             amplitude=here.amplitude,
-            model=here.model,
-            tangents=here.tangents,
+            model=plain[0] * here.amplitude[0] + self.maps.levels @ here.amplitude[1:],
+            tangents=np.concatenate([plain[-1:], plain[1:-1]]) * here.amplitude[0],
+            residual=here.residual,
+            design=here.design,
             log_evidence=float(-0.5 * here.cost + flat + log_linear + log_volume),
             cost=here.cost,
             chi2=chi2,
-            free=max(len(self._data) - point.size - 2, 1),
+            free=max(len(self.maps.data) - point.size - 2, 1),
             slope_sd_per_px=slope,
         )
 
@@ -227,10 +200,21 @@ class FamilyFitter:
         """Return the bounds of shift and form, shape (parameter, 2)."""
         return np.concatenate([[[-SHIFT_PX, SHIFT_PX]], family.bounds])
 
-    def uneven(self, fit: FamilyFit) -> bool:
-        """Tell whether the plateaus may slope more than they do in a good set-up."""
-        scale = max(abs(self.profile.step), 1e-300) * fit.slope_sd_per_px
-        return bool(np.abs(fit.amplitude[2:]).max() > 0.7 * scale)
+    def slope_gain(self, fit: FamilyFit, slope_sd_per_px: float) -> float:
+        """Return what ln of the evidence gains from another prior of the illumination's slopes, to first order."""
+        return self._nearby(fit, slope_sd_per_px) - self._nearby(fit, fit.slope_sd_per_px)
+
+    def _nearby(self, fit: FamilyFit, slope_sd_per_px: float) -> float:
+        """Return ln of the evidence of the model made linear at a fit, up to what all priors of the slopes share."""
+        mean, precision = self._prior(fit.family, slope_sd_per_px)
+        off = mean - np.concatenate([fit.point, fit.amplitude])
+        normal = fit.design.T @ fit.design + np.diag(precision)
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(scale.size)
+        pull = (fit.design.T @ fit.residual + precision * off) / scale
+        cost = fit.residual @ fit.residual + precision @ off**2 - pull @ np.linalg.solve(normal, pull)
+        volume = np.linalg.slogdet(normal)[1] + 2.0 * np.sum(np.log(scale))
+        return float(-0.5 * (cost + volume - np.sum(np.log(precision[-2:]))))
 
     def fit_wide(self, core: FamilyFit, wide: Wide, worth_chi2: float, hopeless_cost: float) -> FamilyFit | None:
         """Fit a core with light beyond it, from several sizes.
@@ -269,8 +253,8 @@ class FamilyFitter:
         sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, 9)
         others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
         shapes = np.array([[size, *other] for other in others for size in sizes])
-        core = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
-        away = self._at(core * (wide.transfer(self._grid, shapes) - 1.0), float(fit.point[0]))
+        core = self.maps.shifted(fit.family.modulus(fit.point[None, 1:], self.maps.grid), float(fit.point[0]))
+        away = self.maps.white(core * (wide.transfer(self.maps.grid, shapes) - 1.0))
         gains, amplitudes, change = self._gains(fit, away)
         share = np.clip(amplitudes * abs(self.profile.step) / fit.amplitude[0], 0.02, 0.3)
         limits = self.bounds(fit.family)
@@ -288,15 +272,14 @@ class FamilyFitter:
         shapes_at
             Departures of the transfer's logarithm, complex, from frequencies and the half frequency.
         """
-        transfer = fit.family.modulus(fit.point[None, 1:], self._grid) * self._fixed
-        departures = shapes_at(self._grid, float(np.exp(fit.point[1])))
-        moved = self._at(transfer * departures, float(fit.point[0]), lopsided=True)
+        transfer = self.maps.shifted(fit.family.modulus(fit.point[None, 1:], self.maps.grid), float(fit.point[0]))
+        moved = self.maps.white(transfer * shapes_at(self.maps.grid, float(np.exp(fit.point[1]))))
         residual, old, new = self._whitened(fit, moved)
         both = np.linalg.qr(np.concatenate([old, new], axis=1))[0]
         return float(np.sum((residual @ both) ** 2) - np.sum((residual @ np.linalg.qr(old)[0]) ** 2)), len(moved)
 
     def _gains(self, fit: FamilyFit, shapes: Array) -> tuple[Array, Array, Array]:
-        """Return the gain in chi squared from adding each shape (shape, bin) to a fit alone, to first order.
+        """Return the gain in chi squared from adding each whitened shape (shape, bin) to a fit alone, to first order.
 
         Also its amplitude, steps, and what it moves of the parameters, shape (shape, parameter).
         """
@@ -310,20 +293,19 @@ class FamilyFitter:
         return overlap * amplitude, amplitude, moved[: fit.point.size].T
 
     def _whitened(self, fit: FamilyFit, shapes: Array) -> tuple[Array, Array, Array]:
-        """Return residual, columns of a fit and columns of shapes (shape, bin) in steps, priors as further data."""
-        rows = np.concatenate([fit.tangents, self.spread_of(fit)[None], self._levels.T])
+        """Return residual, columns of a fit and of whitened shapes (shape, bin) in steps, priors as further data."""
         mean, precision = self._prior(fit.family, fit.slope_sd_per_px)
         firm = np.sqrt(precision)
         off = mean - np.concatenate([fit.point, fit.amplitude])
-        residual = np.concatenate([self._root @ (self.profile.value - fit.model), firm * off])
+        residual = np.concatenate([fit.residual, firm * off])
         # A parameter that the data do not feel keeps the columns apart by a trifle.
-        old = np.concatenate([self._root @ rows.T, np.diag(firm + 1e-9 * np.abs(self._root @ rows.T).max(axis=0))])
-        new = np.concatenate([self._root @ shapes.T * abs(self.profile.step), np.zeros((firm.size, len(shapes)))])
+        old = np.concatenate([fit.design, np.diag(firm + 1e-9 * np.abs(fit.design).max(axis=0))])
+        new = np.concatenate([shapes.T * abs(self.profile.step), np.zeros((firm.size, len(shapes)))])
         return residual, old, new
 
     def spread_of(self, fit: FamilyFit) -> Array:
         """Return the fitted edge spread less one half at the bins."""
-        return (fit.model - self._levels @ fit.amplitude[1:]) / fit.amplitude[0]
+        return (fit.model - self.maps.levels @ fit.amplitude[1:]) / fit.amplitude[0]
 
     def response_curvature(self, fit: FamilyFit) -> tuple[float, float]:
         """Return the curvature of the response that the profile asks for, and its error.
@@ -334,12 +316,13 @@ class FamilyFitter:
         tangents = np.concatenate([fit.tangents[:1] * SHIFT_PX, fit.tangents[1:] * 5.0 * sd]) / fit.amplitude[0]
         scale = max(abs(self.profile.step), 1e-300)
         shape_sd = np.array([np.inf, fit.slope_sd_per_px * scale, fit.slope_sd_per_px * scale])
-        return response_curvature(self.profile, self._root, self.spread_of(fit), tangents, self._levels, shape_sd)
+        spread, levels = self.spread_of(fit), self.maps.levels
+        return response_curvature(self.profile, self.maps.root, spread, tangents, levels, shape_sd)
 
     def log_probability(self, family: Family, slope_sd_per_px: float) -> Callable[[Array], Array]:
         """Return the log-probability of shift and form, vectorised, from the data kept as a few matrices."""
-        evidence = self.profile.evidence(self._grid, slope_sd_per_px)
-        bounds, grid, fixed = self.bounds(family), self._grid, self._fixed
+        evidence = self.profile.evidence(self.maps.grid, slope_sd_per_px)
+        bounds, grid, fixed = self.bounds(family), self.maps.grid, self.maps.fixed
 
         def log_probability(theta: Array) -> Array:
             value = family.log_prior(theta[:, 1:])
@@ -358,9 +341,8 @@ class FamilyFitter:
 class _Linearised:
     residual: Array
     design: Array
-    tangents: Array
+    transfer: NDArray[np.complex128]
     amplitude: Array
-    model: Array
     pull: Array
     precision: Array
     cost: float
@@ -393,7 +375,3 @@ def _normal(z: Array) -> Array:
     """Return about the normal distribution function, within 2e-4."""
     return 1.0 / (1.0 + np.exp(-np.clip(1.5976 * z + 0.07056 * z**3, -500.0, 500.0)))
 
-
-def _inverse_root(covariance: Array) -> Array:
-    """Return the inverse of the Cholesky root."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), float)

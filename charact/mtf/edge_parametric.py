@@ -30,6 +30,8 @@ LEAST_SHARE = 0.02
 WORTH_CHI2 = 6.0
 # Forms within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 8.0
+# Light that slopes is tried with forms that would come within this of the best.
+SLOPED = 5.0
 # A fit that began this much worse than the best in chi squared is not carried on.
 HOPELESS = 100.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
@@ -154,11 +156,21 @@ def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
             hopeless = min(fit.cost for fit in found) + HOPELESS
             fit = fitter.fit_wide(core, prior, WORTH_CHI2, hopeless)
             found += [] if fit is None else [fit]
-    best = max(found, key=lambda fit: fit.log_evidence)
-    if fitter.uneven(best):
-        near = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE]
-        found += [fitter.fit(fit.family, fit.point, UNEVEN_PER_PX) for fit in near]
-    return _weighed(found)
+    return _weighed([*found, *_uneven(fitter, found)])
+
+
+def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
+    """Fit again the forms that uneven light would make probable.
+
+    All of them are asked: light that slopes on both sides may hide behind wings or a halo fitted to it.
+    """
+    promised = np.array([fit.log_evidence + fitter.slope_gain(fit, UNEVEN_PER_PX) for fit in found])
+    least = max(promised.max(), *(fit.log_evidence for fit in found)) - SLOPED
+    return [
+        fitter.fit(fit.family, fit.point, UNEVEN_PER_PX)
+        for fit, promise in zip(found, promised, strict=True)
+        if promise > least
+    ]
 
 
 def _weighed(found: list[FamilyFit]) -> list[Weighed]:

@@ -1,0 +1,73 @@
+"""From transfers to the bins of an edge's profile, plain and whitened: two matrices made once for all fits of it."""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge_profile import Profile
+from charact.mtf.optics import Known
+from charact.mtf.spread import edge_weights, nodes
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+# A shift turns the phase of the nodes, which carry it while it is small; beyond, the maps are made anew around it.
+LARGEST_TURN_PX = 0.25
+
+
+class EdgeMaps:
+    """Linear maps from a transfer at the nodes to the bins of a profile.
+
+    Parameters
+    ----------
+    profile
+        The measured profile with the covariance of its bins.
+    known
+        Known part of the transfer: aperture and video filter.
+    """
+
+    def __init__(self, profile: Profile, known: Known) -> None:
+        self.grid = nodes(fine=profile.gathered.half_width_px > 24.0)
+        self.fixed = known(self.grid)
+        self.root = np.asarray(np.linalg.inv(np.linalg.cholesky(profile.covariance)), float)
+        self.data = self.root @ profile.value
+        place = profile.distance
+        self.levels = np.stack([np.ones_like(place), np.maximum(place, 0.0), np.minimum(place, 0.0)], axis=1)
+        self.white_levels = self.root @ self.levels
+        self._profile = profile
+        self._made_around(0.0)
+
+    def _made_around(self, shift_px: float) -> None:
+        self._centre = shift_px
+        even, odd = edge_weights(self.grid, self._profile.distance - shift_px, self._profile.spread_px)
+        self._plain = np.concatenate([even, odd], axis=1).T
+        self._white = (self.root @ self._plain.T).T
+
+    @cached_property
+    def power(self) -> float:
+        """Chi squared of a level alone."""
+        level = self.white_levels[:, :1]
+        return float(self.data @ self.data - (level[:, 0] @ self.data) ** 2 / (level[:, 0] @ level[:, 0]))
+
+    def shifted(self, modulus: Array, shift_px: float) -> Complex:
+        """Return transfers of spreads at a shift, shape (n, node), their known part included."""
+        if abs(shift_px - self._centre) > LARGEST_TURN_PX:
+            self._made_around(shift_px)
+        return modulus * (self.fixed * np.exp(-2j * np.pi * (shift_px - self._centre) * self.grid))
+
+    def with_shift_slope(self, transfer: Complex) -> Complex:
+        """Return transfers, and after them the change of the first one with the shift, per px."""
+        return np.concatenate([transfer, transfer[:1] * (-2j * np.pi * self.grid)])
+
+    def plain(self, transfer: Complex) -> Array:
+        """Return edge spreads less one half at the bins, shape (n, node) -> (n, bin)."""
+        return _stacked(transfer) @ self._plain
+
+    def white(self, transfer: Complex) -> Array:
+        """Return whitened edge spreads less one half, shape (n, node) -> (n, bin)."""
+        return _stacked(transfer) @ self._white
+
+
+def _stacked(transfer: Complex) -> Array:
+    return np.concatenate([transfer.real, transfer.imag], axis=1)
