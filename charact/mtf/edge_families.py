@@ -374,4 +374,3 @@ def _inside(point: Array, covariance: Array, bounds: Array) -> float:
 def _normal(z: Array) -> Array:
     """Return about the normal distribution function, within 2e-4."""
     return 1.0 / (1.0 + np.exp(-np.clip(1.5976 * z + 0.07056 * z**3, -500.0, 500.0)))
-

@@ -4,6 +4,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 
 from charact.mtf.edge_profile import Profile
 from charact.mtf.optics import Known
@@ -30,7 +31,7 @@ class EdgeMaps:
     def __init__(self, profile: Profile, known: Known) -> None:
         self.grid = nodes(fine=profile.gathered.half_width_px > 24.0)
         self.fixed = known(self.grid)
-        self.root = np.asarray(np.linalg.inv(np.linalg.cholesky(profile.covariance)), float)
+        self.root = _inverse_root(profile.covariance)
         self.data = self.root @ profile.value
         place = profile.distance
         self.levels = np.stack([np.ones_like(place), np.maximum(place, 0.0), np.minimum(place, 0.0)], axis=1)
@@ -67,6 +68,13 @@ class EdgeMaps:
     def white(self, transfer: Complex) -> Array:
         """Return whitened edge spreads less one half, shape (n, node) -> (n, bin)."""
         return _stacked(transfer) @ self._white
+
+
+def _inverse_root(covariance: Array) -> Array:
+    """Return the inverse of the Cholesky root."""
+    inverse, failed = dtrtri(np.linalg.cholesky(covariance), lower=1)
+    assert not failed, "a Cholesky root has a positive diagonal"
+    return np.asarray(inverse, float)
 
 
 def _stacked(transfer: Complex) -> Array:

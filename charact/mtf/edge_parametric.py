@@ -95,7 +95,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
             np.abs(known(frequency))
             * np.concatenate([form.modulus(posterior.draws[:count, 1:], frequency) for form, posterior, count in drawn])
         ),
-        settings={"forms": {one.fit.family.name: round(one.share, 4) for one in fits}},
+        settings={"forms": _shares(fits)},
         notes=(_forms_note(fits), *(() if any(one.fit.family.wide for one in fits) else (within_note(profile),))),
         flags=("model-misfit",) if departs(fitter, best) else (),
     )
@@ -220,6 +220,12 @@ def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
 
 
+def _shares(fits: list[Weighed]) -> dict[str, float]:
+    """Return the share of the evidence of each form, in even and in uneven light together."""
+    names = dict.fromkeys(one.fit.family.name for one in fits)
+    return {name: round(sum(one.share for one in fits if one.fit.family.name == name), 4) for name in names}
+
+
 def _forms_note(fits: list[Weighed]) -> str:
-    parts = ", ".join(f"{one.fit.family.name} {100 * one.share:.0f} %" for one in fits)
+    parts = ", ".join(f"{name} {100 * share:.0f} %" for name, share in _shares(fits).items())
     return f"Form of the point spread by evidence: {parts}."

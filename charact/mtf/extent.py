@@ -106,7 +106,17 @@ def _plateaus(value: Array, across: Array, step: float, error: float) -> tuple[f
             continue
         # The level wanders with the light: it is compared with what it was a little before.
         levels = mean[places]
-        before = np.array([np.median(levels[max(i - 12, 0) : i + 1]) for i in range(levels.size)])
+        before = _running_median(levels, 12)
         away = np.abs(levels - before) > 0.3 * step + 3.0 * error
         reach.append(2.0 * (3 + int(np.argmax(away)) - 4) if away.any() else np.inf)
     return reach[0], reach[1]
+
+
+def _running_median(values: Array, back: int) -> Array:
+    """Return the median of each value and of up to so many before it."""
+    windows = np.sort(
+        np.lib.stride_tricks.sliding_window_view(np.pad(values, (back, 0), constant_values=np.inf), back + 1)
+    )
+    count = np.minimum(np.arange(values.size) + 1, back + 1)
+    each = np.arange(values.size)
+    return 0.5 * (windows[each, (count - 1) // 2] + windows[each, count // 2])

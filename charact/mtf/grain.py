@@ -147,15 +147,11 @@ def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array,
         index = np.searchsorted(delta, x)
         return total[index] * x - moment[index]
 
-    low, high = gathered.borders[:-1][keep], gathered.borders[1:][keep]
-    overlap = (
-        ramp(high[None, :] - low[:, None])
-        - ramp(high[None, :] - high[:, None])
-        - ramp(low[None, :] - low[:, None])
-        + ramp(low[None, :] - high[:, None])
-    )
+    table = ramp(gathered.borders[None, :] - gathered.borders[:, None])
+    overlap = table[:-1, 1:] - table[1:, 1:] - table[:-1, :-1] + table[1:, :-1]
+    overlap, width = overlap[np.ix_(keep, keep)], np.diff(gathered.borders)[keep]
     overlap = 0.5 * (overlap + overlap.T)
-    density = np.sqrt(np.outer(count, count) / np.outer(high - low, high - low))
+    density = np.sqrt(np.outer(count / width, count / width))
     sd = np.sqrt(grain.variance(level))
     covariance = overlap * density * np.outer(sd / count, sd / count)
     if not (np.diag(covariance) > 0).any():

@@ -115,8 +115,10 @@ def has_several_peaks(draws: NDArray[np.float64]) -> bool:
     """Tell whether any parameter, or any principal direction of the draws, has a second peak."""
     spread = draws.std(axis=0)
     scaled = (draws - draws.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
-    _, _, directions = np.linalg.svd(scaled, full_matrices=False)
-    return any(_two_peaked(line) for line in np.concatenate([scaled, scaled @ directions.T], axis=1).T)
+    if scaled.shape[1] > 1:
+        _, _, directions = np.linalg.svd(scaled, full_matrices=False)
+        scaled = np.concatenate([scaled, scaled @ directions.T], axis=1)
+    return any(_two_peaked(line) for line in scaled.T)
 
 
 def _two_peaked(line: NDArray[np.float64]) -> bool:
