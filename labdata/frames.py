@@ -36,7 +36,7 @@ class FrameStack:
     full_scale_dn
         Highest code of the digitiser, DN; None if unknown.
     plane
-        Colour plane of a mosaic ("r", "g1", "g2", "b") or "mono".
+        Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB picture ("r", "g", "b", "luminance"), or "mono".
     notes
         What a reader should know of how the frames were read.
 

@@ -15,7 +15,12 @@ Quick = Annotated[bool, typer.Option("--quick", help="No posterior: intervals fr
 MethodName = Annotated[str, typer.Option("--method", help="auto, or a name that `charact methods` lists.")]
 Within = Annotated[float, typer.Option("--within", help="Error that auto must meet, percent.", min=0.0)]
 Roi = Annotated[str | None, typer.Option("--roi", help="Region ROW,COL,HEIGHT,WIDTH in px; else the target is found.")]
-Plane = Annotated[str | None, typer.Option(help="Colour plane: r, g1, g2, b or mono.")]
+Plane = Annotated[
+    str | None,
+    typer.Option(
+        help="Colour channel: r, g, b or luminance of an RGB picture (else its luminance); r, g1, g2 or b of raw."
+    ),
+]
 SensorName = Annotated[str | None, typer.Option("--sensor", help="A shipped sensor's name, or a path to its TOML.")]
 Units = Annotated[
     str,

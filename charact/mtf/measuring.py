@@ -1,5 +1,6 @@
 """The one door to the MTF methods: choose one, check what was asked, hand over."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,19 @@ def measure(
     if method == "auto" and context.sensor is not None:
         method = OF_DESCRIBED_CAMERAS.get(kind, method)
     chosen = choose(kind, method, within_percent=within_percent)
-    return chosen.function(stack, region=region, context=context, **target)
+    found = chosen.function(stack, region=region, context=context, **target)
+    return found if stack.plane == "mono" else _of_plane(found, stack.plane)
+
+
+def _of_plane(found: Result, plane: str) -> Result:
+    """Return a result whose provenance says which colour plane was measured."""
+    told = (
+        m
+        if m.provenance is None
+        else m.with_(provenance=replace(m.provenance, settings={**m.provenance.settings, "plane": plane}))
+        for m in found.measurements
+    )
+    return replace(found, measurements=tuple(told))
 
 
 def _checked_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> None:

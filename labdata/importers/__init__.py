@@ -47,8 +47,8 @@ def read_frames(path: str | Path, plane: str | None = None) -> FrameStack:
     path
         The file; its ending says what kind it is.
     plane
-        Colour plane to read where there are several: "r", "g" or "b" of an RGB picture, "r", "g1", "g2" or "b" of
-        a mosaic. None: the luminance of an RGB picture (noted); a mosaic must be told.
+        Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB picture, "r", "g1",
+        "g2" or "b" of a mosaic. None: the luminance of an RGB picture (noted); a mosaic must be told.
 
     Returns
     -------

@@ -20,11 +20,11 @@ def mono(data: NDArray, plane: str | None, name: str) -> FrameStack:
 
 def chosen(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
-    if plane is None:
+    if plane in (None, "luminance"):
         luminance = data[..., :3].astype(np.float64) @ np.asarray(LUMINANCE)
         # A mean of 8-bit planes ends where they do; of wider ones nobody knows how many bits are used.
         full_scale_dn = 255.0 if data.dtype == np.uint8 else None
-        return FrameStack(data=luminance, full_scale_dn=full_scale_dn, notes=(LUMINANCE_NOTE,))
+        return FrameStack(data=luminance, full_scale_dn=full_scale_dn, plane="luminance", notes=(LUMINANCE_NOTE,))
     if plane not in ("r", "g", "b"):
-        raise BadInput(f"the plane of an RGB picture must be r, g or b, got {plane!r} for {name}")
+        raise BadInput(f"the plane of an RGB picture must be r, g, b or luminance, got {plane!r} for {name}")
     return FrameStack(data=data[..., "rgb".index(plane)], plane=plane)

@@ -95,7 +95,9 @@ def test_colour_planes_are_kept_apart_and_the_luminance_is_said(tmp_path, planar
     assert luminance.data[0] == pytest.approx(data @ np.array([0.2125, 0.7154, 0.0721]))
     assert "0.2125 R + 0.7154 G + 0.0721 B" in luminance.notes[0]
     assert luminance.full_scale_dn == 255
-    with pytest.raises(BadInput, match="must be r, g or b, got 'g1' for a"):
+    assert luminance.plane == "luminance"
+    assert np.array_equal(read_frames(tmp_path / "a.tif", plane="luminance").data, luminance.data)
+    with pytest.raises(BadInput, match="must be r, g, b or luminance, got 'g1' for a"):
         read_frames(tmp_path / "a.tif", plane="g1")
 
 

@@ -12,7 +12,7 @@ from charact.cli.annotate import COLOURS, drawn
 from charact.cli.application import app
 from charact.cli.captions import placed
 from charact.cli.units import FrequencyUnit
-from charact.study.edge import EdgeScene
+from charact.study.edge import Blur, EdgeScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured
@@ -54,6 +54,25 @@ def test_a_region_overrides_the_search(two_edges: Path) -> None:
     done = charact("mtf", "edge", two_edges, "--quick", "--method", "edge-slanted", "--roi", "10,10,90,100", "--json")
     regions = {tuple(m["region"]) for m in json.loads(done.stdout)["measurements"]}
     assert len(regions) == 1
+
+
+def test_each_colour_channel_has_its_own_mtf(tmp_path: Path) -> None:
+    """A lens that is sharper in red than in blue; the luminance, mostly green, lies between."""
+    scenes = [EdgeScene(blur=Blur(sigma_px=sigma), snr=60.0) for sigma in (0.7, 1.0, 1.5)]
+    planes = [scene.frames_drawn(np.random.default_rng(0)).data[0] for scene in scenes]
+    cv2.imwrite(str(tmp_path / "lens.png"), np.stack(planes[::-1], axis=-1).astype(np.uint8))
+    for plane, scene in zip("rgb", scenes, strict=True):
+        done = charact(
+            "mtf", "edge", tmp_path / "lens.png", "--quick", "--plane", plane, "--method", "edge-gradient", "--json"
+        )
+        found = json.loads(done.stdout)["measurements"][0]
+        assert found["value"] == pytest.approx(scene.truth_mtf50, rel=0.05)
+    values = [
+        json.loads(charact("mtf", "edge", tmp_path / "lens.png", "--quick", *asked, "--json").stdout)["measurements"][0]
+        for asked in ((), ("--plane", "luminance"))
+    ]
+    assert values[0]["value"] == values[1]["value"]
+    assert scenes[2].truth_mtf50 < values[0]["value"] < scenes[0].truth_mtf50
 
 
 def test_bars_that_are_nowhere_are_refused_in_one_sentence(two_edges: Path) -> None:
