@@ -22,6 +22,7 @@ from charact.posterior.diagnostics import (
 from charact.posterior.ensembles import Ensembles, first_places
 from charact.posterior.moves import mixed_moves
 from charact.posterior.open_space import OpenSpace
+from charact.posterior.scores import NormalScores
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 
@@ -34,7 +35,7 @@ WALKER_R_HAT = 1.15
 CLIMBS = 30
 # Steps of the first round of learning, how alike two rounds must be, and the steps before the first judgement.
 LEARNING_STEPS = 60
-ALIKE = 3.0
+ALIKE = 1.5
 FIRST_STEPS = 150
 # Differences of fewer walkers than these, four in each half, are too few to choose from.
 LEAST_WALKERS = 8
@@ -177,10 +178,18 @@ def _learn(running: Ensembles, log_probability: Vectorised, max_steps: int) -> N
         seen = running.chains()[:, steps // 2 :]
         seen = seen.reshape(-1, seen.shape[-1])
         covariance = np.atleast_2d(np.cov(seen.T)) + 1e-12 * np.diag(seen.var(axis=0))
-        running.restart(log_probability, mixed_moves(seen.mean(axis=0)[None], covariance, running.shape[0]))
+        running.restart(log_probability, _learnt(seen, running.shape[0]))
         if last is not None and _alike(last, covariance):
             return
         steps, spent, last = steps * 4 // 3, spent + steps, covariance
+
+
+def _learnt(seen: NDArray, ensembles: int) -> list:
+    """Return moves shaped after draws: each margin made normal first, so that what is left to fit is a covariance."""
+    scores = NormalScores(seen)
+    straight = scores.of(seen)
+    covariance = np.atleast_2d(np.cov(straight.T)) + 1e-12 * np.diag(straight.var(axis=0))
+    return mixed_moves(straight.mean(axis=0)[None], covariance, ensembles, scores)
 
 
 def _alike(one: NDArray, other: NDArray) -> bool:

@@ -13,18 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.posterior.curvature import root_of
+from charact.posterior.scores import NormalScores
 
 Array = NDArray[np.float64]
 
 # Share, degrees of freedom and scale of the Student t densities drawn from: the body, and tails that leave no walker
 # where the posterior is many times denser than the draws.
-BODY_AND_TAILS = ((0.8, 10.0, 1.0), (0.2, 3.0, 2.0))
+BODY_AND_TAILS = ((0.9, 20.0, 1.0), (0.1, 3.0, 1.5))
 # Every tenth difference is taken whole: from peak to peak where walkers stand on several.
 WHOLE_SHARE = 0.1
 INDEPENDENT_SHARE = 0.75
 
 
-def mixed_moves(places: Array, covariance: Array, ensembles: int) -> list[tuple[Any, float]]:
+def mixed_moves(
+    places: Array, covariance: Array, ensembles: int, scores: NormalScores | None = None
+) -> list[tuple[Any, float]]:
     """Return the moves with their weights.
 
     Parameters
@@ -35,10 +38,12 @@ def mixed_moves(places: Array, covariance: Array, ensembles: int) -> list[tuple[
         Covariance about each, shape (parameter, parameter).
     ensembles
         How many ensembles lie one after the other in the state.
+    scores
+        Coordinates in which places and covariance are given; None: the parameters themselves.
     """
     return [
         (DifferentialEvolution(ensembles), 1.0 - INDEPENDENT_SHARE),
-        (IndependentDraws(places, covariance), INDEPENDENT_SHARE),
+        (IndependentDraws(places, covariance, scores), INDEPENDENT_SHARE),
     ]
 
 
@@ -89,8 +94,9 @@ def _differences(others: Array, wanted: int, random: np.random.RandomState) -> A
 class IndependentDraws:
     """Every walker may jump to a draw from a mixture of Student t densities, body and tails at each place."""
 
-    def __init__(self, places: Array, covariance: Array) -> None:
+    def __init__(self, places: Array, covariance: Array, scores: NormalScores | None = None) -> None:
         self._places = places
+        self._scores = scores
         self._root = root_of(covariance)
         self._inverse = np.linalg.pinv(self._root)
 
@@ -102,14 +108,17 @@ class IndependentDraws:
         stretch = scales[part] * np.sqrt(freedoms[part] / random.chisquare(freedoms[part]))
         centre = self._places[random.randint(len(self._places), size=count)]
         fresh = centre + (random.standard_normal((count, parameters)) * stretch[:, None]) @ self._root.T
+        fresh = fresh if self._scores is None else self._scores.points(fresh)
         log_ratio = self._log_density(state.coords) - self._log_density(fresh)
         return state, _taken(model, state, np.arange(count), fresh, log_ratio)
 
     def _log_density(self, points: Array) -> Array:
         """Return the log-density of the mixture up to a constant, shape (point,)."""
-        squares = (((points[:, None, :] - self._places) @ self._inverse.T) ** 2).sum(-1)
+        places = points if self._scores is None else self._scores.of(points)
+        squares = (((places[:, None, :] - self._places) @ self._inverse.T) ** 2).sum(-1)
         parts = [_log_student_t(squares, points.shape[1], *part) for part in BODY_AND_TAILS]
-        return np.logaddexp.reduce(np.concatenate(parts, axis=1), axis=1)
+        density = np.logaddexp.reduce(np.concatenate(parts, axis=1), axis=1)
+        return density if self._scores is None else density + self._scores.log_slope(points)
 
 
 def _log_student_t(squares: Array, parameters: int, share: float, freedom: float, scale: float) -> Array:

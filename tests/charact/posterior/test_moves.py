@@ -6,9 +6,15 @@ import pytest
 
 from charact.posterior.ensembles import Ensembles
 from charact.posterior.moves import DifferentialEvolution, IndependentDraws
+from charact.posterior.open_space import OpenSpace
+from charact.posterior.scores import NormalScores
 
 SCALES = np.array([0.1, 1.0, 10.0])
 MEAN = np.array([1.0, -2.0, 30.0])
+
+
+# Margins learnt from draws as skewed as a wall makes them, of another place and width than the posterior.
+SKEWED = NormalScores(MEAN + SCALES * (np.random.default_rng(5).exponential(1.0, (2000, 3)) - 0.5))
 
 
 def gaussian(points):
@@ -25,8 +31,12 @@ def drawn(move, seed, *, steps=1500, ensembles=2, walkers=16):
 
 @pytest.mark.parametrize(
     "move",
-    [DifferentialEvolution(2), IndependentDraws(MEAN[None] + SCALES, 2.0 * np.diag(SCALES**2))],
-    ids=["differential evolution", "independent draws about a place beside the peak"],
+    [
+        DifferentialEvolution(2),
+        IndependentDraws(MEAN[None] + SCALES, 2.0 * np.diag(SCALES**2)),
+        IndependentDraws(np.zeros((1, 3)), np.eye(3), SKEWED),
+    ],
+    ids=["differential evolution", "independent draws about a place beside the peak", "independent draws of scores"],
 )
 def test_a_move_leaves_mean_variance_and_fourth_moment_of_a_gaussian_as_they_are(move, seed):
     _, chain = drawn(move, seed)
@@ -61,3 +71,29 @@ def test_acceptance_of_local_moves_is_that_of_the_steps_counted_by_hand(seed):
     moved = np.any(np.diff(chain, axis=1) != 0, axis=-1).mean()
     assert running.local_acceptance == pytest.approx(moved, abs=0.01)
     assert running.acceptance.mean() == pytest.approx(running.local_acceptance, abs=1e-12)
+
+
+def test_scores_of_draws_are_normal_and_carry_a_point_there_and_back_with_their_slope(seed):
+    rng = np.random.default_rng(seed)
+    scores = NormalScores(rng.exponential(1.0, (4000, 3)) * SCALES)
+    mapped = scores.of(rng.exponential(1.0, (4000, 3)) * SCALES)
+    # Two samples of 4000 each; the pieces are straight where the margin bends, and longer beyond two scores.
+    assert np.allclose(mapped.mean(axis=0), 0.0, atol=4.5 * np.sqrt(2.0 / 4000) + 0.02)
+    assert np.allclose(np.quantile(mapped, 0.84134, axis=0), 1.0, atol=0.12)
+    points = (rng.exponential(1.0, (50, 3)) * 4.0 - 2.0) * SCALES
+    assert np.allclose(scores.points(scores.of(points)), points, rtol=1e-12, atol=1e-12)
+    ahead = scores.of(points + 1e-7 * SCALES)
+    slope = np.log((ahead - scores.of(points)) / (1e-7 * SCALES)).sum(axis=1)
+    assert np.median(np.abs(slope - scores.log_slope(points))) < 1e-6
+
+
+def test_a_density_cut_at_walls_keeps_its_mass_in_the_space_without_them():
+    """Uniform between the walls: standard normal there, and the slope is that of the map."""
+    space = OpenSpace(np.array([[-1.0, 3.0], [0.0, np.inf]]))
+    z = np.stack([np.linspace(-4.0, 4.0, 801), np.full(801, 0.5)], axis=1)
+    x = space.inside(z)
+    assert np.allclose(space.outside(x), z, atol=1e-9)
+    slope = np.gradient(x[:, 0], z[:, 0])
+    ratio = slope / np.exp(space.log_volume(z))
+    assert np.allclose(ratio[1:-1], 4.0 / np.sqrt(2.0 * np.pi), rtol=1e-3)
+    assert np.allclose(space.stretch(x[400]), [1.0 / slope[400], 1.0], rtol=1e-3)
