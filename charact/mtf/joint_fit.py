@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,20 +37,36 @@ class Problem:
     told: Sequence[Told]
     bounds: Sequence[Told] = ()
 
-    def mtf(self, theta: Array, one: Told) -> Array:
-        """Return the MTF where a target tells of it, shape (n, f)."""
-        fx, fy = one.frequency * np.cos(one.angle_rad), one.frequency * np.sin(one.angle_rad)
-        return self.form.transfer(theta, np.abs(fx), np.abs(fy), within=one.within)
-
     def residual(self, theta: Array) -> Array:
         """Return all whitened residuals, shape (n, combination)."""
-        return np.concatenate([one.residual(self.mtf(theta, one)) for one in self.told], axis=1)
+        return self._residuals(theta)[:, : self._combinations]
 
     def below_bounds(self, theta: Array) -> Array:
         """Return by how many standard deviations the MTF lies below each bound, shape (n, bound)."""
-        if not self.bounds:
-            return np.empty((len(theta), 0))
-        return np.concatenate([one.residual(self.mtf(theta, one)) for one in self.bounds], axis=1)
+        return self._residuals(theta)[:, self._combinations :]
+
+    @cached_property
+    def _combinations(self) -> int:
+        return sum(one.value.size for one in self.told)
+
+    @cached_property
+    def _places(self) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+        """Frequencies of all targets, one after the other, along rows and columns; whether within; what is known."""
+        every = (*self.told, *self.bounds)
+        frequency, angle = (np.concatenate(of) for of in zip(*((o.frequency, o.angle_rad) for o in every), strict=True))
+        within = np.concatenate([np.full(one.frequency.size, one.within) for one in every])
+        fx, fy = np.abs(frequency * np.cos(angle)), np.abs(frequency * np.sin(angle))
+        return fx, fy, within, self.form.known(fx, fy)
+
+    def _residuals(self, theta: Array) -> Array:
+        """Return whitened residuals of targets and bounds; each MTF is needed at all its places together."""
+        fx, fy, within, known = self._places
+        mtf = known * self.form.unknown(theta, fx, fy, within=within)
+        last, parts = 0, []
+        for one in (*self.told, *self.bounds):
+            first, last = last, last + one.frequency.size
+            parts.append(one.residual(mtf[:, first:last]))
+        return np.concatenate(parts, axis=1)
 
     def log_probability(self, theta: Array) -> Array:
         """Return ln of the posterior density but for a constant, shape (n, parameter) -> (n,).
@@ -61,7 +78,9 @@ class Problem:
         """
         walls = self.form.bounds
         safe = np.clip(theta, walls[:, 0], walls[:, 1])
-        fit = -0.5 * np.sum(self.residual(safe) ** 2, axis=1) + np.sum(log_ndtr(self.below_bounds(safe)), axis=1)
+        residuals = self._residuals(safe)
+        targets, bounds = np.split(residuals, [self._combinations], axis=1)
+        fit = -0.5 * np.sum(targets**2, axis=1) + np.sum(log_ndtr(bounds), axis=1)
         return self.form.log_prior(theta) + fit
 
 

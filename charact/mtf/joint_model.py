@@ -99,27 +99,31 @@ class JointForm:
         wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
         return np.array([*self.family.start(0.2), *blur, *stretch, *wide])
 
-    def transfer(self, theta: Array, fx: Array, fy: Array, *, within: bool = False) -> Array:
-        """Return the MTF, shape (n, parameter) and (f,) -> (n, f).
+    def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
+        """Return the MTF at cycles per column pitch along rows and columns, (n, parameter) and (f,) -> (n, f)."""
+        return self.known(fx, fy) * self.unknown(theta, fx, fy)
+
+    def unknown(self, theta: Array, fx: Array, fy: Array, *, within: NDArray[np.bool_] | bool = False) -> Array:
+        """Return the MTF without aperture and video, shape (n, parameter) and (f,) -> (n, f).
 
         Parameters
         ----------
         fx, fy
             Cycles per column pitch along rows and along columns.
         within
-            Normalised to the light in a window narrower than the halo, whose light is then left out.
+            Where it is normalised to the light in a window narrower than the halo, whose light is then left out.
         """
         size, place = self.family.core_parameters, self._place_of_stretch
         stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0
         radius = np.maximum(np.hypot(fx, fy / stretch), 1e-7)
-        core = self.family.modulus(theta[:, :size], radius) * self.known(fx, fy)
+        core = self.family.modulus(theta[:, :size], radius)
         if self.blurred:
             core = core * np.exp(-2.0 * (np.pi * radius) ** 2 * theta[:, size : size + 1])
-        if self.wide is None or within:
+        if self.wide is None:
             return core
         tail = theta[:, place + self.elliptical :]
         far = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
-        return core * (1.0 - tail[:, :1] + tail[:, :1] * far)
+        return core * np.where(within, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * far)
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""
