@@ -33,7 +33,8 @@ class Posterior:
     effective_sample_size
         Effective number of independent draws of each parameter, shape (parameter,).
     sampler
-        "emcee", or "laplace" where draws come from the curvature at the maximum.
+        "emcee", "laplace" where draws come from the curvature at the maximum, or "importance" where they were picked
+        by their weight.
     seed
         Seed of the draws.
     flags
@@ -47,7 +48,7 @@ class Posterior:
     acceptance: float | None = None
     r_hat: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     effective_sample_size: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    sampler: Literal["emcee", "laplace"] = "emcee"
+    sampler: Literal["emcee", "laplace", "importance"] = "emcee"
     seed: int = 0
     flags: tuple[str, ...] = ()
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from charact.mtf.joint_fit import Fit, Problem, Verdict, fitted, verdict
 from charact.mtf.joint_model import JointForm, Known
 from charact.mtf.joint_told import Told, told
 from charact.mtf.optics import halo_diameters_px
-from charact.posterior import laplace, sample
+from charact.posterior import sample, weighed
 from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
 
 Array = NDArray[np.float64]
@@ -23,11 +23,9 @@ Array = NDArray[np.float64]
 METHOD = "joint"
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
-DRAWS, PROPOSED = 1000, 12000
-# Proposals reach further than the curvature, in variance, for tails that do so too.
-WIDER = 2.0
+DRAWS = 1000
 # Weighted draws worth fewer than this are given up for a Markov chain, which may take so many steps.
-LEAST_EFFECTIVE, MAX_STEPS = 100, 3000
+LEAST_EFFECTIVE, MAX_STEPS = 500, 3000
 # Chance below which targets lie outside their joint 95 % region, and below which one MTF is not believed.
 OUTSIDE, MISFIT = 0.05, 0.01
 # Targets within this of the rows' or columns' direction tell of it, degrees.
@@ -151,6 +149,11 @@ def _wide(sound: Sequence[Told], context: Context) -> HaloPrior | None:
 
 
 def _posterior(fit: Fit, context: Context, seed: int) -> Posterior:
+    """Draw from one form's posterior, by importance before a Markov chain.
+
+    Two blurs in a row can be traded for each other along a bent ridge, of which the curvature knows the middle only,
+    and along which a Markov chain is slow.
+    """
     form = fit.problem.form
     asked = {
         "names": tuple(form.parameters),
@@ -161,27 +164,10 @@ def _posterior(fit: Fit, context: Context, seed: int) -> Posterior:
         "bounds": form.bounds,
         "draws": DRAWS,
     }
-    proposed = {**asked, "draws": PROPOSED, "covariance": WIDER * fit.covariance}
-    weighed = _weighed(fit, laplace(fit.problem.log_probability, **proposed))
-    if context.quick or weighed.effective_sample_size[0] > LEAST_EFFECTIVE:
-        return weighed
+    found = weighed(fit.problem.log_probability, **asked)
+    if context.quick or found.effective_sample_size[0] > LEAST_EFFECTIVE:
+        return found
     return sample(fit.problem.log_probability, **asked, max_steps=MAX_STEPS)
-
-
-def _weighed(fit: Fit, proposed: Posterior) -> Posterior:
-    """Return draws of the posterior itself, picked from those of its curvature by their weight (importance).
-
-    Two blurs in a row can be traded for each other along a bent ridge, of which the curvature knows the middle only,
-    and along which a Markov chain is slow.
-    """
-    away = proposed.draws - fit.point
-    proposal = -0.5 * np.sum(away * np.linalg.solve(WIDER * fit.covariance, away.T).T, axis=1)
-    weight = fit.problem.log_probability(proposed.draws) - proposal
-    weight = np.exp(weight - weight.max())
-    weight /= weight.sum()
-    picked = np.random.default_rng(proposed.seed).choice(len(weight), DRAWS, p=weight)
-    effective = np.full(len(proposed.names), 1.0 / np.sum(weight**2))
-    return replace(proposed, draws=proposed.draws[picked], effective_sample_size=effective)
 
 
 def _flags(found: Joint) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from charact.posterior.chain import sample
 from charact.posterior.curvature import laplace, maximum
 from charact.posterior.diagnostics import has_several_peaks
+from charact.posterior.importance import weighed
 from charact.posterior.predictive import PredictiveCheck, predictive_check, predictive_probability
 
 __all__ = [
@@ -13,4 +14,5 @@ __all__ = [
     "predictive_check",
     "predictive_probability",
     "sample",
+    "weighed",
 ]

@@ -1,0 +1,136 @@
+"""Draws of a posterior picked by their weight from a mixture that grows where it is too thin.
+
+For posteriors of few parameters and curved ridges, along which a chain is slow and of which one covariance knows the
+middle only.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
+
+from charact.posterior.curvature import Vectorised, gaussian_within, root_of, walls_of
+from charact.posterior.diagnostics import leans_on_bound
+from charact.posterior.open_space import OpenSpace
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Draws from the first density and from each one added, and how many are added at most.
+FIRST_DRAWS, MORE_DRAWS, MOST_ADDED = 4000, 1000, 40
+# Draws whose weighted spread shapes a density that is added, and freedom of each density's Student t.
+NEAREST = 500
+FREEDOM = 6.0
+# The first density is wider than the curvature says, in variance.
+WIDER = 2.0
+
+
+def weighed(
+    log_probability: Vectorised,
+    *,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    start: ArrayLike,
+    covariance: ArrayLike,
+    seed: int,
+    bounds: ArrayLike,
+    draws: int = 1000,
+    enough: float = 1000.0,
+) -> Posterior:
+    """Draw from a posterior by importance, from a mixture of densities that is made to fit it.
+
+    Parameters
+    ----------
+    log_probability
+        Vectorised: points (n, parameter) -> (n,), -inf outside the bounds, never NaN.
+    names, units
+        Name and unit of each parameter.
+    start, covariance
+        The peak, shape (parameter,), and covariance there, shape (parameter, parameter).
+    seed
+        Seed of every draw.
+    bounds
+        Shape (parameter, 2), infinite where there is none.
+    draws
+        Number of draws picked.
+    enough
+        Effective number of weighted draws, 1/sum w^2, after which no density is added.
+
+    Returns
+    -------
+    Posterior
+        Its effective sample size says how far it may be trusted: the mixture stops growing after `MOST_ADDED`.
+
+    Notes
+    -----
+    Incremental mixture importance sampling (Raftery & Bao 2010, doi 10.1111/j.1541-0420.2010.01399.x): a density is
+    added at the draw of the largest weight, shaped after the weighted draws nearest to it; each draw counts as one from
+    the whole mixture. Works in coordinates without walls.
+    """
+    walls = walls_of(bounds, len(names))
+    space, rng = OpenSpace(walls), np.random.default_rng(seed)
+    near = space.outside(gaussian_within(rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000))
+    first = _StudentT(near.mean(axis=0), WIDER * np.atleast_2d(np.cov(near.T)))
+    mixture, points = [first], first.draw(rng, FIRST_DRAWS)
+    heights = _heights(log_probability, space, points)
+    counts, densities = [FIRST_DRAWS], [first.log_density(points)]
+    while True:
+        share = np.log(np.array(counts) / len(points))
+        weight = np.exp(_normalised(heights - logsumexp(np.array(densities) + share[:, None], axis=0)))
+        effective = 1.0 / float(np.sum(weight**2))
+        if effective >= enough or len(mixture) > MOST_ADDED:
+            break
+        added = _added(points, weight, first)
+        fresh = added.draw(rng, MORE_DRAWS)
+        points = np.concatenate([points, fresh])
+        heights = np.concatenate([heights, _heights(log_probability, space, fresh)])
+        mixture, counts = [*mixture, added], [*counts, MORE_DRAWS]
+        densities = [
+            np.concatenate([old, one.log_density(fresh)]) for old, one in zip(densities, mixture[:-1], strict=True)
+        ] + [added.log_density(points)]
+    picked = space.inside(points[rng.choice(len(points), draws, p=weight)])
+    return Posterior(
+        names=names,
+        units=units,
+        draws=picked,
+        effective_sample_size=np.full(len(names), effective),
+        sampler="importance",
+        seed=seed,
+        flags=("prior-bound",) if leans_on_bound(picked, walls).any() else (),
+    )
+
+
+class _StudentT:
+    """A Student t density about a place."""
+
+    def __init__(self, place: Array, covariance: Array) -> None:
+        self.place, self.root = place, root_of(covariance + 1e-9 * np.diag(np.diag(covariance)))
+        self.inverse = np.linalg.pinv(self.root)
+        self._log_volume = float(np.linalg.slogdet(self.root)[1])
+
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """Return draws, shape (count, parameter)."""
+        stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, count))
+        return self.place + (rng.standard_normal((count, self.place.size)) * stretch[:, None]) @ self.root.T
+
+    def log_density(self, points: Array) -> Array:
+        """Return ln of the density at points up to a constant that all share, shape (point,)."""
+        squares = np.sum(((points - self.place) @ self.inverse.T) ** 2, axis=1)
+        return -0.5 * (FREEDOM + self.place.size) * np.log1p(squares / FREEDOM) - self._log_volume
+
+
+def _added(points: Array, weight: Array, first: _StudentT) -> _StudentT:
+    """Return the density of the draws nearest to the one that weighs most."""
+    place = points[int(np.argmax(weight))]
+    away = np.sum(((points - place) @ first.inverse.T) ** 2, axis=1)
+    nearest = np.argpartition(away, NEAREST)[:NEAREST]
+    own = 0.5 * (weight[nearest] + 1.0 / len(points))
+    off = points[nearest] - place
+    return _StudentT(place, (off * (own / own.sum())[:, None]).T @ off)
+
+
+def _heights(log_probability: Vectorised, space: OpenSpace, points: Array) -> Array:
+    return log_probability(space.inside(points)) + space.log_volume(points)
+
+
+def _normalised(log_weight: Array) -> Array:
+    return log_weight - float(logsumexp(log_weight))

@@ -1,0 +1,51 @@
+"""Draws picked by their weight are those of the posterior, however bent it is; a mixture too thin says so."""
+
+import numpy as np
+import pytest
+
+from charact.posterior import importance, weighed
+
+
+def drawn(log_probability, count, *, seed, bounds=None, draws=4000, **options):
+    return weighed(
+        log_probability,
+        names=tuple(f"p{index}" for index in range(count)),
+        units=("1",) * count,
+        start=np.full(count, 0.1),
+        covariance=0.2 * np.eye(count),
+        seed=seed,
+        bounds=np.tile([-np.inf, np.inf], (count, 1)) if bounds is None else bounds,
+        draws=draws,
+        **options,
+    )
+
+
+def banana(points):
+    """A normal of unit variance bent along a parabola: y - x^2 has the deviation 0.1."""
+    return -0.5 * points[:, 0] ** 2 - 0.5 * ((points[:, 1] - points[:, 0] ** 2) / 0.1) ** 2
+
+
+def test_a_bent_ridge_has_its_moments(seed):
+    found = drawn(banana, 2, seed=seed)
+    assert found.sampler == "importance"
+    independent = found.effective_sample_size[0]
+    assert independent >= 1000
+    across = (found["p1"] - found["p0"] ** 2) / 0.1
+    for values in (found["p0"], across):
+        assert values.mean() == pytest.approx(0.0, abs=4.5 / np.sqrt(independent))
+        assert values.var() == pytest.approx(1.0, abs=4.5 * np.sqrt(2.0 / independent))
+
+
+def test_mass_at_walls_is_that_of_the_cut_density(seed):
+    """exp(-x) between 0 and 2: mean 1 - 2/(e^2 - 1); the flag says that it leans on the wall."""
+    bounds = np.array([[0.0, 2.0], [0.0, 2.0]])
+    found = drawn(lambda points: -points.sum(axis=1), 2, seed=seed, bounds=bounds)
+    sd = np.sqrt(1.0 - 4.0 * np.exp(2.0) / (np.exp(2.0) - 1.0) ** 2)
+    error = 4.5 * sd / np.sqrt(found.effective_sample_size[0])
+    assert np.allclose(found.draws.mean(axis=0), 1.0 - 2.0 / (np.exp(2.0) - 1.0), atol=error)
+    assert found.flags == ("prior-bound",)
+
+
+def test_a_mixture_that_may_not_grow_admits_how_few_draws_it_is_worth(monkeypatch):
+    monkeypatch.setattr(importance, "MOST_ADDED", 0)
+    assert drawn(lambda points: banana(points * [0.1, 1.0]), 2, seed=1).effective_sample_size[0] < 500
