@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study mtf-study docs frontier peers lock clean
+.PHONY: demo test test-seeds check bench study mtf-study mtf-peers docs frontier peers lock clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -40,6 +40,10 @@ study: $(READY)
 mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_efficiency
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep
+
+# Edge methods beside other programs on the edge that those were measured on: table and chart, three minutes.
+mtf-peers: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_peers
 
 # The tree of files, and every picture by simulation.
 docs: $(READY)
