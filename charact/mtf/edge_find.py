@@ -13,6 +13,9 @@ from charact.mtf.region import Region
 from labdata.frames import FrameStack
 
 WIDEST_PX = 110.0
+# Least reach and number of pixels on either side.
+LEAST_HALF_WIDTH_PX, LEAST_PIXELS = 3.0, 16
+NO_STEP = "no target: no step from dark to bright was found in the region"
 # Least gain in chi squared for an edge to be one: a search of frames of noise finds up to about 40.
 LEAST_CHI2 = 90.0
 # What is no edge at all: chi squared per bin, and its share of that without an edge.
@@ -71,10 +74,12 @@ def find_edge(stack: FrameStack, region: Region | None, context: Context) -> Fou
             return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {part[2]} x {part[3]}", where=where)
         picture, coarse = line.find(mean_picture(used.data, context.pitch_ratio))
     rows = line.refine(picture, coarse)
+    if not _crosses(picture, rows.line):
+        return NoEdge(reason=NO_STEP, where=where)
     rows = replace(rows, line=centred(picture, rows.line))
     profile = profile_of(picture, rows.line, WIDEST_PX)
-    if not profile.step > 0 or profile.gathered.half_width_px < 3:
-        return NoEdge(reason="no target: no step from dark to bright was found in the region", where=where)
+    if not profile.step > 0 or profile.gathered.half_width_px < LEAST_HALF_WIDTH_PX:
+        return NoEdge(reason=NO_STEP, where=where)
     return FoundEdge(
         used=used,
         where=where,
@@ -84,6 +89,13 @@ def find_edge(stack: FrameStack, region: Region | None, context: Context) -> Fou
         flags=("several-targets",) if part is not None and region is not None else (),
         notes=() if part is None else ("The frame shows more than this edge; the region is the part that was used.",),
     )
+
+
+def _crosses(picture: Picture, edge: line.Line) -> bool:
+    """Tell whether a line leaves pixels enough on both sides of it: one found in noise may run outside."""
+    distance = edge.across(picture.value.shape)
+    sides = (np.count_nonzero((side > 0) & (side < 2 * LEAST_HALF_WIDTH_PX)) for side in (distance, -distance))
+    return min(sides) >= LEAST_PIXELS
 
 
 def no_edge(chi2: float, chi2_without: float, free: int) -> str | None:

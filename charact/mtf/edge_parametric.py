@@ -13,7 +13,7 @@ from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blu
 from charact.mtf.edge_model import departure_shapes
 from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, with_shading
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
-from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, Wide
+from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior, Wide
 from charact.mtf.optics import Known, halo_diameters_px, known_of
 from charact.mtf.region import Region
 from charact.posterior import laplace, sample
@@ -30,13 +30,24 @@ LEAST_SHARE = 0.02
 WORTH_CHI2 = 6.0
 # Forms within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 8.0
+# Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
+LEAST_FOR_DISC_PX, LEAST_FOR_HALO_PX = 6.0, 16.0
+# Share of the evidence for light wider than the window from which on the window is too small.
+VEILED = 0.3
 # Light that slopes is tried with forms that would come within this of the best.
 SLOPED = 5.0
 # A fit that began this much worse than the best in chi squared is not carried on.
 HOPELESS = 100.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
-NATURAL_BOUNDS = ("halo_fraction", "disc_fraction", "glare_fraction", "halo_elastic_share", "moffat_exponent")
+NATURAL_BOUNDS = (
+    "halo_fraction",
+    "disc_fraction",
+    "veil_fraction",
+    "glare_fraction",
+    "halo_elastic_share",
+    "moffat_exponent",
+)
 DRAWS, QUICK_DRAWS = 1000, 500
 MAX_STEPS = 3000
 
@@ -97,7 +108,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
         ),
         settings={"forms": _shares(fits)},
         notes=(_forms_note(fits), *(() if any(one.fit.family.wide for one in fits) else (within_note(profile),))),
-        flags=("model-misfit",) if departs(fitter, best) else (),
+        flags=_flags(fitter, fits),
     )
     return result_of(outcome, context, began)
 
@@ -127,13 +138,13 @@ def wides(context: Context, half_width_px: float, *, transposed: bool) -> tuple[
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=transposed)
         return (HaloPrior(diameter_px=(low, high)),) if half_width_px >= 0.6 * high else ()
-    if half_width_px < 16.0:
-        return ()
-    return (
-        DiscPrior(diameter_px=(6.0, 1.6 * half_width_px)),
-        HaloPrior(diameter_px=(6.0, 1.6 * half_width_px)),
-        GlarePrior(length_px=(2.0, 0.25 * half_width_px)),
-    )
+    found: list[Wide] = [VeilPrior(sigma_px=(0.5 * half_width_px, 4.0 * half_width_px))]
+    if half_width_px >= LEAST_FOR_DISC_PX:
+        found.append(DiscPrior(diameter_px=(6.0, 2.0 * half_width_px)))
+    if half_width_px >= LEAST_FOR_HALO_PX:
+        found.append(HaloPrior(diameter_px=(6.0, 2.0 * half_width_px)))
+        found.append(GlarePrior(length_px=(2.0, 0.25 * half_width_px)))
+    return tuple(found)
 
 
 def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
@@ -218,6 +229,16 @@ def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
     gain, count = fitter.departure_gain(fit, departure_shapes)
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
+
+
+def _flags(fitter: FamilyFitter, fits: list[Weighed]) -> tuple[str, ...]:
+    departed, veiled = departs(fitter, fits[0].fit), _veiled(fits)
+    return (*(("model-misfit",) if departed else ()), *(("window-too-small",) if veiled else ()))
+
+
+def _veiled(fits: list[Weighed]) -> bool:
+    """Tell whether much of the evidence is for light wider than the window, whose share the window cannot tell."""
+    return sum(one.share for one in fits if isinstance(one.fit.family.wide, VeilPrior)) > VEILED
 
 
 def _shares(fits: list[Weighed]) -> dict[str, float]:

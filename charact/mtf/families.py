@@ -15,7 +15,7 @@ from charact.mtf import transfer as forms
 
 Array = NDArray[np.float64]
 
-HALF_FREQUENCY = (0.008, 2.0)
+HALF_FREQUENCY = (0.008, 6.0)
 # Exponent of exp(-ln 2 (f/f2)^n): tubes about 1.1 to 1.7, a Gaussian 2, and what aberrations may make of it.
 EXPONENT = (0.6, 4.0)
 EXPONENT_PRIOR = (1.6, 0.6)
@@ -91,7 +91,30 @@ class GlarePrior:
         return forms.glare(frequency, shape[:, 0])
 
 
-Wide = HaloPrior | DiscPrior | GlarePrior
+@dataclass(frozen=True, kw_only=True)
+class VeilPrior:
+    """Light spread wider than the window: bounds of its standard deviation, px, and of its share.
+
+    Inside the window only its slope is seen, which uneven light has too: how much light it is hardly shows.
+    """
+
+    sigma_px: tuple[float, float]
+    fraction: tuple[float, float] = WIDE_SHARE
+
+    name = "veil"
+    after_size = 1
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return {"veil_fraction": ("1", self.fraction), "veil_sigma_px": ("px", self.sigma_px)}
+
+    def transfer(self, frequency: Array, shape: Array) -> Array:
+        """Return the veil's own transfer for parameters after the share, shape (n, 1)."""
+        return np.exp(-2.0 * (np.pi * frequency * shape[:, :1]) ** 2)
+
+
+Wide = HaloPrior | DiscPrior | GlarePrior | VeilPrior
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -110,8 +110,9 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
 
     Notes
     -----
-    Model: level + rise tanh((col - position - slope row) / width). A symmetric template is unbiased for the course of
-    any edge, and nearly as precise as the edge's own shape. Single wild pixels count as little more than far ones.
+    Model: level + rise tanh((col - position - slope row) / width), level and rise changing evenly along the edge, as
+    uneven light has it. A symmetric template is unbiased for the course of any edge, and nearly as precise as the
+    edge's own shape. Single wild pixels count as little more than far ones.
     """
     rows, cols = picture.value.shape
     row = np.arange(rows) - (rows - 1) / 2
@@ -119,34 +120,38 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
     across = line.across((rows, cols))
     reach = 12.0 + wander
     inside = np.nonzero(np.abs(across) < reach)
-    value, distance, height = picture.value[inside], across[inside], row[inside[0]]
+    value, distance, height = picture.value[inside], across[inside], row[inside[0]] / rows
     if value.size < 16:
         return line
     shift, turn, width, clip = 0.0, 0.0, max(2.0, wander), np.inf
-    last = np.inf
+    last, design = np.inf, np.ones((7, value.size))
+    design[2] = height
     for iteration in range(iterations):
-        bend = np.tanh((distance - shift - turn * height) / width)
         place = (distance - shift - turn * height) / width
-        count, total, square = value.size, bend.sum(), float(bend @ bend)
-        one, other = value.sum(), float(bend @ value)
-        rise = (other - total * one / count) / max(square - total**2 / count, 1e-300)
-        level = (one - rise * total) / count
-        residual = value - level - rise * bend
+        bend = np.tanh(place)
+        design[1], design[3] = bend, height * bend
+        levels = _least_squares(design[:4], value)
+        residual = value - levels @ design[:4]
         if iteration in (3, 6):
-            clip = 6.0 * 1.4826 * float(np.median(np.abs(residual[:: max(1, count // 4000)])))
+            clip = 6.0 * 1.4826 * float(np.median(np.abs(residual[:: max(1, value.size // 4000)])))
         residual = np.clip(residual, -clip, clip)
-        steep = -rise / width * (1.0 - bend**2)
-        design = np.stack([np.ones(count), bend, steep, steep * height, steep * place])
-        normal = design @ design.T
-        move = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)) + 1e-300 * np.eye(5), design @ residual)
-        step = float(np.clip(move[2], -4.0, 4.0)), float(np.clip(move[3] * rows, -8.0, 8.0) / rows)
+        design[4] = -(levels[1] + levels[3] * height) / width * (1.0 - bend**2)
+        design[5], design[6] = design[4] * height, design[4] * place
+        move = _least_squares(design, residual)[4:]
+        step = float(np.clip(move[0], -4.0, 4.0)), float(np.clip(move[1], -8.0, 8.0))
         shift, turn = float(np.clip(shift + step[0], -reach, reach)), turn + step[1]
-        width = float(np.clip(width + np.clip(move[4], -0.5 * width, width), 0.4, 20.0))
-        size = abs(step[0]) + abs(step[1]) * rows
+        width = float(np.clip(width + np.clip(move[2], -0.5 * width, width), 0.4, 20.0))
+        size = abs(step[0]) + abs(step[1])
         if iteration > 3 and size < 1e-3 and last < 0.1:
             break
         last = size
-    return replace(line, position=line.position + shift, slope=line.slope + turn)
+    return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
+
+
+def _least_squares(design: Array, value: Array) -> Array:
+    """Return the amplitudes of rows of a design, shape (row, pixel); one that nothing feels stays at none."""
+    normal = design @ design.T
+    return np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(design)), design @ value)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,11 +218,16 @@ def _row_offsets(picture: Picture, line: Line, blur_px: float) -> tuple[Array, N
     profile = kernel @ (sums / np.maximum(counts, 1))
     rise = np.gradient(profile, places)
     inside = np.clip(across, places[0], places[-1])
-    slope = np.where(near, np.interp(inside, places, rise), 0.0)
-    residual = np.where(near, picture.value - np.interp(inside, places, profile), 0.0)
-    power = np.sum(slope**2, axis=1)
-    good = power > 0.5 * np.median(power)
-    return -np.sum(residual * slope, axis=1) / np.maximum(power, 1e-300), good & (power > 0)
+    template = np.interp(inside, places, profile)
+    # A row's own level and step are free: light that changes along the edge must not move it.
+    shapes = np.stack([np.interp(inside, places, rise), np.ones_like(across), template - profile.mean()]) * near
+    normal = np.einsum("arc,brc->rab", shapes, shapes)
+    scale = np.sqrt(np.maximum(np.einsum("raa->ra", normal), 1e-300))
+    normal = normal / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(3)
+    pull = np.einsum("arc,rc->ra", shapes, np.where(near, picture.value - template, 0.0)) / scale
+    inverse = np.linalg.inv(normal)
+    power = scale[:, 0] ** 2 / inverse[:, 0, 0]
+    return -np.einsum("ra,ra->r", inverse[:, 0], pull) / scale[:, 0], (power > 0.5 * np.median(power)) & (power > 0)
 
 
 def _spread(values: Array) -> float:
