@@ -84,7 +84,7 @@ def sample(
     max_steps
         Steps of each ensemble after which it is given up.
     walkers
-        Walkers of an ensemble, at least 8 and two for each parameter; None: four for each parameter, at least 32.
+        Walkers of an ensemble, at least 8 and two for each parameter; None: two for each parameter, at least 32.
 
     Returns
     -------
@@ -100,10 +100,10 @@ def sample(
 
     Notes
     -----
-    Converged: more than 50 autocorrelation times after the burn-in, the time itself steady within 10 % while the
-    chain grew by a third, split R-hat between ensembles below 1.01, an acceptance as of a chain that moves, and no
-    walker that stays where it began. Peaks that neither the walkers nor the climbs met are unknown to any chain, and
-    a chain knows nothing of a wrong model: that is for `predictive_check`.
+    Converged: more than 50 autocorrelation times after the burn-in, by this judgement and the last one, the time not
+    grown by 10 % while the chain grew by a third, split R-hat between ensembles below 1.01, an acceptance as of a
+    chain that moves, and no walker that stays where it began. Peaks that neither the walkers nor the climbs met are
+    unknown to any chain, and a chain knows nothing of a wrong model: that is for `predictive_check`.
     """
     spread = np.asarray(covariance, float)
     walls = walls_of(bounds, len(spread))
@@ -143,7 +143,7 @@ def _walkers(asked: int | None, parameters: int) -> int:
     """Return the number of walkers of an ensemble; too few would stay in the subspace in which they began."""
     least = max(2 * parameters, LEAST_WALKERS)
     if asked is None:
-        return max(32, 4 * parameters)
+        return max(32, 2 * parameters)
     if asked < least:
         raise BadInput(f"walkers must be at least twice the parameters and {LEAST_WALKERS}, {least} here, got {asked}")
     return asked
@@ -187,7 +187,7 @@ def _learn(running: Ensembles, log_probability: Vectorised, max_steps: int) -> N
 def _learnt(seen: NDArray, ensembles: int) -> list:
     """Return moves shaped after draws: each margin made normal first, so that what is left to fit is a covariance."""
     scores = NormalScores(seen)
-    straight = scores.of(seen)
+    straight, _ = scores.of(seen)
     covariance = np.atleast_2d(np.cov(straight.T)) + 1e-12 * np.diag(straight.var(axis=0))
     return mixed_moves(straight.mean(axis=0)[None], covariance, ensembles, scores)
 
@@ -229,10 +229,12 @@ def _trust(chains: NDArray[np.float64], last_tau: NDArray[np.float64] | float, r
     tau = autocorrelation_time(merged)
     r_hat = ensemble_r_hat(chains)
     with np.errstate(invalid="ignore"):
-        steady = bool(np.all(np.abs(tau - last_tau) < TAU_CHANGE * tau + 0.05)) or bool(np.all(tau < steps / 400.0))
+        grown = tau - last_tau > TAU_CHANGE * tau + 0.05
+        known = np.isfinite(last_tau) & ~grown | (tau < steps / 400.0)
+    longest = np.where(np.isfinite(last_tau), np.maximum(tau, last_tau), tau)
     converged = (
-        bool(np.all(steps > STEPS_PER_TAU * tau))
-        and steady
+        bool(np.all(steps > STEPS_PER_TAU * longest))
+        and bool(np.all(known))
         and moves_well(running.acceptance, running.local_acceptance)
         and bool(np.all(r_hat < R_HAT))
         and bool(np.all(split_r_hat(merged) < WALKER_R_HAT))

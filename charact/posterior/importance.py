@@ -6,7 +6,6 @@ middle only.
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import logsumexp
 
 from charact.posterior.curvature import Vectorised, gaussian_within, root_of, walls_of
 from charact.posterior.diagnostics import leans_on_bound
@@ -75,7 +74,7 @@ def weighed(
     counts, densities = [FIRST_DRAWS], [first.log_density(points)]
     while True:
         share = np.log(np.array(counts) / len(points))
-        weight = np.exp(_normalised(heights - logsumexp(np.array(densities) + share[:, None], axis=0)))
+        weight = _weights(heights - np.logaddexp.reduce(np.array(densities) + share[:, None], axis=0))
         effective = 1.0 / float(np.sum(weight**2))
         if effective >= enough or len(mixture) > MOST_ADDED:
             break
@@ -132,5 +131,6 @@ def _heights(log_probability: Vectorised, space: OpenSpace, points: Array) -> Ar
     return log_probability(space.inside(points)) + space.log_volume(points)
 
 
-def _normalised(log_weight: Array) -> Array:
-    return log_weight - float(logsumexp(log_weight))
+def _weights(log_weight: Array) -> Array:
+    weight = np.exp(log_weight - log_weight.max())
+    return weight / weight.sum()

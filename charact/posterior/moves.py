@@ -108,17 +108,19 @@ class IndependentDraws:
         stretch = scales[part] * np.sqrt(freedoms[part] / random.chisquare(freedoms[part]))
         centre = self._places[random.randint(len(self._places), size=count)]
         fresh = centre + (random.standard_normal((count, parameters)) * stretch[:, None]) @ self._root.T
-        fresh = fresh if self._scores is None else self._scores.points(fresh)
-        log_ratio = self._log_density(state.coords) - self._log_density(fresh)
-        return state, _taken(model, state, np.arange(count), fresh, log_ratio)
+        if self._scores is None:
+            log_ratio = self._log_density(state.coords) - self._log_density(fresh)
+            return state, _taken(model, state, np.arange(count), fresh, log_ratio)
+        now, slope_now = self._scores.of(state.coords)
+        points, slope = self._scores.points(fresh)
+        log_ratio = self._log_density(now) + slope_now - self._log_density(fresh) - slope
+        return state, _taken(model, state, np.arange(count), points, log_ratio)
 
     def _log_density(self, points: Array) -> Array:
         """Return the log-density of the mixture up to a constant, shape (point,)."""
-        places = points if self._scores is None else self._scores.of(points)
-        squares = (((places[:, None, :] - self._places) @ self._inverse.T) ** 2).sum(-1)
+        squares = (((points[:, None, :] - self._places) @ self._inverse.T) ** 2).sum(-1)
         parts = [_log_student_t(squares, points.shape[1], *part) for part in BODY_AND_TAILS]
-        density = np.logaddexp.reduce(np.concatenate(parts, axis=1), axis=1)
-        return density if self._scores is None else density + self._scores.log_slope(points)
+        return np.logaddexp.reduce(np.concatenate(parts, axis=1), axis=1)
 
 
 def _log_student_t(squares: Array, parameters: int, share: float, freedom: float, scale: float) -> Array:

@@ -40,25 +40,23 @@ class NormalScores:
         below, above = width[:, :1] * longer[::-1], width[:, -1:] * longer
         self._width = np.concatenate([below, width, above], axis=1)
         self._left = quantiles[:, :1] - below.sum(axis=1, keepdims=True) + np.cumsum(self._width, axis=1) - self._width
-        self._parameter = np.arange(draws.shape[1])
+        self._log_slope = np.log(STEPS / self._width)
+        self._inner = self._left[:, 1:]
+        self._first = STEPS.size * np.arange(draws.shape[1])
 
-    def of(self, points: Array) -> Array:
-        """Return the scores of points (point, parameter)."""
-        piece = self._piece(points)
-        share = (points - self._left[self._parameter, piece]) / self._width[self._parameter, piece]
-        return PINS[piece] + STEPS[piece] * share
+    def of(self, points: Array) -> tuple[Array, Array]:
+        """Return the scores of points (point, parameter) and ln |d scores/d points|, shape (point,)."""
+        piece = (points[:, :, None] > self._inner).sum(axis=2)
+        left, width, log_slope = self._of(piece)
+        return PINS[piece] + STEPS[piece] * (points - left) / width, log_slope
 
-    def points(self, scores: Array) -> Array:
-        """Return the points of scores (point, parameter)."""
+    def points(self, scores: Array) -> tuple[Array, Array]:
+        """Return the points of scores (point, parameter) and ln |d scores/d points| there, shape (point,)."""
         piece = np.searchsorted(PINS[1:-1], scores)
-        share = (scores - PINS[piece]) / STEPS[piece]
-        return self._left[self._parameter, piece] + self._width[self._parameter, piece] * share
+        left, width, log_slope = self._of(piece)
+        return left + width * (scores - PINS[piece]) / STEPS[piece], log_slope
 
-    def log_slope(self, points: Array) -> Array:
-        """Return ln |d scores/d points|, shape (point,)."""
-        piece = self._piece(points)
-        return np.sum(np.log(STEPS[piece] / self._width[self._parameter, piece]), axis=1)
-
-    def _piece(self, points: Array) -> NDArray[np.intp]:
-        """Return between which pins each coordinate lies."""
-        return (points[:, :, None] > self._left[:, 1:]).sum(axis=2)
+    def _of(self, piece: NDArray[np.intp]) -> tuple[Array, Array, Array]:
+        """Return left end and width of pieces between pins, and the log of the slopes that they make together."""
+        at = piece + self._first
+        return self._left.take(at), self._width.take(at), self._log_slope.take(at).sum(axis=1)
