@@ -37,7 +37,7 @@ HIGHEST_CY_PER_PX = 0.9
     scope=(
         "Straight edges tilted 3 to 15 degrees, 60 rows and more, step over 20 standard deviations of the noise, even "
         "light. Normalises to the light inside the region; uneven light and noise bias it, and a curved response "
-        "mostly unseen (a gamma of 2.2: +12 to +16 %)."
+        "mostly unseen (a gamma of 0.45 to 2.2: up to 16 %)."
     ),
 )
 def edge_gradient(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:

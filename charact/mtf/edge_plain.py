@@ -26,8 +26,6 @@ from labdata.measurement import Curve, Measurement, Provenance, Result, from_sd,
 Array = NDArray[np.float64]
 
 BLOCKS = 20
-# Student's 95 % quantile at so many degrees of freedom over the normal one.
-_STUDENT = 1.07
 # Share of a crossing's frequency on both sides over which the response's slope is taken, and the least slope there.
 AROUND, SHALLOWEST = 0.3, 0.1
 LEAST_ROWS, LEAST_COLS = 20, 16
@@ -226,18 +224,18 @@ def _measurements(plain: PlainMethod, response: Response, common: dict) -> list[
 
 
 def _crossing_sd(response: Response, crossing: float, each: Array) -> float:
-    """Return the standard error of a crossing.
+    """Return the standard error of a crossing: the response's scatter around there over its slope at large.
 
-    Noise makes a response of no model uneven: where it falls steeply by chance its own crossings hardly scatter, and
-    the true one may be far. So the scatter is at least that of the response around there, over its slope at large.
+    Noise makes a response of no model uneven: where it falls steeply by chance its own crossings, one for each block
+    left out, hardly scatter, and the true one may be far. They serve where too few frequencies are near.
     """
     frequency = response.frequency
     near = np.abs(frequency / crossing - 1.0) < AROUND
     if np.count_nonzero(near) < 3:
-        return _STUDENT * float(_jackknife(each))
+        return float(_jackknife(each))
     slope = np.polyfit(frequency[near], response.value[near], 1)[0]
     scatter = float(np.sqrt(np.mean(_jackknife(response.parts[:, near]) ** 2)))
-    return _STUDENT * max(float(_jackknife(each)), scatter / max(-slope, SHALLOWEST / crossing))
+    return scatter / max(-slope, SHALLOWEST / crossing)
 
 
 def _angle(edge: FoundEdge, common: dict) -> Measurement:
