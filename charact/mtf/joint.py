@@ -25,7 +25,7 @@ METHOD = "joint"
 LEAST_SHARE = 0.02
 DRAWS = 1000
 # Weighted draws worth fewer than this are given up for a Markov chain, which may take so many steps.
-LEAST_EFFECTIVE, MAX_STEPS = 500, 3000
+LEAST_EFFECTIVE, MAX_STEPS = 1000, 3000
 # Chance below which targets lie outside their joint 95 % region, and below which one MTF is not believed.
 OUTSIDE, MISFIT = 0.05, 0.01
 # Targets within this of the rows' or columns' direction tell of it, degrees.

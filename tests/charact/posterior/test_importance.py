@@ -29,7 +29,7 @@ def test_a_bent_ridge_has_its_moments(seed):
     found = drawn(banana, 2, seed=seed)
     assert found.sampler == "importance"
     independent = found.effective_sample_size[0]
-    assert independent >= 1000
+    assert independent >= 3000
     across = (found["p1"] - found["p0"] ** 2) / 0.1
     for values in (found["p0"], across):
         assert values.mean() == pytest.approx(0.0, abs=4.5 / np.sqrt(independent))
@@ -48,4 +48,4 @@ def test_mass_at_walls_is_that_of_the_cut_density(seed):
 
 def test_a_mixture_that_may_not_grow_admits_how_few_draws_it_is_worth(monkeypatch):
     monkeypatch.setattr(importance, "MOST_ADDED", 0)
-    assert drawn(lambda points: banana(points * [0.1, 1.0]), 2, seed=1).effective_sample_size[0] < 500
+    assert drawn(lambda points: banana(points * [0.1, 1.0]), 2, seed=1).effective_sample_size[0] < 1000
