@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bins import Gathered
+from charact.mtf.grain_form import form_of
 
 Array = NDArray[np.float64]
 
 REACH = 14  # px; correlations beyond are taken as none
+# Standard errors from which on a departure from the smooth form counts.
+STANDS_OUT = 3.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +67,8 @@ def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) ->
         # What is left over is rounding, in the data or in the bins, and ties no neighbours.
         return grain
     standard = np.where(used, residual / np.sqrt(grain.variance(level)), 0.0)
-    return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation_of(standard, used))
+    slopes = float(np.diff(gathered.distance[0, :2])[0]), float(np.diff(gathered.distance[:2, 0])[0])
+    return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation_of(standard, used, slopes))
 
 
 def _variances(residual: Array, level: Array, floor: float) -> tuple[float, float]:
@@ -77,8 +81,16 @@ def _variances(residual: Array, level: Array, floor: float) -> tuple[float, floa
     return max(float(dark), 0.02 * mean, floor), max(float(bright), 0.02 * mean, floor)
 
 
-def correlation_of(standard: Array, used: NDArray[np.bool_]) -> Array:
-    """Return the correlation of standardised residuals at lags up to REACH, insignificant far lags set to none."""
+def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float, float]) -> Array:
+    """Return the correlation of standardised residuals at lags up to REACH: a smooth form, and what departs from it.
+
+    Parameters
+    ----------
+    standard, used
+        Residuals in units of their deviation and which of them count, shape (row, col).
+    slopes
+        Change of the distance from the edge with one column and with one row, px.
+    """
     rows, cols = standard.shape
     reach_row, reach_col = min(REACH, rows - 1), min(REACH, cols - 1)
     shape = (rows + reach_row, cols + reach_col)
@@ -90,13 +102,16 @@ def correlation_of(standard: Array, used: NDArray[np.bool_]) -> Array:
     if not correlation[reach_row, reach_col] > 0:
         return np.ones((1, 1))
     correlation = correlation / correlation[reach_row, reach_col]
-    error = 1.0 / np.sqrt(np.maximum(pairs, 1))
-    # A lag counts where it or its surroundings stand out of the noise of the estimate.
-    around = _smoothed(correlation)
-    keep = np.abs(around) > 2.5 * error / 3.0
-    keep[reach_row, reach_col] = True
+    across = np.add.outer(take_row * slopes[1], take_col * slopes[0])
+    form, taken = form_of(correlation, pairs, across)
+    # What the form leaves counts where it stands out of the noise of the estimate with its surroundings.
+    left = correlation - form - taken
+    # Bartlett: errors of a correlation are tied over lags as the noise itself is.
+    error = np.sqrt(np.sum(_smoothed(form) ** 2) / np.maximum(pairs, 1))
+    keep = np.abs(_smoothed(left)) > STANDS_OUT * error
+    keep[reach_row, reach_col] = False
     taper = np.outer(_taper(take_row, REACH), _taper(take_col, REACH))
-    return np.where(keep, correlation, 0.0) * taper
+    return form + np.where(keep, left, 0.0) * taper
 
 
 def _autocorrelation(field: Array, shape: tuple[int, int]) -> Array:

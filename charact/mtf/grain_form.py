@@ -1,0 +1,102 @@
+"""A smooth form of the correlation of noise: what a blur behind the gain leaves, four numbers in place of hundreds."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Lags that tell the form, px; further ones hold next to nothing but noise.
+TELLING_PX = 6
+# Lengths along columns and rows, and the exponent of exp(-(r/L)^p): a Gaussian blur leaves 2, tails of tubes less.
+LENGTH_PX, EXPONENT = (0.35, 6.0), (0.7, 2.3)
+EXPONENT_PRIOR = (1.8, 0.3)
+STARTS_PX = (0.7, 1.2, 2.4)
+# Chi squared that a correlation must be worth, with four numbers of its own.
+WORTH_CHI2 = 25.0
+# Width of the bins that take most of the noise along the edge with them, px.
+STRIP_PX = 1.0
+ITERATIONS = 8
+
+
+def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Array]:
+    """Fit the form to a correlation and return it, and what the removal of bin means took from it.
+
+    Parameters
+    ----------
+    correlation
+        At lags of rows and columns, shape (2 R + 1, 2 C + 1), 1 in the middle.
+    pairs
+        Pairs of pixels behind each lag.
+    across
+        Distance across the edge that each lag makes, px.
+
+    Returns
+    -------
+    form, taken
+        Same shape; the form is 1 in the middle and 0 elsewhere where neighbours share nothing.
+
+    Notes
+    -----
+    rho(l) = A exp(-(r(l))^p) - c t(l) for l other than 0: r^2 = (x/Lx)^2 + (y/Ly)^2, and t a triangle, because means
+    of bins take along the same share of all pairs that lie in one bin. Gauss-Newton on Lx, Ly and p with A and c
+    solved at each step.
+    """
+    rows, cols = (np.arange(size) - size // 2 for size in correlation.shape)
+    y, x = np.meshgrid(rows, cols, indexing="ij")
+    strip = np.maximum(1.0 - np.abs(across) / STRIP_PX, 0.0)
+    # One of each pair of opposite lags, and not the pixel itself.
+    half = (y > 0) | ((y == 0) & (x > 0))
+    telling = half & (np.abs(x) <= TELLING_PX) & (np.abs(y) <= TELLING_PX) & (pairs > 50)
+    weight = np.sqrt(pairs[telling])
+    lags = np.stack([x[telling], y[telling]]).astype(float)
+    found = _fitted(correlation[telling] * weight, lags, strip[telling], weight)
+    middle = (x == 0) & (y == 0)
+    if found is None:
+        only = weight * strip[telling]
+        taken = float(only @ (correlation[telling] * weight) / max(only @ only, 1e-300))
+        return np.where(middle, 1.0, 0.0), np.where(middle, 0.0, taken * strip)
+    theta, (share, taken) = found
+    form = share * _shape(theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)).reshape(x.shape)
+    return np.where(middle, 1.0, form), np.where(middle, 0.0, taken * strip)
+
+
+def _shape(theta: Array, lags: Array) -> Array:
+    """Return exp(-r^p), shape (n, 3) and (2, lag) -> (n, lag)."""
+    length = np.exp(theta[:, :2, None])
+    square = (lags[0] / length[:, 0]) ** 2 + (lags[1] / length[:, 1]) ** 2
+    return np.exp(-(square ** (0.5 * theta[:, 2:])))
+
+
+def _solved(theta: Array, data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array]:
+    """Return share and loss, shape (n, 2), and what is left, shape (n, lag + 1), the prior of the exponent last."""
+    shape = _shape(theta, lags) * weight
+    own, both, other = np.sum(shape**2, axis=1), shape @ strip, max(strip @ strip, 1e-300)
+    free = (shape @ data - both * (strip @ data) / other) / np.maximum(own - both**2 / other, 1e-300)
+    share = np.clip(free, 0.0, 1.0)
+    loss = (strip @ data - share * both) / other
+    left = data - share[:, None] * shape - loss[:, None] * strip
+    prior = (theta[:, 2:] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
+    return np.stack([share, loss], axis=1), np.concatenate([left, prior], axis=1)
+
+
+def _fitted(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array] | None:
+    """Return ln lengths and exponent, share and what bins took; None where the correlation is not worth it."""
+    low = np.array([np.log(LENGTH_PX[0]), np.log(LENGTH_PX[0]), EXPONENT[0]])
+    high = np.array([np.log(LENGTH_PX[1]), np.log(LENGTH_PX[1]), EXPONENT[1]])
+    strip = strip * weight
+    starts = np.array([[np.log(length), np.log(length), EXPONENT_PRIOR[0]] for length in STARTS_PX])
+    theta = starts[np.argmin(np.sum(_solved(starts, data, lags, strip, weight)[1] ** 2, axis=1))]
+    little = np.concatenate([np.zeros((1, 3)), 1e-4 * np.eye(3)])
+    amplitude, left = _solved(theta + little, data, lags, strip, weight)
+    for _ in range(ITERATIONS):
+        slopes = (left[1:] - left[0]) / 1e-4
+        normal = slopes @ slopes.T
+        step = -np.linalg.solve(normal + 1e-3 * np.diag(np.diag(normal)) + 1e-12 * np.eye(3), slopes @ left[0])
+        trial = np.clip(theta + np.clip(step, -0.5, 0.5), low, high)
+        there = _solved(trial + little, data, lags, strip, weight)
+        if np.sum(there[1][0] ** 2) > np.sum(left[0] ** 2) - 1e-2:
+            break
+        theta, (amplitude, left) = trial, there
+    without = data - strip * (strip @ data / max(strip @ strip, 1e-300))
+    worth = float(np.sum(without**2) - np.sum(left[0] ** 2))
+    return (theta, amplitude[0]) if worth > WORTH_CHI2 and amplitude[0, 0] > 0 else None
