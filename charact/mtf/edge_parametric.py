@@ -40,14 +40,8 @@ SLOPED = 5.0
 HOPELESS = 100.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
-NATURAL_BOUNDS = (
-    "halo_fraction",
-    "disc_fraction",
-    "veil_fraction",
-    "glare_fraction",
-    "halo_elastic_share",
-    "moffat_exponent",
-)
+# Parameters whose bounds were merely chosen. Beyond those of the others lies what nature forbids or another form.
+CHOSEN_BOUNDS = ("ln_half_frequency", "exponent")
 DRAWS, QUICK_DRAWS = 1000, 500
 MAX_STEPS = 3000
 
@@ -217,9 +211,7 @@ def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: i
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
     else:
         posterior = sample(fitter.log_probability(fit.family, fit.slope_sd_per_px), **asked, max_steps=MAX_STEPS)
-    # A bound that nature or the next form sets (no halo, all electrons elastic, wings as faint as a Gaussian's) is
-    # one to lean on; one that was merely chosen is not.
-    chosen = ~np.array([False, *(name in NATURAL_BOUNDS for name in fit.family.parameters)])
+    chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
     leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
     return replace(posterior, flags=flags)

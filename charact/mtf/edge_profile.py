@@ -96,6 +96,7 @@ def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
     """Gather the profile of an edge and estimate its noise from what the pixels leave over after it."""
     masked = np.zeros(picture.value.shape, bool)
     gathered = gather(picture, line, half_width_px, masked)
+    picture = _even_along(picture, gathered)
     residual, level = _residual(picture, gathered)
     rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
     spread = np.abs(_span(picture, gathered))
@@ -130,12 +131,17 @@ def _residual(picture: Picture, gathered: Gathered) -> tuple[Array, Array]:
     A bin's mean takes part of its pixels' noise with it; the residuals are enlarged for that.
     """
     mean, count = gathered.means(picture.value)
-    dark, bright = _levels(mean, count, gathered)
-    level = (mean - dark) / (bright - dark if bright != dark else 1.0)
+    level = _level(mean, count, gathered)
     lost = np.sqrt(count / np.maximum(count - 1.0, 0.5))
     value = (picture.value - _at_pixels(mean, count, gathered)) * lost[gathered.bin_index]
     value = np.where(gathered.used, value, 0.0)
-    return _without_slope(value, gathered, level[gathered.bin_index]), level[gathered.bin_index]
+    return value, level
+
+
+def _level(mean: Array, count: Array, gathered: Gathered) -> Array:
+    """Return the profile from 0 to 1 at every pixel."""
+    dark, bright = _levels(mean, count, gathered)
+    return ((mean - dark) / (bright - dark if bright != dark else 1.0))[gathered.bin_index]
 
 
 def _span(picture: Picture, gathered: Gathered) -> float:
@@ -157,15 +163,30 @@ def _at_pixels(mean: Array, count: Array, gathered: Gathered) -> Array:
     return mean[index] + rise[index] * (gathered.distance - distance[index])
 
 
+def _even_along(picture: Picture, gathered: Gathered) -> Picture:
+    """Return the picture less the change of its light along the edge, of which a tilted window would make a slope."""
+    mean, count = gathered.means(picture.value)
+    level = _level(mean, count, gathered)
+    slope = _slope_along(picture.value - _at_pixels(mean, count, gathered), gathered, level)
+    return replace(picture, value=picture.value - slope)
+
+
 def _without_slope(value: Array, gathered: Gathered, level: Array) -> Array:
     """Return residuals less an illumination slope along the edge, on both sides of it."""
-    used = gathered.used
-    along = gathered.along[used] / max(float(np.abs(gathered.along[used]).max()), 1.0)
-    design = np.stack([along * level[used], along * (1.0 - level[used])], axis=1)
-    slope = np.linalg.lstsq(design.T @ design, design.T @ value[used], rcond=1e-9)[0]
-    out = value.copy()
-    out[used] -= design @ slope
-    return out
+    return np.where(gathered.used, value - _slope_along(value, gathered, level), value)
+
+
+def _slope_along(value: Array, gathered: Gathered, level: Array) -> Array:
+    """Return the part of residuals that changes evenly along the edge, by its own amount on both sides of it.
+
+    Pixels are compared with those at the same distance: what changes across the edge is the profile's.
+    """
+    along = gathered.along / max(float(np.abs(gathered.along[gathered.used]).max()), 1.0)
+    within = (along - gathered.means(along)[0][gathered.bin_index])[gathered.used]
+    share = level[gathered.used]
+    used = np.stack([within * share, within * (1.0 - share)])
+    bright, dark = np.linalg.lstsq(used @ used.T, used @ value[gathered.used], rcond=1e-9)[0]
+    return along * (bright * level + dark * (1.0 - level))
 
 
 def _levels(mean: Array, count: Array, gathered: Gathered) -> tuple[float, float]:
