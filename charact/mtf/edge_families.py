@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charact.mtf.edge_checks import response_curvature
 from charact.mtf.edge_maps import EdgeMaps
 from charact.mtf.edge_profile import Profile
-from charact.mtf.families import Family, Wide
+from charact.mtf.families import Family, Wide, share_unit
 from charact.mtf.optics import Known
 
 Array = NDArray[np.float64]
@@ -150,7 +150,7 @@ class FamilyFitter:
         mean, precision = prior
         normal = linear.T @ linear
         normal.flat[:: LINEAR + 1] += precision[-LINEAR:]
-        amplitude = np.linalg.solve(normal, linear.T @ self.maps.data)
+        amplitude = np.asarray(np.linalg.solve(normal, linear.T @ self.maps.data), float)
         residual = self.maps.data - linear @ amplitude
         off = point - mean[: point.size]
         cost = float(residual @ residual + off**2 @ precision[: point.size] + amplitude**2 @ precision[-LINEAR:])
@@ -257,6 +257,7 @@ class FamilyFitter:
         away = self.maps.white(core * (wide.transfer(self.maps.grid, shapes) - 1.0))
         gains, amplitudes, change = self._gains(fit, away)
         share = np.clip(amplitudes * abs(self.profile.step) / fit.amplitude[0], 0.02, 0.3)
+        share = np.minimum(share / share_unit(wide, shapes)[:, 0], bounds[0, 1])
         limits = self.bounds(fit.family)
         # Half a step of the core: what the light beyond it changes is not small.
         cores = np.clip(fit.point + 0.5 * change, limits[:, 0], limits[:, 1])

@@ -95,7 +95,7 @@ def _crosses(picture: Picture, edge: line.Line) -> bool:
     """Tell whether a line leaves pixels enough on both sides of it: one found in noise may run outside."""
     distance = edge.across(picture.value.shape)
     sides = (np.count_nonzero((side > 0) & (side < 2 * LEAST_HALF_WIDTH_PX)) for side in (distance, -distance))
-    return min(sides) >= LEAST_PIXELS
+    return bool(min(sides) >= LEAST_PIXELS)
 
 
 def no_edge(chi2: float, chi2_without: float, free: int) -> str | None:

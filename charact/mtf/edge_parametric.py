@@ -33,7 +33,7 @@ CLOSE = 8.0
 # Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
 LEAST_FOR_DISC_PX, LEAST_FOR_HALO_PX = 6.0, 16.0
 # Share of the evidence for light wider than the window from which on the window is too small.
-VEILED = 0.3
+VEILED = 0.5
 # Light that slopes is tried with forms that would come within this of the best.
 SLOPED = 5.0
 # A fit that began this much worse than the best in chi squared is not carried on.
@@ -161,7 +161,8 @@ def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
             hopeless = min(fit.cost for fit in found) + HOPELESS
             fit = fitter.fit_wide(core, prior, WORTH_CHI2, hopeless)
             found += [] if fit is None else [fit]
-    return _weighed([*found, *_uneven(fitter, found)])
+    uneven = _uneven(fitter, found)
+    return _weighed([*found, *uneven, *_unseen(fitter, uneven, wide)])
 
 
 def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
@@ -176,6 +177,20 @@ def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
         for fit, promise in zip(found, promised, strict=True)
         if promise > least
     ]
+
+
+def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...]) -> list[FamilyFit]:
+    """Fit light wider than the window to what was taken for uneven light, where it rises on both sides."""
+    veils = [prior for prior in wide if isinstance(prior, VeilPrior)]
+    rising = [fit for fit in uneven if fit.family.wide is None and fit.amplitude[2:].min() > 0]
+    if not veils or not rising:
+        return []
+    best, veil = max(rising, key=lambda fit: fit.log_evidence), veils[0]
+    widest = veil.sigma_px[1]
+    # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
+    share = min(float(best.amplitude[2:].min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
+    start = np.concatenate([best.point, [share, 0.5 * widest]])
+    return [fitter.fit(Family(core=best.family.core, wide=veil), start, UNEVEN_PER_PX)]
 
 
 def _weighed(found: list[FamilyFit]) -> list[Weighed]:

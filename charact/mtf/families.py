@@ -93,9 +93,11 @@ class GlarePrior:
 
 @dataclass(frozen=True, kw_only=True)
 class VeilPrior:
-    """Light spread wider than the window: bounds of its standard deviation, px, and of its share.
+    """Light spread wider than the window: bounds of its standard deviation, px, and of its share at the widest.
 
-    Inside the window only its slope is seen, which uneven light has too: how much light it is hardly shows.
+    Inside the window only its slope is seen, which uneven light has too: how much light it is hardly shows. The share
+    is therefore counted as if it were spread as widely as the bounds allow, which the slope tells; the share itself
+    is that times sigma over the widest sigma.
     """
 
     sigma_px: tuple[float, float]
@@ -107,7 +109,7 @@ class VeilPrior:
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
         """Unit and bounds of each parameter by name."""
-        return {"veil_fraction": ("1", self.fraction), "veil_sigma_px": ("px", self.sigma_px)}
+        return {"veil_fraction_if_widest": ("1", self.fraction), "veil_sigma_px": ("px", self.sigma_px)}
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
         """Return the veil's own transfer for parameters after the share, shape (n, 1)."""
@@ -115,6 +117,11 @@ class VeilPrior:
 
 
 Wide = HaloPrior | DiscPrior | GlarePrior | VeilPrior
+
+
+def share_unit(wide: Wide, shape: Array) -> Array:
+    """Return the share of all light for a first parameter of one, shape (n, parameter - 1) -> (n, 1)."""
+    return shape[:, :1] / wide.sigma_px[1] if isinstance(wide, VeilPrior) else np.ones((len(shape), 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +184,8 @@ class Family:
         if self.wide is None:
             return core
         tail = theta[:, self.core_parameters :]
-        return core * (1.0 - tail[:, :1] + tail[:, :1] * self.wide.transfer(frequency, tail[:, 1:]))
+        share = tail[:, :1] * share_unit(self.wide, tail[:, 1:])
+        return core * (1.0 - share + share * self.wide.transfer(frequency, tail[:, 1:]))
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds: flat but for the exponent of the tube's form."""

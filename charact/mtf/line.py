@@ -151,7 +151,8 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
 def _least_squares(design: Array, value: Array) -> Array:
     """Return the amplitudes of rows of a design, shape (row, pixel); one that nothing feels stays at none."""
     normal = design @ design.T
-    return np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(design)), design @ value)
+    firm = normal + 1e-9 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(design))
+    return np.asarray(np.linalg.solve(firm, design @ value), float)
 
 
 @dataclass(frozen=True, kw_only=True)

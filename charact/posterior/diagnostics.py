@@ -124,9 +124,10 @@ def has_several_peaks(draws: NDArray[np.float64]) -> bool:
 def _two_peaked(line: NDArray[np.float64]) -> bool:
     """Tell whether the smoothed histogram of draws has a valley between two peaks worth the name."""
     count = len(line)
-    if line.max() - line.min() <= 0 or count < 100:
-        return False
     width = 1.5 * 0.9 * line.std() * count**-0.2
+    # Draws so small that their squares vanish have no width either.
+    if width <= 0 or count < 100:
+        return False
     grid = np.linspace(line.min() - 3 * width, line.max() + 3 * width, 256)
     hist, edges = np.histogram(line, bins=256, range=(grid[0], grid[-1]))
     middle = (edges[1:] + edges[:-1]) / 2
