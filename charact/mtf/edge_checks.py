@@ -53,22 +53,20 @@ def picture_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]
     return code_flags(data, full_scale_dn)
 
 
-def line_flags(picture: Picture, rows: RowFit) -> tuple[str, ...]:
+def line_flags(picture: Picture, rows: RowFit, profile: Profile) -> tuple[str, ...]:
     """Return the flags of the edge's course: its tilt, its bow, and whether the two fields agree."""
     flags = []
     if abs(rows.line.slope) * picture.value.shape[0] < LEAST_TRAVEL_PX:
         flags.append("tilt-too-small")
     if _bowed(rows.offset):
         flags.append("curved-edge")
-    if _fields_disagree(picture, rows):
+    if _columns_disagree(picture, profile) if picture.transposed else _fields_disagree(picture, rows):
         flags.append("interlace-motion")
     return tuple(flags)
 
 
 def _fields_disagree(picture: Picture, rows: RowFit) -> bool:
     """Tell whether the edge lies elsewhere in odd rows of the frame than in even ones."""
-    if picture.transposed:
-        return False
     good = np.isfinite(rows.offset)
     odd = (picture.row_index[:, 0] % 2).astype(bool)
     if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < 6:
@@ -77,6 +75,24 @@ def _fields_disagree(picture: Picture, rows: RowFit) -> bool:
     apart = np.median(one) - np.median(other)
     error = 1.25 * np.hypot(_sd(one) / np.sqrt(one.size), _sd(other) / np.sqrt(other.size))
     return bool(abs(apart) > max(SIGNIFICANT * error, FIELD_OFFSET_PX))
+
+
+def _columns_disagree(picture: Picture, profile: Profile) -> bool:
+    """Tell whether fields disagree whose lines run along the edge: they alternate across the picture's columns.
+
+    Pixels off the mean profile by its slope times half a displacement, one way in odd lines and the other in even
+    ones, tell the displacement by least squares.
+    """
+    steep = np.gradient(np.convolve(profile.value, np.ones(5) / 5.0, "same"), profile.distance)
+    used = profile.gathered.used & (np.abs(profile.gathered.distance) < 8.0)
+    distance, sign = profile.gathered.distance[used], 1.0 - 2.0 * (picture.row_index[used] % 2)
+    residual = picture.value[used] - np.interp(distance, profile.distance, profile.value)
+    shape = 0.5 * sign * np.interp(distance, profile.distance, steep)
+    power = float(shape @ shape)
+    if power <= 0 or not (sign > 0).any() or not (sign < 0).any():
+        return False
+    noise = np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance))
+    return bool(abs(shape @ residual) / power > max(SIGNIFICANT * noise / np.sqrt(power), FIELD_OFFSET_PX))
 
 
 def _bowed(offset: Array) -> bool:

@@ -33,7 +33,9 @@ CLOSE = 8.0
 # Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
 LEAST_FOR_DISC_PX, LEAST_FOR_HALO_PX = 6.0, 16.0
 # Share of the evidence for light wider than the window from which on the window is too small.
-VEILED = 0.5
+VEILED = 0.65
+# Share of the sizes that a form may have which are too wide for the window to tell them from a veil.
+WIDEST_SHARE = 0.15
 # Light that slopes is tried with forms that would come within this of the best.
 SLOPED = 5.0
 # A fit that began this much worse than the best in chi squared is not carried on.
@@ -101,7 +103,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
             * np.concatenate([form.modulus(posterior.draws[:count, 1:], frequency) for form, posterior, count in drawn])
         ),
         settings={"forms": _shares(fits)},
-        notes=(_forms_note(fits), *(() if any(one.fit.family.wide for one in fits) else (within_note(profile),))),
+        notes=(_forms_note(fits), within_note(profile)),
         flags=_flags(fitter, fits),
     )
     return result_of(outcome, context, began)
@@ -244,8 +246,17 @@ def _flags(fitter: FamilyFitter, fits: list[Weighed]) -> tuple[str, ...]:
 
 
 def _veiled(fits: list[Weighed]) -> bool:
-    """Tell whether much of the evidence is for light wider than the window, whose share the window cannot tell."""
-    return sum(one.share for one in fits if isinstance(one.fit.family.wide, VeilPrior)) > VEILED
+    """Tell whether most of the evidence is for light wider than the window, whose share the window cannot tell."""
+    return sum(one.share for one in fits if _reaches_out(one.fit)) > VEILED
+
+
+def _reaches_out(fit: FamilyFit) -> bool:
+    """Tell whether a fit's light beyond the core is a veil, or as wide as its form may be."""
+    wide = fit.family.wide
+    if wide is None or isinstance(wide, VeilPrior):
+        return wide is not None
+    low, high = fit.family.bounds[-wide.after_size]
+    return bool(fit.point[-wide.after_size] > high - WIDEST_SHARE * (high - low))
 
 
 def _shares(fits: list[Weighed]) -> dict[str, float]:

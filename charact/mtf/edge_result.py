@@ -69,7 +69,7 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     half = float(np.nanmedian(falls_to(FINE, fine, 0.5)))
     flags = (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
-        *edge_checks.line_flags(edge.picture, edge.rows),
+        *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
         *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
         *edge_checks.response_flags(*outcome.response),
         *edge_checks.noise_flags(profile, edge.picture, used.black_level_dn),

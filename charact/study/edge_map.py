@@ -23,7 +23,7 @@ from charact.method.registry import of_kind
 from charact.study.edge import Blur, EdgeScene
 from charact.study.edge_bound import least_relative_sd
 from charact.study.failure_map import one_thread_each
-from charact.study.harness import Case, attempt
+from charact.study.harness import Case, Row, attempt
 from labdata.frames import FrameStack
 
 TABLE = Path(__file__).resolve().parent / "tables" / "edge_map.json"
@@ -188,6 +188,7 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, bo
     truth = cell.scene.truth_mtf50
     rows = [attempt(of_kind("edge")[METHOD], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)]
     sure = [row for row in rows if row.status == "ok"]
+    truths = truths_of(cell)
     widths = [(row.high95 - row.low95) / 3.92 / truth for row in sure if row.high95 and row.low95]
     statuses = [row.status for row in rows]
     return Outcome(
@@ -198,14 +199,45 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, bo
         suspect=statuses.count("suspect"),
         refused=statuses.count("refused"),
         crashed=statuses.count("crashed"),
-        silent=sum(row.silent for row in rows),
-        missed=sum(not row.covers for row in sure),
+        silent=sum(silent(row, truths) for row in sure),
+        missed=sum(not covers(row, truths) for row in sure),
         truth_cy_per_px=truth,
         worst_percent=max((row.error_percent or 0.0 for row in sure), default=None),
         sd_percent=100.0 * float(np.median(widths)) if widths else None,
         bound_percent=100.0 * least_relative_sd(cell.scene) if bound and cell.in_scope else None,
         seconds=float(np.median([row.seconds for row in rows])),
     )
+
+
+def truths_of(cell: Cell) -> tuple[float, float]:
+    """Return the least and the largest MTF50 that are right for a cell, cy/px.
+
+    Light spread wider than the window belongs to the normalisation as far as it is seen, and a result says that it is
+    normalised to the light inside: right is what counts all of that light, none of it, or a part.
+    """
+    truth = cell.scene.truth_mtf50
+    if cell.axis != "halo_px":
+        return truth, truth
+    core = replace(cell.scene.blur, halo_share=0.0)
+    return truth, core.mtf50(cell.scene.angle_deg)
+
+
+def covers(row: Row, truths: tuple[float, float]) -> bool:
+    """Tell whether a 95 % interval holds a right value."""
+    low, high = _interval(row)
+    return low <= truths[1] and high >= truths[0]
+
+
+def silent(row: Row, truths: tuple[float, float]) -> bool:
+    """Tell whether an ok number is off by more than twice its 95 % half interval on the side of the right value."""
+    value, (low, high) = row.value or 0.0, _interval(row)
+    off = float(np.clip(value, *truths)) - value
+    return abs(off) > 2.0 * ((high - value) if off > 0 else (value - low))
+
+
+def _interval(row: Row) -> tuple[float, float]:
+    assert row.low95 is not None and row.high95 is not None, "an ok number has an interval"
+    return row.low95, row.high95
 
 
 def case_of(cell: Cell, truth: float, repeat: int) -> Case:
