@@ -13,7 +13,7 @@ from charact.mtf.picture import Picture
 Array = NDArray[np.float64]
 
 # Significance from which a departure counts, in standard errors, and the size from which it matters.
-SIGNIFICANT = 5.0
+SIGNIFICANT = 4.0
 FIELD_OFFSET_PX = 0.04
 SAGITTA_PX = 0.12
 LEAST_TRAVEL_PX = 1.0
