@@ -11,7 +11,7 @@ from charact.study.speed_accuracy import Chart
 from labdata.quantity import QUANTITIES
 
 # Colours that differ in lightness too (Okabe and Ito), and a mark for each verdict.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 MARKS = {"ok": "o", "suspect": "^", "refused": "x", "crashed": "P"}
 
 
@@ -50,8 +50,6 @@ def draw_chart(result: Chart, path: Path) -> Path:
 
 def _draw_kind(axes: Any, result: Chart, kind: str) -> None:
     """One panel: the methods of one kind of target."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
     methods = {row.method for row in result.rows if row.kind == kind}
     summaries = [one for one in result.summaries if one.method in methods]
     for colour, one in zip(_cycled(len(summaries)), summaries, strict=True):
@@ -61,12 +59,19 @@ def _draw_kind(axes: Any, result: Chart, kind: str) -> None:
         label = f"{one.method}: {one.error_percent:.2g} % in {one.seconds:.2g} s, {one.ok_fraction:.0%} ok"
         axes.scatter([one.seconds], [one.error_percent], s=90, color=colour, edgecolor="black", label=label, zorder=3)
     axes.set(xscale="log", yscale="log", xlabel="time for one stack (s)")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.set_minor_formatter(NullFormatter())
+    plain_numbers(axes.xaxis, axes.yaxis)
     axes.set_title(f"{kind}, {summaries[0].cases} cases; large: median time, 95th percentile", fontsize=9)
     axes.legend(frameon=False, fontsize=8)
+
+
+def plain_numbers(*axes: Any, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
+    """Label some of every decade of logarithmic axes as plain numbers, by default 1, 2 and 5."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    for axis in axes:
+        axis.set_major_locator(LogLocator(subs=subs, numticks=20))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def _cycled(count: int) -> list[str]:

@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,9 @@ import numpy as np
 import charact.mtf  # registers the methods
 from charact.method import Context
 from charact.method.registry import of_kind
-from charact.study.edge import EdgeScene
-from charact.study.edge_efficiency import PEER, cramer_rao, peer_scene
+from charact.study.edge import Blur, EdgeScene
+from charact.study.edge_bound import least_relative_sd
+from charact.study.harness import judged
 from charact.study.speed_accuracy import write_json
 from labdata.frames import FrameStack
 
@@ -27,14 +28,34 @@ TABLE = Path(__file__).resolve().parent / "tables" / "edge_peers.json"
 FIGURE = Path("docs/mtf/edge-peers.png")
 # Frames for each method at each noise; the forward fit takes longest.
 FRAMES = {
-    "edge-exponential": 100,
-    "edge-parametric": 100,
-    "edge-free": 100,
+    "edge-exponential": 600,
+    "edge-parametric": 600,
+    "edge-free": 600,
     "edge-forward": 60,
-    "edge-slanted": 100,
-    "edge-gradient": 100,
+    "edge-slanted": 600,
+    "edge-gradient": 600,
 }
 SNRS = (100.0, 30.0, 10.0, 5.0, 2.0, 1.0)
+EDGE = EdgeScene(
+    blur=Blur(sigma_px=0.8), rows=256, cols=64, angle_deg=5.0, dark_dn=1100.0, bright_dn=1250.0, shot_share=0.0
+)
+
+
+def scene_of(snr: float, seed: int) -> tuple[EdgeScene, FrameStack]:
+    """Return the edge at a random phase, and a frame of it under white noise, not digitised.
+
+    Parameters
+    ----------
+    snr
+        Step over the standard deviation of the noise, dimensionless.
+    seed
+        Seed of phase and noise.
+    """
+    rng = np.random.default_rng([seed, round(snr)])
+    scene = replace(EDGE, offset_px=float(rng.uniform(-1, 1)), snr=snr)
+    mean = scene.light() + scene.black_dn
+    noise = (scene.bright_dn - scene.dark_dn) / snr * rng.standard_normal(mean.shape)
+    return scene, FrameStack(data=(mean + noise)[None], full_scale_dn=1e9)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,11 +120,12 @@ PEERS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a method made of one frame: errors are None where it refused."""
+    """What a method made of one frame: errors and cover are None where it refused."""
 
     method: str
     status: str
     relative_error: float | None
+    covers95: bool | None
     rms_mtf: float | None
     seconds: float
 
@@ -121,6 +143,7 @@ def answer(method: str, scene: EdgeScene, stack: FrameStack, seed: int) -> Answe
         method=method,
         status=found.status,
         relative_error=None if found.value is None else found.value / scene.truth_mtf50 - 1.0,
+        covers95=judged(found, scene.truth_mtf50).get("covers"),
         rms_mtf=None if away is None else float(np.sqrt(np.mean(away**2))),
         seconds=found.seconds or 0.0,
     )
@@ -128,7 +151,7 @@ def answer(method: str, scene: EdgeScene, stack: FrameStack, seed: int) -> Answe
 
 def answers(seed: int, snr: float, frames: Mapping[str, int]) -> list[Answer]:
     """Put every method that wants so many frames to the frame of a seed."""
-    scene, stack = peer_scene(snr, seed)
+    scene, stack = scene_of(snr, seed)
     return [answer(method, scene, stack, seed) for method, count in frames.items() if seed < count]
 
 
@@ -136,7 +159,7 @@ def without_noise(methods: Iterable[str], phases: int = 5) -> dict[str, float]:
     """Return the RMS error of MTF50 of each method over phases of the edge without noise, %."""
     errors: dict[str, list[float]] = {method: [] for method in methods}
     for phase in np.arange(phases) / phases:
-        scene = replace(PEER, offset_px=float(phase))
+        scene = replace(EDGE, offset_px=float(phase))
         stack = FrameStack(data=(scene.light() + scene.black_dn)[None], full_scale_dn=1e9)
         for method, own in errors.items():
             own.append(100.0 * (answer(method, scene, stack, 0).relative_error or 0.0))
@@ -144,16 +167,20 @@ def without_noise(methods: Iterable[str], phases: int = 5) -> dict[str, float]:
 
 
 def row(given: Sequence[Answer], snr: float) -> dict[str, Any]:
-    """Return the RMS errors of one method at one noise over the frames that gave a number."""
+    """Return the RMS errors of one method at one noise over the frames that gave a number, beside the bound."""
     numbers = [one for one in given if one.relative_error is not None]
     curves = [one.rms_mtf for one in numbers if one.rms_mtf is not None]
+    rms = _rms([100.0 * (one.relative_error or 0.0) for one in numbers])
     return {
         "method": given[0].method,
         "snr": snr,
         "frames": len(given),
         "numbers": len(numbers),
         "ok": sum(one.status == "ok" for one in given),
-        "rms_percent": _rms([100.0 * (one.relative_error or 0.0) for one in numbers]),
+        "rms_percent": rms,
+        "ratio": None if rms is None else rms / bound(snr)["rms_percent"],
+        "bias_percent": 100.0 * float(np.mean([one.relative_error or 0.0 for one in numbers])) if numbers else None,
+        "covers95": float(np.mean([bool(one.covers95) for one in numbers])) if numbers else None,
         "rms_mtf": _rms(curves),
         "median_seconds": float(np.median([one.seconds for one in given])),
     }
@@ -163,6 +190,7 @@ def _rms(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
+@cache
 def bound(snr: float) -> dict[str, float]:
     """Return the least RMS errors of MTF50, %, and of the MTF below Nyquist that an unbiased estimator can have.
 
@@ -171,8 +199,8 @@ def bound(snr: float) -> dict[str, float]:
     A Gaussian of unknown width, place, direction and levels. Its whole curve follows from its width, so that the
     error of the curve is that of MTF50 times the curve's change with it.
     """
-    scene, _ = peer_scene(snr, 0)
-    relative = cramer_rao(scene, exponent_free=False)
+    scene, _ = scene_of(snr, 0)
+    relative = least_relative_sd(scene)
     frequency, little = np.linspace(0.0, 0.5, 101), 1e-3
     wide, narrow = (replace(scene.blur, sigma_px=scene.blur.sigma_px + sign * little) for sign in (1, -1))
     change = wide.mtf(frequency, scene.angle_deg) - narrow.mtf(frequency, scene.angle_deg)

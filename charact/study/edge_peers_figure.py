@@ -5,10 +5,8 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from charact.study.draw import COLOURS, _pyplot
+from charact.study.draw import COLOURS, _pyplot, plain_numbers
 
-# Okabe and Ito's sky blue makes six.
-OURS = (*COLOURS, "#56b4e9")
 THEIRS = ("#333333", "#777777", "#aaaaaa")
 PANELS = (
     ("rms_percent", "RMS error of MTF50 (% of the truth)"),
@@ -32,7 +30,7 @@ def draw_peers(found: Mapping[str, Any], path: Path) -> Path:
     for panel, (quantity, label) in zip(panels, PANELS, strict=True):
         _draw_panel(panel, found, quantity)
         panel.set(xscale="log", yscale="log", xlabel="step / standard deviation of the noise (1)", ylabel=label)
-        _plain_numbers(panel)
+        plain_numbers(panel.xaxis, panel.yaxis)
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right center", frameon=False, fontsize=8)
     figure.suptitle(f"{found['edge']}\nopen marks: fewer than {MOSTLY:.0%} of the frames gave a number", fontsize=9)
@@ -45,7 +43,7 @@ def draw_peers(found: Mapping[str, Any], path: Path) -> Path:
 def _draw_panel(panel: Any, found: Mapping[str, Any], quantity: str) -> None:
     """One quantity: our methods, the other programs and the bound."""
     methods = list(dict.fromkeys(row["method"] for row in found["ours"]))
-    for method, colour in zip(methods, cycle(OURS), strict=False):
+    for method, colour in zip(methods, cycle(COLOURS), strict=False):
         rows = [row for row in found["ours"] if row["method"] == method and row[quantity] is not None]
         panel.plot([row["snr"] for row in rows], [row[quantity] for row in rows], color=colour, label=method)
         for row in rows:
@@ -68,13 +66,3 @@ def _draw_panel(panel: Any, found: Mapping[str, Any], quantity: str) -> None:
         [row["snr"] for row in found["bound"]], [row[quantity] for row in found["bound"]], ":", color="black",
         linewidth=1.8, label="Cramer-Rao bound",
     )  # fmt: skip
-
-
-def _plain_numbers(panel: Any) -> None:
-    """Label 1, 2 and 5 of every decade as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    for axis in (panel.xaxis, panel.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=20))
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.set_minor_formatter(NullFormatter())

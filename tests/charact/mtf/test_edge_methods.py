@@ -6,7 +6,9 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.study.edge_efficiency import covered, cramer_rao, efficiency_rows, efficient, peer_scene
+from charact.study.edge_bound import least_relative_sd
+from charact.study.edge_coverage import covered
+from charact.study.edge_peers import answers, row, scene_of
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)
@@ -65,17 +67,19 @@ def test_a_halo_lowers_the_mtf_by_the_light_it_takes(share, diameter_px):
 def test_the_bound_is_the_one_the_peers_were_held_against():
     """Reference: 0.61, 1.83 and 3.7 % at steps of 30, 10 and 5 standard deviations."""
     for snr, bound in ((30.0, 0.0061), (10.0, 0.0183), (5.0, 0.037)):
-        assert cramer_rao(peer_scene(snr, 0)[0], exponent_free=False) == pytest.approx(bound, rel=0.02)
+        assert least_relative_sd(scene_of(snr, 0)[0]) == pytest.approx(bound, rel=0.02)
 
 
 @pytest.mark.parametrize("snr", [30.0, 5.0])
 def test_errors_are_at_the_bound(snr, seed):
     """Sampling error of an RMS of n errors is 1/sqrt(2 n) of it: 2.5 of that are allowed over 1.15 and 1.5."""
     count, limits = 40, {"edge-parametric": 1.15, "edge-exponential": 1.15, "edge-free": 1.5}
-    trials = [trial for one in range(count) for trial in efficient(seed + one, snr, tuple(limits))]
-    for row in efficiency_rows(trials, snr):
-        assert row["numbers"] == count
-        assert row["ratio"] < limits[row["method"]] * (1 + 2.5 / np.sqrt(2 * count)), row
+    wanted = dict.fromkeys(limits, seed + count)
+    given = [one for each in range(count) for one in answers(seed + each, snr, wanted)]
+    for method, limit in limits.items():
+        found = row([one for one in given if one.method == method], snr)
+        assert found["numbers"] == count
+        assert found["ratio"] < limit * (1 + 2.5 / np.sqrt(2 * count)), found
 
 
 def test_intervals_hold_as_often_as_they_say(seed):

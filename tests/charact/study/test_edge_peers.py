@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from charact.method.registry import of_kind
-from charact.study.edge_efficiency import cramer_rao, peer_scene
-from charact.study.edge_peers import PEERS, TABLE, answers, bound, row, study, without_noise
+from charact.study.edge_bound import least_relative_sd
+from charact.study.edge_peers import PEERS, TABLE, answers, bound, row, scene_of, study, without_noise
 from charact.study.edge_peers_figure import draw_peers
 
 
@@ -31,12 +31,12 @@ def test_the_table_is_what_the_method_still_does():
 
 def test_the_bound_of_the_curve_is_that_of_the_width():
     """M = exp(-2 pi^2 s^2 f^2) P(f): dM/ds = -4 pi^2 s f^2 M, and MTF50 moves by -dM/ds over dM/df there."""
-    scene, _ = peer_scene(10.0, 0)
+    scene, _ = scene_of(10.0, 0)
     sigma, half = scene.blur.sigma_px, scene.truth_mtf50
     mtf = lambda f: scene.blur.mtf(np.atleast_1d(f), scene.angle_deg)  # noqa: E731
     change = lambda f: -4 * np.pi**2 * sigma * np.square(f) * mtf(f)  # noqa: E731
     steepness = (mtf(half + 1e-5) - mtf(half - 1e-5)) / 2e-5
-    width_sd = cramer_rao(scene, exponent_free=False) * half / (change(half) / -steepness)[0]
+    width_sd = least_relative_sd(scene) * half / (change(half) / -steepness)[0]
     frequency = np.linspace(0.0, 0.5, 101)
     assert bound(10.0)["rms_mtf"] == pytest.approx(abs(width_sd) * np.sqrt(np.mean(change(frequency) ** 2)), rel=1e-3)
 
