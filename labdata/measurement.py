@@ -66,7 +66,12 @@ class Posterior:
 
 def intervals_of(draws: ArrayLike) -> tuple[float, Interval, Interval]:
     """Return the median and the equal-tailed 68 % and 95 % intervals of draws."""
-    low95, low68, middle, high68, high95 = np.quantile(np.asarray(draws, float), QUANTILES)
+    # Numpy's own quantile gives the same and takes ten times as long on a few hundred draws.
+    ordered = np.sort(np.asarray(draws, float), axis=None)
+    if np.isnan(ordered[-1]):
+        return np.nan, (np.nan, np.nan), (np.nan, np.nan)
+    places = np.asarray(QUANTILES) * (ordered.size - 1)
+    low95, low68, middle, high68, high95 = np.interp(places, np.arange(ordered.size), ordered)
     return float(middle), (float(low68), float(high68)), (float(low95), float(high95))
 
 

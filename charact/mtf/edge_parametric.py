@@ -1,7 +1,9 @@
 """The parametric method for edges: forms of the point spread, fitted to the profile and weighed by their evidence."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior, Wide
 from charact.mtf.optics import Known, halo_diameters_px, known_of
 from charact.mtf.region import Region
-from charact.posterior import laplace, sample
+from charact.posterior import laplace, sample, weighed
 from charact.posterior.diagnostics import leans_on_bound
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
@@ -46,6 +48,8 @@ DEPARTED_SD = 4.5
 CHOSEN_BOUNDS = ("ln_half_frequency", "exponent")
 DRAWS, QUICK_DRAWS = 1000, 500
 MAX_STEPS = 3000
+# Effective draws from a form that is not the most probable one, of which only some are wanted.
+ENOUGH = 1000.0
 
 
 @register(
@@ -227,7 +231,7 @@ def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: i
     if context.quick:
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
     else:
-        posterior = sample(fitter.log_probability(fit.family, fit.slope_sd_per_px), **asked, max_steps=MAX_STEPS)
+        posterior = _full(fitter.log_probability(fit.family, fit.slope_sd_per_px), asked, first=number == 0)
     chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
     leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
@@ -238,6 +242,15 @@ def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
     gain, count = fitter.departure_gain(fit, departure_shapes)
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
+
+
+def _full(log_probability: Callable[[Array], Array], asked: dict[str, Any], *, first: bool) -> Posterior:
+    """Draw by Markov chain for the most probable form; for the others by importance where that suffices."""
+    if not first:
+        posterior = weighed(log_probability, **asked, enough=ENOUGH)
+        if posterior.effective_sample_size.min() >= ENOUGH:
+            return posterior
+    return sample(log_probability, **asked, max_steps=MAX_STEPS)
 
 
 def _flags(fitter: FamilyFitter, fits: list[Weighed]) -> tuple[str, ...]:

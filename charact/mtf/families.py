@@ -21,6 +21,8 @@ EXPONENT = (0.6, 4.0)
 EXPONENT_PRIOR = (1.6, 0.6)
 # Exponent of a Moffat spread (1 + r^2/a^2)^-b: 3/2 is a Lorentzian whose transfer is exp(-f), infinity a Gaussian.
 MOFFAT_EXPONENT = (1.2, 8.0)
+# Transfers below this count as this: numbers smaller still slow every product down a hundredfold.
+LEAST_LN = -80.0
 # Share of the light in a halo, in scattered light.
 WIDE_SHARE = (0.0, 0.4)
 
@@ -180,7 +182,7 @@ class Family:
             core = moffat(frequency, half, theta[:, 1])
         else:
             exponent = np.full(len(theta), 2.0) if self.core == "gaussian" else theta[:, 1]
-            core = np.exp(forms.exponential(frequency, half, exponent))
+            core = np.exp(np.maximum(forms.exponential(frequency, half, exponent), LEAST_LN))
         if self.wide is None:
             return core
         tail = theta[:, self.core_parameters :]
@@ -228,7 +230,7 @@ def moffat(frequency: Array, half_frequency: Array, exponent: Array) -> Array:
     one = table[low, left] * (1.0 - rest) + table[low, left + 1] * rest
     other = table[high, left] * (1.0 - rest) + table[high, left + 1] * rest
     # Far below f2 the logarithm of the transfer is too small for the table's first column to matter.
-    return np.exp(one * (1.0 - share) + other * share)
+    return np.exp(np.maximum(one * (1.0 - share) + other * share, LEAST_LN))
 
 
 @lru_cache(maxsize=1)

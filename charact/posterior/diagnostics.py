@@ -111,6 +111,10 @@ def leans_on_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> ND
     return leaning
 
 
+# Cells of the histogram in which peaks are looked for.
+CELLS = 256
+
+
 def has_several_peaks(draws: NDArray[np.float64]) -> bool:
     """Tell whether any parameter, or any principal direction of the draws, has a second peak."""
     spread = draws.std(axis=0)
@@ -128,10 +132,10 @@ def _two_peaked(line: NDArray[np.float64]) -> bool:
     # Draws so small that their squares vanish have no width either.
     if width <= 0 or count < 100:
         return False
-    grid = np.linspace(line.min() - 3 * width, line.max() + 3 * width, 256)
-    hist, edges = np.histogram(line, bins=256, range=(grid[0], grid[-1]))
-    middle = (edges[1:] + edges[:-1]) / 2
-    kernel = np.exp(-0.5 * ((middle - middle[128]) / width) ** 2)
+    low, high = line.min() - 3 * width, line.max() + 3 * width
+    step = (high - low) / CELLS
+    hist = np.bincount(((line - low) / step).astype(np.int64), minlength=CELLS)
+    kernel = np.exp(-0.5 * ((np.arange(CELLS) - CELLS // 2) * step / width) ** 2)
     density = np.convolve(hist, kernel / kernel.sum(), "same")
     inner = density[1:-1]
     peaks = 1 + np.flatnonzero((inner >= density[:-2]) & (inner > density[2:]))

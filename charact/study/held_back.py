@@ -1,0 +1,102 @@
+"""Whether `auto` keeps its word: the methods that it picks from the chart, on cases that the chart never saw."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from charact.method import Context
+from charact.method.registry import choose
+from charact.study.harness import run
+from charact.study.quantities import methods_of, studies_of
+from charact.study.speed_accuracy import write_json
+
+TABLE = Path(__file__).resolve().parent / "tables" / "held_back.json"
+TOLERANCES_PERCENT = (1.0, 2.0, 5.0, 10.0)
+# The charts' own cases are drawn with seed 0.
+SEED = 1001
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """How often the choice for one tolerance was right.
+
+    Parameters
+    ----------
+    kind, within_percent
+        Kind of target, and the tolerance on the error.
+    method
+        What `auto` picked.
+    cases, right
+        Held-back cases, and how many of them it measured within the tolerance; a refusal is not right.
+    told
+        Cases off by more that were flagged or refused.
+    """
+
+    kind: str
+    within_percent: float
+    method: str
+    cases: int
+    right: int
+    told: int
+
+
+def held_back(
+    quantity: str,
+    *,
+    cases: int,
+    seed: int = SEED,
+    tolerances: Sequence[float] = TOLERANCES_PERCENT,
+    kinds: Sequence[str] | None = None,
+) -> list[Kept]:
+    """Put what `auto` picks for each tolerance to cases inside the scope that no chart was drawn from.
+
+    Parameters
+    ----------
+    quantity
+        A name of `charact.study.STUDIES`.
+    cases
+        Cases of each kind of target.
+    seed
+        Seed of the cases.
+    tolerances
+        Tolerances on the error, %.
+    kinds
+        Kinds of target; None: all that the quantity has.
+    """
+    found, registered = [], methods_of(quantity)
+    for study in studies_of(quantity):
+        if study.kind not in (kinds or {method.kind for method in registered}):
+            continue
+        drawn = study.chart_cases(seed, cases)
+        picked = {within: choose(study.kind, within_percent=within) for within in tolerances}
+        rows = run(dict.fromkeys(picked.values()), drawn, context=Context(quick=True))
+        for within, method in picked.items():
+            own = [row for row in rows if row.method == method.name]
+            right = [row.error_percent is not None and row.error_percent <= within for row in own]
+            found.append(
+                Kept(
+                    kind=study.kind,
+                    within_percent=within,
+                    method=method.name,
+                    cases=len(own),
+                    right=sum(right),
+                    told=sum(row.status != "ok" for row, good in zip(own, right, strict=True) if not good),
+                )
+            )
+    return found
+
+
+def main() -> None:
+    """Run the study for the MTF's quantities, print it and write the table."""
+    rows: dict[str, Any] = {
+        quantity: [asdict(one) for one in held_back(quantity, cases=cases)]
+        for quantity, cases in (("mtf50", 200), ("mtf", 100))
+    }
+    write_json(TABLE, {"seed": SEED, "quick": True, **rows})
+    print(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
