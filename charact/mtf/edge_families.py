@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charact.mtf.edge_checks import response_curvature
 from charact.mtf.edge_maps import EdgeMaps
 from charact.mtf.edge_profile import Profile
-from charact.mtf.families import Family, Wide, share_unit
+from charact.mtf.families import Family, Wide
 from charact.mtf.optics import Known
 
 Array = NDArray[np.float64]
@@ -257,7 +257,7 @@ class FamilyFitter:
         away = self.maps.white(core * (wide.transfer(self.maps.grid, shapes) - 1.0))
         gains, amplitudes, change = self._gains(fit, away)
         share = np.clip(amplitudes * abs(self.profile.step) / fit.amplitude[0], 0.02, 0.3)
-        share = np.minimum(share / share_unit(wide, shapes)[:, 0], bounds[0, 1])
+        share = np.minimum(share / wide.share_unit(shapes)[:, 0], bounds[0, 1])
         limits = self.bounds(fit.family)
         # Half a step of the core: what the light beyond it changes is not small.
         cores = np.clip(fit.point + 0.5 * change, limits[:, 0], limits[:, 1])

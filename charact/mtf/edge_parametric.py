@@ -137,13 +137,13 @@ def wides(context: Context, half_width_px: float, *, transposed: bool) -> tuple[
     """Return what light beyond the core the window can show."""
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=transposed)
-        return (HaloPrior(diameter_px=(low, high)),) if half_width_px >= 0.6 * high else ()
-    found: list[Wide] = [VeilPrior(sigma_px=(0.5 * half_width_px, 4.0 * half_width_px))]
+        return (HaloPrior(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
+    found: list[Wide] = [VeilPrior(size_px=(0.5 * half_width_px, 4.0 * half_width_px))]
     if half_width_px >= LEAST_FOR_DISC_PX:
-        found.append(DiscPrior(diameter_px=(6.0, 2.0 * half_width_px)))
+        found.append(DiscPrior(size_px=(6.0, 2.0 * half_width_px)))
     if half_width_px >= LEAST_FOR_HALO_PX:
-        found.append(HaloPrior(diameter_px=(6.0, 2.0 * half_width_px)))
-        found.append(GlarePrior(length_px=(2.0, 0.25 * half_width_px)))
+        found.append(HaloPrior(size_px=(6.0, 2.0 * half_width_px)))
+        found.append(GlarePrior(size_px=(2.0, 0.25 * half_width_px)))
     return tuple(found)
 
 
@@ -192,7 +192,7 @@ def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...
     if not veils or not rising:
         return []
     best, veil = max(rising, key=lambda fit: fit.log_evidence), veils[0]
-    widest = veil.sigma_px[1]
+    widest = veil.size_px[1]
     # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
     share = min(float(best.amplitude[2:].min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
     start = np.concatenate([best.point, [share, 0.5 * widest]])

@@ -6,7 +6,7 @@ parameter.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,100 +30,94 @@ Core = Literal["gaussian", "exponential", "moffat"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class HaloPrior:
-    """An intensifier's halo before the data: bounds of its diameter, px, and of its share."""
+class Wide:
+    """Light beyond the core before the data.
 
-    diameter_px: tuple[float, float]
+    Parameters
+    ----------
+    size_px
+        Bounds of how wide it is, px: what that means is the form's own.
+    fraction
+        Bounds of its share of all light.
+    """
+
+    size_px: tuple[float, float]
     fraction: tuple[float, float] = WIDE_SHARE
 
-    name = "halo"
-    after_size = 2
+    name: ClassVar[str]
+    share_name: ClassVar[str] = "fraction"
+    size_name: ClassVar[str]
+    after_size: ClassVar[int] = 1
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
         """Unit and bounds of each parameter by name."""
         return {
-            "halo_fraction": ("1", self.fraction),
-            "halo_diameter_px": ("px", self.diameter_px),
-            "halo_elastic_share": ("1", (0.0, 1.0)),
+            f"{self.name}_{self.share_name}": ("1", self.fraction),
+            f"{self.name}_{self.size_name}": ("px", self.size_px),
         }
+
+    def transfer(self, frequency: Array, shape: Array) -> Array:
+        """Return its own transfer for parameters after the share, shape (f,) and (n, parameter - 1) -> (n, f)."""
+        raise NotImplementedError
+
+    def share_unit(self, shape: Array) -> Array:
+        """Return the share of all light for a first parameter of one, shape (n, parameter - 1) -> (n, 1)."""
+        return np.ones((len(shape), 1))
+
+
+class HaloPrior(Wide):
+    """An intensifier's halo: its diameter, and besides the share of electrons that keep their energy."""
+
+    name, size_name, after_size = "halo", "diameter_px", 2
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return {**super().parameters, "halo_elastic_share": ("1", (0.0, 1.0))}
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
         """Return the halo's own transfer for parameters after the share, shape (n, 2)."""
         return forms.halo(frequency, shape[:, 0], shape[:, 1])
 
 
-@dataclass(frozen=True, kw_only=True)
-class DiscPrior:
-    """A halo of even brightness before the data: bounds of its diameter, px, and of its share."""
+class DiscPrior(Wide):
+    """A halo of even brightness: its diameter."""
 
-    diameter_px: tuple[float, float]
-    fraction: tuple[float, float] = WIDE_SHARE
-
-    name = "disc"
-    after_size = 1
-
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        return {"disc_fraction": ("1", self.fraction), "disc_diameter_px": ("px", self.diameter_px)}
+    name, size_name = "disc", "diameter_px"
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
         """Return the disc's own transfer for parameters after the share, shape (n, 1)."""
         return forms.disc(frequency, shape[:, 0])
 
 
-@dataclass(frozen=True, kw_only=True)
-class GlarePrior:
-    """Scattered light of a camera of which nothing is known: bounds of its reach, px, and of its share."""
+class GlarePrior(Wide):
+    """Scattered light of a camera of which nothing is known: how far it reaches."""
 
-    length_px: tuple[float, float]
-    fraction: tuple[float, float] = WIDE_SHARE
-
-    name = "glare"
-    after_size = 1
-
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        return {"glare_fraction": ("1", self.fraction), "glare_length_px": ("px", self.length_px)}
+    name, size_name = "glare", "length_px"
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
         """Return the scattered light's own transfer for parameters after the share, shape (n, 1)."""
         return forms.glare(frequency, shape[:, 0])
 
 
-@dataclass(frozen=True, kw_only=True)
-class VeilPrior:
-    """Light spread wider than the window: bounds of its standard deviation, px, and of its share at the widest.
+class VeilPrior(Wide):
+    """Light spread wider than the window: its standard deviation.
 
     Inside the window only its slope is seen, which uneven light has too: how much light it is hardly shows. The share
     is therefore counted as if it were spread as widely as the bounds allow, which the slope tells; the share itself
     is that times sigma over the widest sigma.
     """
 
-    sigma_px: tuple[float, float]
-    fraction: tuple[float, float] = WIDE_SHARE
-
-    name = "veil"
-    after_size = 1
-
-    @property
-    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of each parameter by name."""
-        return {"veil_fraction_if_widest": ("1", self.fraction), "veil_sigma_px": ("px", self.sigma_px)}
+    name, share_name, size_name = "veil", "fraction_if_widest", "sigma_px"
 
     def transfer(self, frequency: Array, shape: Array) -> Array:
         """Return the veil's own transfer for parameters after the share, shape (n, 1)."""
         return np.exp(-2.0 * (np.pi * frequency * shape[:, :1]) ** 2)
 
-
-Wide = HaloPrior | DiscPrior | GlarePrior | VeilPrior
-
-
-def share_unit(wide: Wide, shape: Array) -> Array:
-    """Return the share of all light for a first parameter of one, shape (n, parameter - 1) -> (n, 1)."""
-    return shape[:, :1] / wide.sigma_px[1] if isinstance(wide, VeilPrior) else np.ones((len(shape), 1))
+    def share_unit(self, shape: Array) -> Array:
+        """Return the share of all light for one that would be all of it at the widest, shape (n, 1) -> (n, 1)."""
+        return shape[:, :1] / self.size_px[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +180,7 @@ class Family:
         if self.wide is None:
             return core
         tail = theta[:, self.core_parameters :]
-        share = tail[:, :1] * share_unit(self.wide, tail[:, 1:])
+        share = tail[:, :1] * self.wide.share_unit(tail[:, 1:])
         return core * (1.0 - share + share * self.wide.transfer(frequency, tail[:, 1:]))
 
     def log_prior(self, theta: Array) -> Array:

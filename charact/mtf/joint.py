@@ -145,7 +145,7 @@ def _wide(sound: Sequence[Told], context: Context) -> HaloPrior | None:
     """A described intensifier has a halo, which counts where a target saw all of it."""
     if context.sensor is None or all(one.within for one in sound):
         return None
-    return HaloPrior(diameter_px=halo_diameters_px(context, transposed=False))
+    return HaloPrior(size_px=halo_diameters_px(context, transposed=False))
 
 
 def _posterior(fit: Fit, context: Context, seed: int) -> Posterior:

@@ -39,7 +39,7 @@ def scattering(shorter_px: float) -> Family | None:
     longest = SCATTER_SHARE * shorter_px
     if longest < 2.0 * SCATTER_PX:
         return None
-    return Family(core="exponential", wide=GlarePrior(length_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION))
+    return Family(core="exponential", wide=GlarePrior(size_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION))
 
 
 def known_of(context: Context) -> Known:

@@ -64,11 +64,11 @@ def halo_of(picture: Picture, half_width_px: float, context: Context) -> tuple[W
     """
     if context.sensor is None:
         longest = 0.25 * half_width_px
-        return (GlarePrior(length_px=(2.0, longest)), False) if longest > 4.0 else (None, False)
+        return (GlarePrior(size_px=(2.0, longest)), False) if longest > 4.0 else (None, False)
     low, high = halo_diameters_px(context, transposed=picture.transposed)
     if half_width_px < 0.6 * high:
         return None, False
-    return HaloPrior(diameter_px=(low, high), fraction=(0.0, 0.4)), True
+    return HaloPrior(size_px=(low, high), fraction=(0.0, 0.4)), True
 
 
 def halo_diameters_px(context: Context, *, transposed: bool) -> tuple[float, float]:

@@ -160,13 +160,13 @@ def _wides(sites: list[Site], parts: list[FrameStack], context: Context) -> tupl
     """Return what light beyond the core the regions can show."""
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=False)
-        return (HaloPrior(diameter_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
+        return (HaloPrior(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
     # Rings beyond the light tell it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
     if len(rings) <= BARE_RINGS:
         return ()
     reach = float(rings[-1 - BARE_RINGS].max())
-    return DiscPrior(diameter_px=(6.0, 2.0 * reach)), GlarePrior(length_px=(2.0, reach / 3.0))
+    return DiscPrior(size_px=(6.0, 2.0 * reach)), GlarePrior(size_px=(2.0, reach / 3.0))
 
 
 @dataclass(frozen=True, kw_only=True)
