@@ -37,7 +37,7 @@ def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Arr
 
     Notes
     -----
-    rho(l) = A exp(-(r(l))^p) - c t(l) for l other than 0: r^2 = (x/Lx)^2 + (y/Ly)^2, and t a triangle, because means
+    rho(l) = A exp(-(r(l))^p) - c t(l), c >= 0, for l other than 0: r^2 = (x/Lx)^2 + (y/Ly)^2, and t a triangle, because means
     of bins take along the same share of all pairs that lie in one bin. Gauss-Newton on Lx, Ly and p with A and c
     solved at each step.
     """
@@ -53,7 +53,7 @@ def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Arr
     middle = (x == 0) & (y == 0)
     if found is None:
         only = weight * strip[telling]
-        taken = float(only @ (correlation[telling] * weight) / max(only @ only, 1e-300))
+        taken = min(float(only @ (correlation[telling] * weight) / max(only @ only, 1e-300)), 0.0)
         return np.where(middle, 1.0, 0.0), np.where(middle, 0.0, taken * strip)
     theta, (share, taken) = found
     form = share * _shape(theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)).reshape(x.shape)
@@ -73,7 +73,8 @@ def _solved(theta: Array, data: Array, lags: Array, strip: Array, weight: Array)
     own, both, other = np.sum(shape**2, axis=1), shape @ strip, max(strip @ strip, 1e-300)
     free = (shape @ data - both * (strip @ data) / other) / np.maximum(own - both**2 / other, 1e-300)
     share = np.clip(free, 0.0, 1.0)
-    loss = (strip @ data - share * both) / other
+    # Means take away and never add.
+    loss = np.minimum((strip @ data - share * both) / other, 0.0)
     left = data - share[:, None] * shape - loss[:, None] * strip
     prior = (theta[:, 2:] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
     return np.stack([share, loss], axis=1), np.concatenate([left, prior], axis=1)

@@ -110,3 +110,16 @@ def test_the_form_of_a_correlation_is_found_and_none_where_there_is_none(seed):
     lost = 0.02 * np.maximum(1.0 - np.abs(x), 0.0) * (truth != 1.0)
     _, taken = form_of((truth == 1.0) + noise / 10.0 - lost, 100.0 * pairs, x)
     assert taken[:14, 14].mean() == pytest.approx(-0.02, abs=0.003)
+
+
+def test_noise_of_no_smooth_form_keeps_its_own_correlation(seed):
+    """Lines of two fields and a core on a pedestal: correlations that no single smooth form has, kept lag by lag."""
+    rng = np.random.default_rng(seed)
+    parts = (blurred_noise(rng, 200, 0.6), blurred_noise(rng, 200, 3.0), rng.standard_normal((200, 200)))
+    noise = np.sqrt(0.5) * parts[0] + np.sqrt(0.4) * parts[1] + np.sqrt(0.1) * parts[2]
+    truth = lambda x, y: 0.5 * np.exp(-(x**2 + y**2) / 1.44) + 0.4 * np.exp(-(x**2 + y**2) / 36.0)  # noqa: E731
+    frame = frame_of(8.0, rows=200, cols=200)
+    correlation = find_edge(FrameStack(data=(frame + 60.0 * noise)[None]), None, QUICK).profile.grain.correlation
+    # Errors of a correlation under this noise, by Bartlett: sqrt(sum rho^2 / pairs), at most 0.04 here.
+    for x, y in ((1, 0), (0, 1), (1, 1), (2, 0), (0, 3), (3, 3)):
+        assert correlation[14 + y, 14 + x] == pytest.approx(truth(x, y), abs=0.12)
