@@ -37,9 +37,9 @@ def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Arr
 
     Notes
     -----
-    rho(l) = A exp(-(r(l))^p) - c t(l), c >= 0, for l other than 0: r^2 = (x/Lx)^2 + (y/Ly)^2, and t a triangle, because means
-    of bins take along the same share of all pairs that lie in one bin. Gauss-Newton on Lx, Ly and p with A and c
-    solved at each step.
+    rho(l) = A exp(-(r(l))^p) - c t(l), c >= 0, for l other than 0: r^2 = (x/Lx)^2 + (y/Ly)^2, and t a triangle,
+    because means of bins take along the same share of all pairs that lie in one bin. Gauss-Newton on Lx, Ly and p with
+    A and c solved at each step.
     """
     rows, cols = (np.arange(size) - size // 2 for size in correlation.shape)
     y, x = np.meshgrid(rows, cols, indexing="ij")
