@@ -36,14 +36,17 @@ study: $(READY)
 	  $(BIN)/charact chart $$quantity --update --out study && $(BIN)/charact stability $$quantity --out study || exit 1; \
 	done
 
-# How often the intervals of edge methods hold, and how often all targets of a session agree; half an hour on two cores.
+# How often the intervals of edge methods hold, whether auto keeps its word on cases that no chart saw, and how often all
+# targets of a session agree; half an hour on two cores.
 mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_coverage
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_back
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep
 
 # Where edges break: 5,000 cells drawn 20 times each; three quarters of an hour on two cores.
 edge-map: $(READY)
 	$(BIN)/python -m charact.study.edge_map
+	$(BIN)/python -m charact.study.edge_map_figure
 
 # Edge methods beside other programs and the Cramer-Rao bound, on the edge that those were measured on: table and chart.
 mtf-peers: $(READY)
