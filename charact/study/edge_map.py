@@ -9,7 +9,7 @@ import json
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -312,7 +312,7 @@ def worst(outcomes: Sequence[Outcome], count: int = 10) -> list[Outcome]:
 
 def written(outcomes: Sequence[Outcome], chained: Sequence[Outcome], path: Path = TABLE) -> Path:
     """Write the table: a row for each cell, and what it says as a whole."""
-    names = list(asdict(outcomes[0]))
+    names = [one.name for one in fields(Outcome)]
     table = {
         "charact": charact.__version__,
         "method": METHOD,
@@ -343,6 +343,8 @@ def main() -> None:
     asked = parser.parse_args()
     numbers = range(asked.first, asked.first + asked.cells)
     quick = mapped(numbers, repeats=asked.repeats)
+    # Half an hour's work is on disk before the chains begin.
+    written(quick, [], asked.out)
     chained = mapped(numbers[::CHAINED], repeats=1, quick=False)
     written(quick, chained, asked.out)
     for part in (quick, chained):
