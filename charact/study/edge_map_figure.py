@@ -93,7 +93,7 @@ def _draw_fates(
         floor = floor + share
     panel.set(xlim=(low, high), ylim=(0, 1), xlabel=label, title=title, xscale="log" if log else "linear")
     if log:
-        plain_numbers(panel.xaxis, subs=(1.0, 3.0))
+        plain_numbers(panel.xaxis, subs=(1.0, 3.0) if high > 6.0 * low else (1.0, 2.0, 5.0))
     panel.grid(visible=False)
 
 
