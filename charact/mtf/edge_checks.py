@@ -25,7 +25,7 @@ LEAST_STEP_SD = 0.8
 # Level over noise beyond which unequal pixels may be the noise.
 QUIETEST = 80.0
 # Curvature of the response from which the modulus is in doubt by a percent, and its significance.
-CURVATURE, CURVATURE_SD = 0.05, 4.0
+CURVATURE, CURVATURE_SD = 0.05, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)

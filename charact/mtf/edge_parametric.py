@@ -13,9 +13,9 @@ from charact.mtf import edge_checks
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_model import departure_shapes
-from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, with_shading
+from charact.mtf.edge_profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX, with_shading
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
-from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior, Wide
+from charact.mtf.families import Core, DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior, Wide
 from charact.mtf.optics import Known, halo_diameters_px, known_of
 from charact.mtf.region import Region
 from charact.posterior import laplace, sample, weighed
@@ -48,6 +48,8 @@ DEPARTED_SD = 4.5
 CHOSEN_BOUNDS = ("ln_half_frequency", "exponent")
 DRAWS, QUICK_DRAWS = 1000, 500
 MAX_STEPS = 3000
+# Half frequency of a core, cycles per pixel, from which on the aperture hides it, and its posterior is no parabola.
+SHARP = 0.5
 # Effective draws from a form that is not the most probable one, of which only some are wanted.
 ENOUGH = 1000.0
 
@@ -149,26 +151,55 @@ def wides(context: Context, half_width_px: float, *, transposed: bool) -> tuple[
 
 def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
     """Fit the forms that the data may ask for, simple ones first, and return them, the most probable first."""
+    even = _forms(fitter, wide, EVEN_PER_PX)
+    uneven = _uneven(fitter, even)
+    likeliest = max(uneven, key=_evidence, default=even[0])
+    if likeliest.log_evidence > max(map(_evidence, even)):
+        # What was given up as hopeless in even light may be what the slopes stand for.
+        uneven = _best_of_each([*uneven, *_forms(fitter, wide, likeliest.slope_sd_per_px)])
+    return _weighed([*even, *uneven, *_unseen(fitter, uneven, wide)])
+
+
+def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float) -> list[FamilyFit]:
+    """Fit the cores, then light beyond those that may have it, under one prior of the light's slopes."""
     guess = fitter.guess()
-    start = {core: np.concatenate([[0.0], Family(core=core).start(guess)]) for core in ("gaussian", "exponential")}
-    found = [fitter.fit(Family(core="gaussian"), start["gaussian"], EVEN_PER_PX)]
-    warm = start["exponential"]
-    warm[:2] = found[0].point[:2]
-    found.append(fitter.fit(Family(core="exponential"), warm, EVEN_PER_PX))
-    best = max(found, key=lambda fit: fit.log_evidence)
+    found = [fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
+    found.append(_next_core(fitter, "exponential", found[0], guess))
+    best = max(found, key=_evidence)
     if best.family.core == "exponential":
-        warm = np.concatenate([[0.0], Family(core="moffat").start(guess)])
-        warm[:2] = best.point[:2]
-        found.append(fitter.fit(Family(core="moffat"), warm, EVEN_PER_PX))
-    top = max(fit.log_evidence for fit in found)
-    cores = [fit for fit in found if fit.log_evidence > top - CLOSE or fit.family.core != "moffat"]
+        found.append(_next_core(fitter, "moffat", best, guess))
+    cores = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE or fit.family.core != "moffat"]
     for prior in wide:
         for core in cores:
             hopeless = min(fit.cost for fit in found) + HOPELESS
             fit = fitter.fit_wide(core, prior, WORTH_CHI2, hopeless)
             found += [] if fit is None else [fit]
-    uneven = _uneven(fitter, found)
-    return _weighed([*found, *uneven, *_unseen(fitter, uneven, wide)])
+    return found
+
+
+def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
+    return np.concatenate([[0.0], Family(core=core).start(half_frequency_cy_per_px)])
+
+
+def _next_core(fitter: FamilyFitter, core: Core, near: FamilyFit, half_frequency_cy_per_px: float) -> FamilyFit:
+    """Fit a core from the shift and half frequency of another."""
+    start = _start(core, half_frequency_cy_per_px)
+    start[:2] = near.point[:2]
+    return fitter.fit(Family(core=core), start, near.slope_sd_per_px)
+
+
+def _evidence(fit: FamilyFit) -> float:
+    return fit.log_evidence
+
+
+def _best_of_each(fits: list[FamilyFit]) -> list[FamilyFit]:
+    """Return the likeliest fit of each form: one form fitted twice must not count twice."""
+    best: dict[tuple[Family, float], FamilyFit] = {}
+    for fit in fits:
+        key = fit.family, fit.slope_sd_per_px
+        if key not in best or fit.cost < best[key].cost:
+            best[key] = fit
+    return list(best.values())
 
 
 def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
@@ -176,11 +207,12 @@ def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
 
     All of them are asked: light that slopes on both sides may hide behind wings or a halo fitted to it.
     """
-    promised = np.array([fit.log_evidence + fitter.slope_gain(fit, UNEVEN_PER_PX) for fit in found])
+    asked = [(fit, slope) for fit in found for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)]
+    promised = np.array([fit.log_evidence + fitter.slope_gain(fit, slope) for fit, slope in asked])
     least = max(promised.max(), *(fit.log_evidence for fit in found)) - SLOPED
     return [
-        fitter.fit(fit.family, fit.point, UNEVEN_PER_PX)
-        for fit, promise in zip(found, promised, strict=True)
+        fitter.fit(fit.family, fit.point, slope)
+        for (fit, slope), promise in zip(asked, promised, strict=True)
         if promise > least
     ]
 
@@ -191,7 +223,7 @@ def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...
     rising = [fit for fit in uneven if fit.family.wide is None and fit.amplitude[2:].min() > 0]
     if not veils or not rising:
         return []
-    best, veil = max(rising, key=lambda fit: fit.log_evidence), veils[0]
+    best, veil = max(rising, key=_evidence), veils[0]
     widest = veil.size_px[1]
     # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
     share = min(float(best.amplitude[2:].min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
@@ -228,10 +260,11 @@ def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: i
         "bounds": fitter.bounds(fit.family),
         "draws": draws,
     }
-    if context.quick:
+    if context.quick and np.exp(fit.point[1]) < SHARP:
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
     else:
-        posterior = _full(fitter.log_probability(fit.family, fit.slope_sd_per_px), asked, first=number == 0)
+        by_chain = number == 0 and not context.quick
+        posterior = _full(fitter.log_probability(fit.family, fit.slope_sd_per_px), asked, by_chain=by_chain)
     chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
     leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
@@ -244,9 +277,9 @@ def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
 
 
-def _full(log_probability: Callable[[Array], Array], asked: dict[str, Any], *, first: bool) -> Posterior:
-    """Draw by Markov chain for the most probable form; for the others by importance where that suffices."""
-    if not first:
+def _full(log_probability: Callable[[Array], Array], asked: dict[str, Any], *, by_chain: bool) -> Posterior:
+    """Draw by Markov chain, or by importance where that suffices."""
+    if not by_chain:
         posterior = weighed(log_probability, **asked, enough=ENOUGH)
         if posterior.effective_sample_size.min() >= ENOUGH:
             return posterior
