@@ -153,7 +153,7 @@ class EdgeScene:
     motion_px
         Horizontal displacement of odd rows, exposed in the later field, px.
     sagitta_px
-        Bow of the edge over the height of the frame, px.
+        Bow of the edge over its length in the frame, px.
     clip_share
         Share of the step that lies above full scale.
     hot_share
@@ -203,7 +203,9 @@ class EdgeScene:
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
         col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
         moved = col - self.motion_px * (np.arange(self.rows) % 2)[:, None]
-        bow = self.sagitta_px * (1 - (2 * row / self.rows) ** 2)
+        along = row * np.cos(angle) - col * np.sin(angle)
+        length = min(self.rows / max(abs(np.cos(angle)), 1e-9), self.cols / max(abs(np.sin(angle)), 1e-9))
+        bow = self.sagitta_px * (1 - (2 * along / length) ** 2)
         distance = moved * np.cos(angle) + row * np.sin(angle) - self.offset_px - bow
         step = self.bright_dn - self.dark_dn
         light = self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
