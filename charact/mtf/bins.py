@@ -10,9 +10,9 @@ from charact.mtf.picture import Picture
 
 Array = NDArray[np.float64]
 
-# Up to which distance bins have which width, px; and the width beyond.
-WIDTHS_PX = ((4.0, 0.125), (8.0, 0.25), (16.0, 0.5))
-WIDEST_PX = 1.0
+# Up to which distance bins have which width, px, whole multiples of the narrowest; and the width beyond.
+NARROWEST_PX, WIDEST_PX = 0.125, 1.0
+WIDTHS_PX = ((4.0, NARROWEST_PX), (8.0, 0.25), (16.0, 0.5))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ SIGNIFICANT = 4.0
 FIELD_OFFSET_PX = 0.04
 SAGITTA_PX = 0.12
 LEAST_TRAVEL_PX = 1.0
+BLOCKS = 12
 # Chi squared per bin beyond which the profile is not what the model says it is.
 MISFIT = 1.6
 # Illumination that changes by more than this share over the band is told, though the fit allows for it.
@@ -107,14 +108,15 @@ def _bowed(offset: Array) -> bool:
     place = np.linspace(-1.0, 1.0, offset.size)[good]
     value = offset[good]
     design = np.polynomial.legendre.legvander(place, 3)
-    blocks = np.array_split(np.arange(value.size), 12)
-    means = np.array([np.mean(value[part]) for part in blocks])
-    within = np.mean([np.var(value[part], ddof=1) / len(part) for part in blocks])
+    begin = np.arange(BLOCKS) * value.size // BLOCKS
+    size = np.diff(begin, append=value.size)
+    means = np.add.reduceat(value, begin) / size
+    within = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
     differences = 0.5 * float(np.median(np.diff(means) ** 2)) / 0.455
-    error = np.sqrt(max(within, differences) * len(blocks))
+    error = np.sqrt(max(within, differences) * BLOCKS)
     shape = np.linalg.lstsq(design, value, rcond=None)[0][2:]
     # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
-    significant = np.abs(shape) > SIGNIFICANT * error / np.sqrt(len(blocks) ** 2) * np.sqrt([5.0, 7.0])
+    significant = np.abs(shape) > SIGNIFICANT * error / BLOCKS * np.sqrt([5.0, 7.0])
     return bool(np.any(significant & (np.abs(shape) > SAGITTA_PX / 1.5)))
 
 

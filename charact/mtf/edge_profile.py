@@ -14,7 +14,7 @@ from charact.mtf.spread import edge_weights
 
 Array = NDArray[np.float64]
 
-# Illumination slopes on either side by about this share of the step in a pixel: in a good set-up, a fair and a poor one.
+# Share of the step in a pixel by which light slopes on either side: in a good set-up, a fair and a poor one.
 EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
 PLATEAU_FROM_PX = 10.0
 SHADING_LENGTH_PX = 10.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bins import Gathered
+from charact.mtf.bins import NARROWEST_PX, Gathered
 from charact.mtf.grain_form import form_of
 
 Array = NDArray[np.float64]
@@ -168,11 +168,12 @@ def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array,
     delta, mass = delta[order], grain.correlation.ravel()[order]
     total, moment = np.concatenate([[0.0], np.cumsum(mass)]), np.concatenate([[0.0], np.cumsum(mass * delta)])
 
-    def ramp(x: Array) -> Array:
-        index = np.searchsorted(delta, x)
-        return total[index] * x - moment[index]
-
-    table = ramp(gathered.borders[None, :] - gathered.borders[:, None])
+    # Borders lie on a grid: few differences are different.
+    place = np.rint(gathered.borders / NARROWEST_PX).astype(np.int64)
+    reach = int(np.ptp(place))
+    apart = np.arange(-reach, reach + 1) * NARROWEST_PX
+    index = np.searchsorted(delta, apart)
+    table = (total[index] * apart - moment[index])[place[None, :] - place[:, None] + reach]
     overlap = table[:-1, 1:] - table[1:, 1:] - table[:-1, :-1] + table[1:, :-1]
     overlap, width = overlap[np.ix_(keep, keep)], np.diff(gathered.borders)[keep]
     overlap = 0.5 * (overlap + overlap.T)
