@@ -10,7 +10,7 @@ __all__ = ["covariance_sum", "measure", "variance"]
 
 
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
-    """Measure noise and gain from the darks and flats of a session.
+    """Measure noise and gain from the darks and flats of a session, and the 3-D noise of each.
 
     Parameters
     ----------

@@ -27,6 +27,7 @@ from charact.noise.provenance import provenance
 from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.series import Series, read_levels, series_of
 from charact.noise.summary import Summary, summarise
+from charact.noise.three_dimensional import three_dimensional
 from charact.noise.verdict import lit, problem, timed, without_flats
 from labdata.measurement import Measurement, Posterior, Result, from_draws, refused
 from labdata.session import Session
@@ -65,7 +66,13 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     phosphor. See `charact.noise.model`.
     """
     began = perf_counter()
-    darks, flats, single = read_levels(session, context=context, spectra=True)
+    darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
+    return _of_levels(darks, flats, single, context, began) + three_dimensional([*darks, *flats], context=context)
+
+
+def _of_levels(darks: list[Level], flats: list[Level], single: list[str], context: Context, began: float
+               ) -> Result:  # fmt: skip
+    """Gains and all that follows from them, or why there are none."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     small = too_small([*darks, *flats])
     if small is not None:

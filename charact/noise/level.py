@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.noise.cube import Cube, cube_of
 from charact.noise.fields import Exposures, exposures, fluctuations, runs_of
 from charact.noise.pattern import Pattern, fixed_pattern
 from charact.noise.pixels import neighbours, products_of, successors, variance_error
@@ -86,6 +87,8 @@ class Level:
         Runs of frames the statistics come from, and the exposures of one of them.
     bins
         Bins of the spectra.
+    cube
+        3-D noise; None where it was not asked for or the stack is too short for it.
     """
 
     label: str
@@ -115,6 +118,7 @@ class Level:
     time: NDArray[np.int64]
     parity: NDArray[np.int64]
     bins: Bins
+    cube: Cube | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +137,7 @@ class Run:
     bins: Bins
 
 
-def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> Level | None:
+def read_level(entry: StackEntry, *, context: Context, spectra: bool = True, cube: bool = False) -> Level | None:
     """Read one stack and return its statistics; None where it holds a single frame, which shows no change in time.
 
     Raises
@@ -182,6 +186,7 @@ def read_level(entry: StackEntry, *, context: Context, spectra: bool = True) -> 
         time=runs[0].time,
         parity=runs[0].parity,
         bins=runs[0].bins,
+        cube=cube_of(stack, context=context) if cube else None,
     )
 
 

@@ -55,7 +55,9 @@ class Series:
     left_out: tuple[str, ...] = ()
 
 
-def read_levels(session: Session, *, context: Context, spectra: bool) -> tuple[list[Level], list[Level], list[str]]:
+def read_levels(
+    session: Session, *, context: Context, spectra: bool, cubes: bool = False
+) -> tuple[list[Level], list[Level], list[str]]:
     """Read every dark and flat of a session, one stack at a time.
 
     Returns
@@ -72,7 +74,7 @@ def read_levels(session: Session, *, context: Context, spectra: bool) -> tuple[l
     entries = session.of_kind("dark", "flat")
     for done, entry in enumerate(entries):
         context.progress(f"noise of {entry.label}", done / max(1, len(entries)))
-        level = read_level(entry, context=context, spectra=spectra)
+        level = read_level(entry, context=context, spectra=spectra, cube=cubes)
         if level is None:
             single.append(entry.label)
         else:

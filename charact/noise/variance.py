@@ -13,6 +13,7 @@ from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
 from charact.noise.provenance import provenance
 from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.series import read_levels, series_of
+from charact.noise.three_dimensional import three_dimensional
 from charact.noise.verdict import lit, problem, timed, without_flats
 from labdata.measurement import Result, from_draws
 from labdata.session import Session
@@ -39,11 +40,12 @@ def variance(session: Session, *, context: Context) -> Result:
         Seed and settings.
     """
     began = perf_counter()
-    darks, flats, single = read_levels(session, context=context, spectra=False)
+    darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
+    cubes = three_dimensional([*darks, *flats], context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
-        return Result(measurements=timed(without_flats(darks, series, single, **fields), began))
+        return Result(measurements=timed(without_flats(darks, series, single, **fields), began)) + cubes
     neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
     findings = series_findings(series, context=context)
     flags = flags_of(findings)
@@ -59,4 +61,4 @@ def variance(session: Session, *, context: Context) -> Result:
     out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
                               **fields)  # fmt: skip
     evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}
-    return Result(measurements=timed(out, began), evidence=evidence)
+    return Result(measurements=timed(out, began), evidence=evidence) + cubes

@@ -1,0 +1,126 @@
+"""Mean squares of combinations of pixels, and how many independent values of a normal law know them as well."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Axes of a contrast array: field, time, row, col; the last three may be those a component varies along.
+TIME, ROW, COL = 1, 2, 3
+# Smooth shading: polynomials up to this order, lower on short axes, one order for so many pixels.
+SHADING_ORDER = 4
+PIXELS_PER_ORDER = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanSquare:
+    """A mean of squares that varies like chi-squared.
+
+    Parameters
+    ----------
+    value_dn2
+        The mean of squares, DN^2.
+    freedom
+        Degrees of freedom, not whole where values are correlated or not normal.
+    """
+
+    value_dn2: float
+    freedom: float
+
+    def draws(self, rng: np.random.Generator, count: int) -> Array:
+        """Draws of what the mean square would be without its sampling error, shape (count,), DN^2."""
+        return self.value_dn2 * self.freedom / rng.chisquare(self.freedom, count)
+
+
+def centred(part: Array, own: tuple[int, ...], *, fixed: bool) -> Array:
+    """Return the contrasts that vary along all own axes: means taken away, and smooth shading of a fixed pattern."""
+    for axis in own:
+        part = part - part.mean(axis=axis, keepdims=True)
+    if not fixed:
+        return part
+    smooth = part
+    bases = {axis: shading(part.shape[axis]) for axis in own}
+    for axis, base in bases.items():
+        smooth = np.moveaxis(np.moveaxis(smooth, axis, -1) @ base, -1, axis)
+    for axis, base in bases.items():
+        smooth = np.moveaxis(np.moveaxis(smooth, axis, -1) @ base.T, -1, axis)
+    return part - smooth
+
+
+def shading(length: int) -> Array:
+    """Return orthonormal polynomials along an axis without the constant, shape (length, order)."""
+    place = np.linspace(-1.0, 1.0, length)
+    order = min(SHADING_ORDER, length // PIXELS_PER_ORDER)
+    return np.linalg.qr(np.polynomial.legendre.legvander(place, order))[0][:, 1:]
+
+
+def mean_square(rest: Array, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
+    """Return the mean square of what `centred` left.
+
+    Notes
+    -----
+    For a stationary normal process with powers P of its modes the sum of n squares varies like chi-squared of
+    (sum P)^2 / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 110 (1946)); a fourth cumulant
+    g adds g / n to its relative variance, and fields that share their noise with correlation r count 2 / (1 + r^2)
+    times. Each of the three is measured, and only what is beyond its own error counts.
+    """
+    count = freedom_of(rest.shape, own, fixed=fixed)
+    total = float(np.sum(rest**2))
+    if total <= 0:
+        return MeanSquare(value_dn2=0.0, freedom=count)
+    unit = rest / np.sqrt(total / rest.size)
+    spread = _correlated(unit, own, count) + 0.5 * _heavy(unit, count)
+    return MeanSquare(value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + _shared(unit, count))))
+
+
+def freedom_of(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> float:
+    """Return how many independent values white noise leaves in contrasts of a shape."""
+    averaged = np.prod([length for axis, length in enumerate(shape) if axis not in own])
+    free = np.prod([shape[axis] - 1 for axis in own])
+    taken = np.prod([shading(shape[axis]).shape[1] for axis in own]) if fixed else 0
+    return float(averaged * (free - taken))
+
+
+def _correlated(unit: Array, own: tuple[int, ...], count: float) -> float:
+    """By how much fewer the independent values are than the values: the spread of the power over the modes."""
+    from scipy import fft
+
+    modes = np.asarray(fft.rfftn(unit, axes=own))
+    power = np.abs(modes[np.ix_(*(np.arange(axis in own, length) for axis, length in enumerate(modes.shape)))]) ** 2
+    mean = float(np.mean(power))
+    # Powers of single modes vary like exponentials, whose mean square is twice the square of the mean.
+    return max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count)) if mean > 0 else 1.0
+
+
+def _heavy(unit: Array, count: float) -> float:
+    """Excess of the mean fourth power over that of the normal law, for values of mean square one."""
+    return max(0.0, float(np.mean(unit**4)) - 3.0 - np.sqrt(24.0 / count))
+
+
+def _shared(unit: Array, count: float) -> float:
+    """Square of the correlation of the two fields."""
+    if len(unit) < 2:
+        return 0.0
+    first, second = unit
+    norm = float(np.sum(first**2) * np.sum(second**2))
+    return max(0.0, float(np.sum(first * second)) ** 2 / norm - 2.0 / count) if norm > 0 else 0.0
+
+
+def strata(values: Array, own: tuple[int, ...]) -> list[tuple[int, list[int], Array]]:
+    """Return the parts of contrasts that a component is made of, each with its sign and its axes of waves.
+
+    Along every axis that the component does not vary along, the mean (index 0) is set against the slowest waves
+    (all others), which hold the same noise and none of the component: sign -1 for each axis of waves.
+    """
+    others = [axis for axis in (TIME, ROW, COL) if axis not in own]
+    out = []
+    for choice in product((0, 1), repeat=len(others)):
+        index = [slice(None)] * values.ndim
+        for axis, slow in zip(others, choice, strict=True):
+            index[axis] = slice(1, None) if slow else slice(0, 1)
+        waving = [axis for axis, slow in zip(others, choice, strict=True) if slow]
+        out.append(((-1) ** len(waving), waving, values[tuple(index)]))
+    return out
