@@ -20,6 +20,8 @@ SHIFT_PX = 6.0
 # Half frequencies among which the first guess is taken, cycles per pixel.
 GUESSES = np.exp(np.linspace(np.log(0.01), np.log(1.8), 40))
 ITERATIONS = 30
+# Gain in -2 ln of the posterior from which on a step is not worth another.
+SETTLED = 2e-3
 # A parameter's finite difference, share of the width of its bounds.
 DIFFERENCE = 1e-5
 LINEAR = 4  # step, level and a slope on either side
@@ -69,6 +71,15 @@ class FamilyFit:
     free: int
     slope_sd_per_px: float
 
+    @property
+    def noise_scale(self) -> float:
+        """Variance that the bins show over what their noise was estimated to be, at least 1.
+
+        Both the noise and the form are known imperfectly; intervals widen by the root of it (Birge 1932,
+        doi 10.1103/PhysRev.40.207).
+        """
+        return max(1.0, self.chi2 / self.free)
+
 
 class FamilyFitter:
     """Fits forms to one profile; what all fits share is made once.
@@ -113,7 +124,7 @@ class FamilyFitter:
             gain = here.cost - there.cost
             if gain >= 0:
                 point, here, damping = trial, there, max(damping * 0.1, 1e-9)
-                if gain < 1e-4:
+                if gain < SETTLED:
                     break
             else:
                 damping = damping * 30.0

@@ -52,6 +52,8 @@ MAX_STEPS = 3000
 SHARP = 0.5
 # Effective draws from a form that is not the most probable one, of which only some are wanted.
 ENOUGH = 1000.0
+# The same where the answer is wanted quickly, and draws to begin with.
+QUICK_ENOUGH, QUICK_FIRST = 300.0, 1000
 
 
 @register(
@@ -245,17 +247,20 @@ def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context) -> list[
     out = []
     for number, one in enumerate(fits):
         count = max(1, round(wanted * one.share / total))
-        out.append((one.fit.family, _posterior(fitter, one.fit, context, number, wanted), count))
+        posterior = _posterior(fitter, one.fit, fits[0].fit.noise_scale, context, number, wanted)
+        out.append((one.fit.family, posterior, count))
     return out
 
 
-def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: int, draws: int) -> Posterior:
+def _posterior(
+    fitter: FamilyFitter, fit: FamilyFit, noise_scale: float, context: Context, number: int, draws: int
+) -> Posterior:
     """Draw from one form's posterior: by Markov chain, or quickly from the curvature."""
     asked = {
         "names": ("edge_shift_px", *fit.family.parameters),
         "units": ("px", *(unit for unit, _ in fit.family.parameters.values())),
         "start": fit.point,
-        "covariance": fit.covariance,
+        "covariance": fit.covariance * noise_scale,
         "seed": context.seed + number,
         "bounds": fitter.bounds(fit.family),
         "draws": draws,
@@ -263,8 +268,8 @@ def _posterior(fitter: FamilyFitter, fit: FamilyFit, context: Context, number: i
     if context.quick and np.exp(fit.point[1]) < SHARP:
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
     else:
-        by_chain = number == 0 and not context.quick
-        posterior = _full(fitter.log_probability(fit.family, fit.slope_sd_per_px), asked, by_chain=by_chain)
+        known = fitter.log_probability(fit.family, fit.slope_sd_per_px)
+        posterior = _sampled(lambda theta: known(theta) / noise_scale, asked, context, first=number == 0)
     chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
     leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
@@ -277,9 +282,13 @@ def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
 
 
-def _full(log_probability: Callable[[Array], Array], asked: dict[str, Any], *, by_chain: bool) -> Posterior:
-    """Draw by Markov chain, or by importance where that suffices."""
-    if not by_chain:
+def _sampled(
+    log_probability: Callable[[Array], Array], asked: dict[str, Any], context: Context, *, first: bool
+) -> Posterior:
+    """Draw by Markov chain for the most probable form; for the others, or quickly, by importance."""
+    if context.quick:
+        return weighed(log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
+    if not first:
         posterior = weighed(log_probability, **asked, enough=ENOUGH)
         if posterior.effective_sample_size.min() >= ENOUGH:
             return posterior

@@ -36,6 +36,7 @@ def weighed(
     bounds: ArrayLike,
     draws: int = 1000,
     enough: float = ENOUGH,
+    first_draws: int = FIRST_DRAWS,
 ) -> Posterior:
     """Draw from a posterior by importance, from a mixture of densities that is made to fit it.
 
@@ -55,6 +56,8 @@ def weighed(
         Number of draws picked.
     enough
         Effective number of weighted draws, 1/sum w^2, after which no density is added.
+    first_draws
+        Draws from the density that the curvature tells.
 
     Returns
     -------
@@ -71,9 +74,9 @@ def weighed(
     space, rng = OpenSpace(walls), np.random.default_rng(seed)
     near = space.outside(gaussian_within(rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000))
     first = _StudentT(near.mean(axis=0), WIDER * np.atleast_2d(np.cov(near.T)))
-    mixture, points = [first], first.draw(rng, FIRST_DRAWS)
+    mixture, points = [first], first.draw(rng, first_draws)
     heights = _heights(log_probability, space, points)
-    counts, densities = [FIRST_DRAWS], [first.log_density(points)]
+    counts, densities = [first_draws], [first.log_density(points)]
     while True:
         share = np.log(np.array(counts) / len(points))
         weight = _weights(heights - np.logaddexp.reduce(np.array(densities) + share[:, None], axis=0))
