@@ -6,7 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.contrasts import Contrasts, waves
-from charact.noise.mean_squares import COL, ROW, TIME, MeanSquare, centred, freedom_of, mean_square, strata
+from charact.noise.mean_squares import (
+    COL,
+    ROW,
+    TIME,
+    MeanSquare,
+    centred,
+    correlated,
+    freedom_of,
+    heavy,
+    mean_square,
+    shared,
+    strata,
+)
 
 Array = NDArray[np.float64]
 
@@ -32,15 +44,18 @@ class Slope:
         The excess and its standard error, extended from the waves of two periods and of one, DN^2.
     share
         The same over the power of these waves, dimensionless.
+    drawn
+        Whether the excess is drawn towards zero where it may be chance (James and Stein).
     """
 
     dn2: float
     sd_dn2: float
     share: float
+    drawn: bool = True
 
     @property
     def expected_dn2(self) -> float:
-        """The excess, drawn towards zero where it may be chance (James and Stein), DN^2."""
+        """The excess to count with, DN^2."""
         return self.dn2 * self._weight
 
     @property
@@ -55,6 +70,8 @@ class Slope:
 
     @property
     def _weight(self) -> float:
+        if not self.drawn:
+            return 1.0
         return max(0.0, 1.0 - (self.sd_dn2 / self.dn2) ** 2) if self.dn2 else 0.0
 
 
@@ -163,25 +180,36 @@ def _random(found: Contrasts, parts: dict[str, Component]) -> Component:
     factor = float(np.prod(1.0 + (slow / power - 1.0) / length)) if power > 0 else 1.0
     square = MeanSquare(value_dn2=power, freedom=_freedom(found.pairs, power, count))
     slopes = {axis: parts[name].slopes[axis] for axis, name in ((TIME, "vh"), (ROW, "th"), (COL, "tv"))}
-    taken = {axis: replace(slope, dn2=-slope.dn2, share=-slope.share) for axis, slope in slopes.items()}
+    # What the other components lose to this one is little beside it: its error weighs less than a bias would.
+    taken = {axis: replace(slope, dn2=-slope.dn2, share=-slope.share, drawn=False) for axis, slope in slopes.items()}
     return Component(terms=((factor, square),), slopes=taken)
 
 
 def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
     """Degrees of freedom of the random component's power: correlated pixels and frames, and pulses, lower them."""
     rest = centred(pairs.astype(np.float64), (2, 3), fixed=False)
-    alone = mean_square(rest[:, :1].swapaxes(0, 1).reshape(1, -1, *rest.shape[2:]), (2, 3), fixed=False)
-    if power <= 0 or alone.value_dn2 <= 0:
+    square = float(np.mean(rest**2))
+    if power <= 0 or square <= 0:
         return count
-    correlated = freedom_of(rest[:, :1].shape, (2, 3), fixed=False) / alone.freedom
-    blocks = _blocks(rest**2)
-    pixels = rest[0, 0].size / blocks[0, 0].size
-    gauss = 2.0 * correlated / pixels
-    scatter = float(np.mean(blocks.var(axis=1, ddof=1) / blocks.mean(axis=1) ** 2)) if blocks.shape[1] > 1 else gauss
+    unit = rest / np.sqrt(square)
+    size = freedom_of(rest.shape, (2, 3), fixed=False)
+    blocks = _blocks(unit**2)
+    pixels = rest[0, 0].size / blocks.shape[2]
+    normal = 2.0 * correlated(unit, (2, 3), size) / pixels
     # The difference of two frames halves a fourth cumulant.
-    spread = gauss + 2.0 * max(scatter - gauss, 0.0)
-    lag = float(np.clip(1.0 - np.mean(rest**2) / power, 0.0, 0.95))
-    return max(1.0, count * 2.0 / (spread * pixels) * (1.0 - lag**2) / (1.0 + lag**2))
+    pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * heavy(unit, size) / pixels)
+    lag = float(np.clip(1.0 - square / power, 0.0, 0.95))
+    alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + shared(unit, size))
+    return max(1.0, 2.0 * count / ((normal + pulses) * pixels * alike))
+
+
+def _scatter(blocks: Array) -> float:
+    """Relative variance in time of the power of a block, blocks of uneven light each about their own mean."""
+    pairs = blocks.shape[1]
+    if pairs < 2:
+        return 0.0
+    variance = float(blocks.var(axis=1, ddof=1).mean())
+    return variance / max(float(np.mean(blocks.mean(axis=1) ** 2)) - variance / pairs, 1e-3)
 
 
 def _blocks(image: Array) -> Array:

@@ -72,8 +72,8 @@ def mean_square(rest: Array, own: tuple[int, ...], *, fixed: bool) -> MeanSquare
     if total <= 0:
         return MeanSquare(value_dn2=0.0, freedom=count)
     unit = rest / np.sqrt(total / rest.size)
-    spread = _correlated(unit, own, count) + 0.5 * _heavy(unit, count)
-    return MeanSquare(value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + _shared(unit, count))))
+    spread = correlated(unit, own, count) + 0.5 * heavy(unit, count)
+    return MeanSquare(value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + shared(unit, count))))
 
 
 def freedom_of(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> float:
@@ -84,8 +84,8 @@ def freedom_of(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> 
     return float(averaged * (free - taken))
 
 
-def _correlated(unit: Array, own: tuple[int, ...], count: float) -> float:
-    """By how much fewer the independent values are than the values: the spread of the power over the modes."""
+def correlated(unit: Array, own: tuple[int, ...], count: float) -> float:
+    """Return by how much fewer the independent values are than the values, from the spread of power over modes."""
     from scipy import fft
 
     modes = np.asarray(fft.rfftn(unit, axes=own))
@@ -95,13 +95,13 @@ def _correlated(unit: Array, own: tuple[int, ...], count: float) -> float:
     return max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count)) if mean > 0 else 1.0
 
 
-def _heavy(unit: Array, count: float) -> float:
-    """Excess of the mean fourth power over that of the normal law, for values of mean square one."""
+def heavy(unit: Array, count: float) -> float:
+    """Return the excess of the mean fourth power over the normal law's, for values of mean square one."""
     return max(0.0, float(np.mean(unit**4)) - 3.0 - np.sqrt(24.0 / count))
 
 
-def _shared(unit: Array, count: float) -> float:
-    """Square of the correlation of the two fields."""
+def shared(unit: Array, count: float) -> float:
+    """Return the square of the correlation of the two fields; 0 for one."""
     if len(unit) < 2:
         return 0.0
     first, second = unit
