@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 OWN = {"t": (TIME,), "v": (ROW,), "h": (COL,), "tv": (TIME, ROW), "th": (TIME, COL), "vh": (ROW, COL)}
 # Blocks of the image (rows, columns) whose scatter tells how the power of the random noise varies.
 BLOCKS = (8, 8)
+# Differences of frames whose spectra tell how far the random noise of pixels is independent.
+SPECTRA = 2
 # Share of what noise of one and of two periods tells of the mean that may be wrong of it.
 UNSURE = 0.25
 # Square of what is left of a standard normal error that is drawn towards zero by 1 - 1/z^2.
@@ -187,15 +189,15 @@ def _random(found: Contrasts, parts: dict[str, Component]) -> Component:
 
 def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
     """Degrees of freedom of the random component's power: correlated pixels and frames, and pulses, lower them."""
-    rest = centred(pairs.astype(np.float64), (2, 3), fixed=False)
-    square = float(np.mean(rest**2))
+    rest = centred(pairs, (2, 3), fixed=False)
+    square = float(np.mean(rest**2, dtype=np.float64))
     if power <= 0 or square <= 0:
         return count
-    unit = rest / np.sqrt(square)
+    unit = rest / np.float32(np.sqrt(square))
     size = freedom_of(rest.shape, (2, 3), fixed=False)
     blocks = _blocks(unit**2)
     pixels = rest[0, 0].size / blocks.shape[2]
-    normal = 2.0 * correlated(unit, (2, 3), size) / pixels
+    normal = 2.0 * correlated(unit[:, :SPECTRA], (2, 3), size) / pixels
     # The difference of two frames halves a fourth cumulant.
     pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * heavy(unit, size) / pixels)
     lag = float(np.clip(1.0 - square / power, 0.0, 0.95))
@@ -212,7 +214,7 @@ def _scatter(blocks: Array) -> float:
     return variance / max(float(np.mean(blocks.mean(axis=1) ** 2)) - variance / pairs, 1e-3)
 
 
-def _blocks(image: Array) -> Array:
+def _blocks(image: NDArray) -> Array:
     """Means over blocks of the last two axes, as a flat list, shape (field, pair, block)."""
     rows, cols = (
         np.linspace(0, length, min(most, length // 2) + 1).astype(int)

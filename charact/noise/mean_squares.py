@@ -35,7 +35,7 @@ class MeanSquare:
         return self.value_dn2 * self.freedom / rng.chisquare(self.freedom, count)
 
 
-def centred(part: Array, own: tuple[int, ...], *, fixed: bool) -> Array:
+def centred(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArray:
     """Return the contrasts that vary along all own axes: means taken away, and smooth shading of a fixed pattern."""
     for axis in own:
         part = part - part.mean(axis=axis, keepdims=True)
@@ -57,7 +57,7 @@ def shading(length: int) -> Array:
     return np.linalg.qr(np.polynomial.legendre.legvander(place, order))[0][:, 1:]
 
 
-def mean_square(rest: Array, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
+def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
     """Return the mean square of what `centred` left.
 
     Notes
@@ -84,7 +84,7 @@ def freedom_of(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> 
     return float(averaged * (free - taken))
 
 
-def correlated(unit: Array, own: tuple[int, ...], count: float) -> float:
+def correlated(unit: NDArray, own: tuple[int, ...], count: float) -> float:
     """Return by how much fewer the independent values are than the values, from the spread of power over modes."""
     from scipy import fft
 
@@ -95,12 +95,13 @@ def correlated(unit: Array, own: tuple[int, ...], count: float) -> float:
     return max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count)) if mean > 0 else 1.0
 
 
-def heavy(unit: Array, count: float) -> float:
+def heavy(unit: NDArray, count: float) -> float:
     """Return the excess of the mean fourth power over the normal law's, for values of mean square one."""
-    return max(0.0, float(np.mean(unit**4)) - 3.0 - np.sqrt(24.0 / count))
+    square = unit * unit
+    return max(0.0, float(np.mean(square * square)) - 3.0 - np.sqrt(24.0 / count))
 
 
-def shared(unit: Array, count: float) -> float:
+def shared(unit: NDArray, count: float) -> float:
     """Return the square of the correlation of the two fields; 0 for one."""
     if len(unit) < 2:
         return 0.0

@@ -23,6 +23,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "photon-transfer": ("noise", noise.photon_transfer),
     "noise-spectrum": ("noise", noise.noise_spectrum),
     "autocorrelation": ("noise", noise.autocorrelation),
+    "three-dimensional-noise": ("noise", noise.three_dimensional),
 }
 
 

@@ -92,3 +92,22 @@ def autocorrelation(data: Data) -> Any:
     for axes in (pixels, exposures):
         axes.axhline(0, color=INK, linewidth=0.8)
     return figure
+
+
+def three_dimensional(data: Data) -> Any:
+    """Means of frames, rows and columns about their own mean, and the spectrum of the frames' means."""
+    figure, grid = panels(2, 2, size=(5.8, 4.6))
+    for axes, name, what in (
+        (grid[0, 0], "exposure_mean_dn", "exposure"),
+        (grid[1, 0], "row_mean_dn", "row"),
+        (grid[1, 1], "column_mean_dn", "column"),
+    ):
+        mean = array(data, name)
+        line(axes, np.arange(len(mean)), mean - mean.mean(), color=DATA)
+        axes.set(xlabel=what, ylabel=f"mean of each {what} (DN)")
+    period = data.get("exposure_period_s")
+    frequency = array(data, "frequency_cy_per_exposure") / (period or 1.0)
+    line(grid[0, 1], frequency, array(data, "power_dn2"), color=THIRD)
+    unit = "Hz" if period else "cycles per exposure"
+    grid[0, 1].set(xlabel=f"temporal frequency ({unit})", ylabel="variance of exposures' means (DN²)")
+    return figure

@@ -243,6 +243,10 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "neighbour_correlation": spread, "neighbour_sd": spread, "lag_exposures": spread,
             "lag_correlation": spread, "lag_correlation_sd": spread,
         },
+        "three-dimensional-noise": {
+            "exposure_mean_dn": spread, "row_mean_dn": spread, "column_mean_dn": spread, "exposure_period_s": 0.04,
+            "frequency_cy_per_exposure": spread, "power_dn2": spread,
+        },
         "joint-mtf": {"kind": ["edge", "bars"], "target": ["edge", "bars-0.1"], "residuals_sd": [spread, [0.3]]},
         "constancy": {
             "slopes": {"row_px": 0.0}, "row_px": spread, "mtf50_cy_per_px": spread, "sd_cy_per_px": spread,
