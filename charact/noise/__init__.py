@@ -2,6 +2,7 @@
 
 from charact.method import Context, choose
 from charact.noise import covariance_sum, variance
+from charact.noise.events import with_events
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
@@ -10,7 +11,8 @@ __all__ = ["covariance_sum", "measure", "variance"]
 
 
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
-    """Measure noise and gain from the darks and flats of a session, and the 3-D noise of each.
+    """Measure noise and gain from the darks and flats of a session, the 3-D noise of each, and the law of
+    single photoelectrons in the darks of an intensified camera.
 
     Parameters
     ----------
@@ -31,4 +33,4 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    return chosen.function(session, context=context)
+    return with_events(chosen.function(session, context=context), session, context=context)

@@ -39,7 +39,7 @@ def calibrated_quantities(series: Series, posterior: Posterior, *, context: Cont
     meter = 1.0 + (known[0].illuminance_relative_sd or 0.0) * rng.standard_normal(count)
     per_lux_s = photoelectrons_per_lux_s(context, rng, count)
     gain = slope / (per_lux_s * np.maximum(meter, 0.05))
-    per_electron = _drawn(context.sensor.video.conversion_gain_dn_per_e, rng, count)
+    per_electron = drawn(context.sensor.video.conversion_gain_dn_per_e, rng, count)
     excess = (posterior["covariance_gain"] - per_electron) / gain
     note = ("the interval is that of the luminous sensitivity and of the light meter, which flats cannot narrow",)
     return [
@@ -52,16 +52,16 @@ def photoelectrons_per_lux_s(context: Context, rng: np.random.Generator, count: 
     """Return draws of the photoelectrons on a pixel per lux and second of gate, shape (count,)."""
     sensor = context.sensor
     assert sensor is not None
-    demagnification = _drawn(sensor.taper.demagnification, rng, count)
+    demagnification = drawn(sensor.taper.demagnification, rng, count)
     rows = 2.0 if context.interlaced else 1.0
     width_um = float(sensor.ccd.pitch_x_um) * demagnification
     height_um = float(sensor.ccd.pitch_y_um) * demagnification * rows
-    sensitivity = _drawn(sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, count)
+    sensitivity = drawn(sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, count)
     return sensitivity * 1e-6 / ELECTRON_C * width_um * height_um * 1e-12
 
 
-def _drawn(parameter: Parameter, rng: np.random.Generator, count: int):
-    """Draws of a parameter: normal in its logarithm about its value, with its 95 % bounds; exact where it has none."""
+def drawn(parameter: Parameter, rng: np.random.Generator, count: int):
+    """Return draws of a parameter: normal in its logarithm, with its 95 % bounds; exact where it has none."""
     if parameter.low is None or parameter.high is None or parameter.low <= 0:
         return np.full(count, float(parameter))
     side = rng.standard_normal(count)

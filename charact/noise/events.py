@@ -1,0 +1,200 @@
+"""What single photoelectrons in dark frames tell: background illumination, pulse height and its spread."""
+
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.calibrated import drawn, photoelectrons_per_lux_s
+from charact.noise.checks import QUANTISED_DN2, Finding, flags_of, notes_of
+from charact.noise.events_evidence import pulse_evidence
+from charact.noise.events_frames import DarkFrames, dark_frames
+from charact.noise.events_pulses import PulseFit, fit_pulses, large_enough
+from charact.noise.provenance import provenance
+from labdata.conditions import Conditions
+from labdata.measurement import Measurement, Posterior, Result, from_draws, refused
+from labdata.session import Session, StackEntry
+
+Array = NDArray[np.float64]
+
+METHOD = "pulse-law"
+LEAST_FRAMES = 8
+# Quantities that flats of known light tell better, and that darks tell where those cannot.
+SHARED = ("photoelectron_gain", "excess_noise_factor")
+# Response to a mean pulse over the filtered noise below which the law is not looked for, and below which it is doubted.
+LOST, WEAK = 1.2, 3.0
+# Relative standard errors of density or height beyond which nothing, and beyond which little, is known.
+UNKNOWN, VAGUE = 0.4, 0.2
+FEW_EVENTS = 200
+LEAST_GAIN = 40
+# Share of values that stay the same from frame to frame: that of rounded noise of 0.4 DN.
+MOST_STILL = 0.6
+# Shares of pixels that flicker, of bright values at the highest code, of values beside ion events.
+DEFECT_SHARE, FULL_SHARE, SPOILT_SHARE = 0.01, 0.02, 0.5
+LEAST_CHANCE = 1e-4
+# A glow longer than this share of the stack cannot be told from the level.
+LONG_GLOW = 0.15
+# Share of the photoelectrons that start a pulse, where no sensor states it: open area, film and recovery.
+DETECTION = (0.45, 1.0)
+
+
+def with_events(result: Result, session: Session, *, context: Context) -> Result:
+    """Return a session's noise result with what its darks tell of single photoelectrons.
+
+    Parameters
+    ----------
+    result
+        What flats and darks told. Where noise is white there is no tube, and nothing is added.
+    session
+        The session; its dark stack of most frames speaks.
+    """
+    darks = list(session.of_kind("dark"))
+    if not darks or any(m.value is not None for m in result.find("system_gain")):
+        return result
+    known = {name for name in SHARED for m in result.find(name) if m.value is not None}
+    added = measure_events(darks, context=context)
+    told = {m.quantity for m in added.measurements if m.value is not None}
+    kept = tuple(m for m in result.measurements if m.value is not None or m.quantity not in told)
+    fresh = tuple(m for m in added.measurements if m.quantity not in known)
+    return replace(result, measurements=kept) + replace(added, measurements=fresh)
+
+
+def measure_events(darks: list[StackEntry], *, context: Context) -> Result:
+    """Measure the law of single photoelectrons in the dark stack of most frames."""
+    began = perf_counter()
+    context.progress("single photoelectrons in the darks", 0.95)
+    entry, stack = max(((dark, dark.read()) for dark in darks), key=lambda pair: len(pair[1]))
+    fields: dict[str, Any] = {"method": METHOD, "stack": entry.label, "provenance": provenance(context)}
+    frames = dark_frames(stack, context) if len(stack) >= LEAST_FRAMES else None
+    reason = unusable(frames, len(stack))
+    found = None if frames is None or reason else fit_pulses(frames, context)
+    if found is not None:
+        reason = unseen(found)
+    if frames is None or found is None or reason:
+        out = [refused(name, unit, reason or "", **fields)
+               for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))]  # fmt: skip
+        return Result(measurements=_timed(out, began))
+    findings = pulse_findings(found, frames)
+    fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
+    out = _measurements(found, entry.conditions, context, fields)
+    return Result(measurements=_timed(out, began), evidence={"pulse-heights": pulse_evidence(found)})
+
+
+def unusable(frames: DarkFrames | None, count: int) -> str | None:
+    """Why no pulses can be looked for in so many dark frames, or None."""
+    if frames is None:
+        return f"pulses take at least {LEAST_FRAMES} dark frames, got {count}"
+    if not large_enough(frames):
+        rows, cols = frames.changes[0].shape[1:]
+        return f"exposures of {rows} x {cols} px leave no room around the filters that find pulses"
+    if frames.still > MOST_STILL:
+        return (
+            f"the noise under the pulses is finer than the digitiser's steps: {100 * frames.still:.0f} % of the values "
+            f"stay the same from frame to frame, at most {100 * MOST_STILL:.0f} % may; take more gain or more bits"
+        )
+    return None
+
+
+def _timed(measurements: list[Measurement], began: float) -> tuple[Measurement, ...]:
+    seconds = perf_counter() - began
+    return tuple(m.with_(seconds=seconds) for m in measurements)
+
+
+def unseen(found: PulseFit) -> str | None:
+    """Why the pulses cannot be measured, or None."""
+    if found.gain_of_pulses < LEAST_GAIN:
+        return (
+            f"noise alone explains the darks: pulses improve chi2 by {found.gain_of_pulses:.0f}, less than {LEAST_GAIN}"
+        )
+    if found.signal_to_noise < LOST:
+        return (
+            f"pulses do not stand out of the noise: a mean one is {found.signal_to_noise:.2g} times the noise of a "
+            f"filter that suits it, and {LOST:g} are needed"
+        )
+    error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
+    if error > UNKNOWN:
+        return f"number and height of the pulses are known to {100 * error:.0f} % only: more frames are needed"
+    return None
+
+
+def _relative_sd(posterior: Posterior, name: str) -> float:
+    return float(np.std(np.log(posterior[name])))
+
+
+def pulse_findings(found: PulseFit, frames: DarkFrames) -> list[Finding]:
+    """What to distrust, and what was seen."""
+    best, out = found.peak.pulses, list[Finding]()
+    out.append((None, f"the share p of the photoelectrons that start a pulse shows in no dark frame: {_HOW_P}"))
+    if found.signal_to_noise < WEAK:
+        out.append(("low-signal", f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise"))
+    count = best.density * found.observed.pixels
+    error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
+    if count < FEW_EVENTS or error > VAGUE:
+        out.append(("too-few-frames", f"{count:.0f} events: number and height are known to {100 * error:.0f} %"))
+    if best.noise_dn2 < QUANTISED_DN2:
+        out.append(("quantised", f"the noise under the pulses is {np.sqrt(best.noise_dn2):.2g} DN"))
+    if frames.full > FULL_SHARE:
+        out.append(("clipped", f"{100 * frames.full:.0f} % of the brightest values are at the highest code"))
+    if frames.defects > DEFECT_SHARE:
+        out.append(("defects", f"{100 * frames.defects:.1f} % of the pixels flicker by themselves"))
+    if found.peak.chance < LEAST_CHANCE:
+        out.append(("model-misfit", f"pulses leave chi2 {found.peak.chi2:.0f} of {found.peak.freedom}"))
+    if found.spoilt > SPOILT_SHARE:
+        out.append(("model-misfit", f"{100 * found.spoilt:.0f} % of the values lie beside ion events"))
+    if found.lag and best.glow_exposures > LONG_GLOW * frames.frames * frames.stride:
+        out.append(("lag", f"the screen glows on for {best.glow_exposures:.0f} exposures"))
+    elif found.lag:
+        out.append((None, f"the screen gives off {100 * best.glow:.0f} % of a pulse late, and that was counted"))
+    if len(found.ion_height_dn):
+        size = float(np.mean(found.ion_height_dn)) / best.height_dn
+        out.append((None, f"{len(found.ion_height_dn)} ion events of {size:.0f} mean pulses each were left out"))
+    return out + [(flag, "see the posterior") for flag in found.posterior.flags]
+
+
+_HOW_P = "a flat of known light tells k, and p is k over the pulse height"
+
+
+def _measurements(found: PulseFit, conditions: Conditions, context: Context, fields: dict[str, Any]
+                  ) -> list[Measurement]:  # fmt: skip
+    """The quantities of a law that was found."""
+    posterior = found.posterior
+    rng = np.random.default_rng([context.seed, 7])
+    height, spread = posterior["height_dn"], posterior["relative_variance"]
+    detected, note = detection(context, rng, len(height))
+    out = [from_draws("detected_photoelectron_gain", "DN", height, posterior=posterior, **fields)]
+    told = {**fields, "notes": (*fields["notes"], note)}
+    out.append(from_draws("photoelectron_gain", "DN/pe", detected * height, **told))
+    out.append(from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **told))
+    return out + _background(posterior["density"] / detected, conditions, context, rng, told)
+
+
+def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[Array, str]:
+    """Return draws of the share of photoelectrons that start a pulse, and a sentence on where it is from."""
+    if context.sensor is None:
+        low, high = DETECTION
+        return rng.uniform(low, high, count), f"no sensor is named: p is taken as anywhere from {low:g} to {high:g}"
+    stated = context.sensor.microchannel_plate.detection_probability
+    return np.minimum(drawn(stated, rng, count), 1.0), f"p is the sensor's, {float(stated):.2g}, within its range"
+
+
+def _background(density: Array, conditions: Conditions, context: Context, rng: np.random.Generator,
+                fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Photoelectrons in the dark, per second and pixel, and the light that would make as many."""
+    gate_s = None if conditions.gate_ns is None else conditions.gate_ns * 1e-9
+    open_s = gate_s if gate_s is not None else conditions.exposure_s
+    if not open_s:
+        reason = (
+            f"{np.median(density):.3g} photoelectrons per pixel and exposure: "
+            "their rate needs the exposure_s or gate_ns of the darks"
+        )
+        plain = {key: value for key, value in fields.items() if key != "flags"}
+        return [refused("ebi", "pe/s/px", reason, **plain)]
+    rate = density / open_s
+    out = [from_draws("ebi", "pe/s/px", rate, **fields)]
+    if context.sensor is not None:
+        lux = rate / photoelectrons_per_lux_s(context, rng, len(rate))
+        out.append(from_draws("ebi", "lm/cm2", 1e-4 * lux, **fields))
+    return out

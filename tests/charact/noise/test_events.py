@@ -1,0 +1,151 @@
+"""Single photoelectrons: rate, heights and spread of heights are found again in darks made pulse by pulse."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from charact import noise
+from charact.method import Context
+from charact.noise.events import measure_events
+from charact.noise.events_filters import Filter, boxes
+from charact.noise.events_law import Pulses, height_transform
+from charact.noise.events_scatter import blended
+from charact.study.dark_events import DarkScene
+
+QUICK = Context(seed=1, quick=True)
+# What a scene of these holds can be told to a few percent; cheap enough for a test run.
+BRIGHT = DarkScene(height_dn=150.0)
+
+
+def measured(scene: DarkScene, seed: int):
+    session = scene.session_drawn(np.random.default_rng(seed))
+    return measure_events(list(session.stacks), context=QUICK)
+
+
+def one(result, quantity: str, unit: str | None = None) -> Any:
+    return next(m for m in result.find(quantity) if unit in (None, m.unit))
+
+
+def test_a_pixel_of_rare_pulses_has_the_moments_of_campbells_theorem():
+    """Variance and third cumulant are rate <h^2> sum of squares and rate <h^3> sum of cubes of a spot's places."""
+    pulses = Pulses(density=0.02, height_dn=50.0, relative_variance=0.5, noise_dn2=0.0, line_1=0.0, line_2=0.0,
+                    column_px=0.8, row_px=0.8, wings=0.0, exponent=1.3)  # fmt: skip
+    pixel = Filter(rows=(1.0,), columns=(1.0,), exposures=10**9)
+    t = np.array([[1e-4]])
+    log = pulses.log_characteristic((pixel,), t)[0, 0]
+    fine = np.arange(-8.0, 8.0, 0.01)
+    from scipy.special import ndtr
+
+    spot = ndtr((fine + 0.5) / 0.8) - ndtr((fine - 0.5) / 0.8)
+    squares, cubes = ((spot**n).sum() * 0.01 for n in (2, 3))
+    variance = 0.02 * 50.0**2 * 1.5 * squares**2
+    third = 0.02 * 50.0**3 * (1.5 * 2.0) * cubes**2
+    assert -2.0 * log.real / t[0, 0] ** 2 == pytest.approx(variance, rel=0.005)
+    # Each pixel's mean over time is taken away, which leaves nothing at first order.
+    assert -6.0 * log.imag / t[0, 0] ** 3 == pytest.approx(third, rel=0.01)
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.5, 1.0, 3.0])
+def test_heights_have_the_transform_of_their_gamma_law(seed, spread):
+    heights = np.random.default_rng(seed).gamma(1.0 / spread, spread, 400_000)
+    z = np.array([0.3, 1.0, 3.0])
+    drawn = np.exp(1j * np.multiply.outer(heights, z))
+    error = drawn.std(axis=0) / np.sqrt(len(heights))
+    assert np.all(np.abs(drawn.mean(axis=0) - 1.0 - height_transform(z, spread)) < 4.5 * error)
+
+
+def test_filters_see_neither_levels_nor_lines_nor_slopes():
+    row = np.arange(64.0)
+    for line in (np.ones(64), row, np.where(row % 2, 1.0, 1.0)):
+        image = np.broadcast_to(line.astype(np.float32), (4, 64, 64))
+        for one in boxes(1, stride=1, exposures=4, lag=True):
+            assert np.abs(one.of(image)).max() < 1e-3
+
+
+def test_glow_hands_all_light_on_and_none_twice():
+    pulses = Pulses(density=1.0, height_dn=1.0, relative_variance=1.0, noise_dn2=0.0, line_1=0.0, line_2=0.0,
+                    column_px=0.5, row_px=0.5, wings=0.0, exponent=1.3, glow=0.6, glow_exposures=1.5)  # fmt: skip
+    light = pulses.light_shares()
+    np.testing.assert_allclose(light.sum(axis=1), 1.0, atol=0.005)
+    # A steady light that goes out leaves the glow of one exposure in the next: the shares of all later ones.
+    assert light[:, 1:].sum(axis=1).mean() == pytest.approx(0.6 * 1.5 * (1 - np.exp(-1 / 1.5)), rel=0.02)
+
+
+def test_rate_height_and_spread_are_found_again(seed):
+    scene = replace(BRIGHT, relative_variance=0.6)
+    result = measured(scene, seed)
+    height, rate = one(result, "detected_photoelectron_gain"), one(result, "ebi")
+    assert height.status == "ok" and rate.status == "ok"
+    found = height.posterior
+    for name, truth in (("density", 0.01), ("height_dn", 150.0), ("relative_variance", 0.6)):
+        draws = found[name]
+        assert abs(np.median(draws) - truth) < 4.5 * np.std(draws), name
+        assert np.std(draws) < 0.1 * truth, name
+    # Without a sensor p is anywhere from 0.45 to 1, and the interval says so.
+    assert rate.interval95[0] < 0.01 / 0.7 / 0.02 < rate.interval95[1]
+
+
+def test_ion_events_are_told_apart(seed):
+    scene = replace(BRIGHT, ions=1e-5, ion_height_dn=6000.0, full_scale_dn=65535.0)
+    result = measured(scene, seed)
+    seen = result.evidence["pulse-heights"]
+    drawn = scene.ions * scene.frames * scene.rows * scene.cols
+    assert abs(seen["ion_events"] - drawn) < 4.5 * np.sqrt(drawn) + 1
+    assert seen["ion_mean_height_dn"] == pytest.approx(6000.0, rel=0.35)
+    height = one(result, "detected_photoelectron_gain")
+    assert abs(height.value - 150.0) < 4.5 * 0.255 * (height.interval95[1] - height.interval95[0])
+
+
+def test_pixels_that_flicker_are_no_pulses(seed):
+    result = measured(replace(BRIGHT, hot=0.001), seed)
+    height = one(result, "detected_photoelectron_gain")
+    assert height.value == pytest.approx(150.0, rel=0.12)
+
+
+def test_light_that_lingers_is_added_up(seed):
+    result = measured(replace(BRIGHT, glow=0.3), seed)
+    height = one(result, "detected_photoelectron_gain")
+    assert result.evidence["pulse-heights"]["glow"] > 0.1
+    assert height.flags or height.value == pytest.approx(150.0, rel=0.12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [({"height_dn": 1.0}, "noise"), ({"density": 0.0}, "noise"), ({"frames": 4}, "frames"), ({"rows": 40}, "room")],
+)
+def test_what_cannot_be_measured_is_refused_in_a_sentence(seed, changes, word):
+    result = measured(replace(BRIGHT, **changes), seed)
+    for quantity in ("detected_photoelectron_gain", "ebi"):
+        refused = one(result, quantity)
+        assert refused.status == "refused" and word in refused.reason
+
+
+def test_a_rate_takes_an_exposure(seed):
+    rate = one(measured(replace(BRIGHT, exposure_s=None), seed), "ebi")
+    assert rate.status == "refused" and "exposure_s" in rate.reason
+
+
+@pytest.mark.parametrize("changes", [{"height_dn": 8.0}, {"density": 0.3}, {"read_noise_dn": 0.2, "height_dn": 6.0}])
+def test_past_breaking_nothing_is_wrong_and_unflagged(seed, changes):
+    scene = replace(BRIGHT, **changes)
+    height = one(measured(scene, seed), "detected_photoelectron_gain")
+    if height.status == "ok":
+        low, high = height.interval95
+        half = (high - height.value) if scene.height_dn > height.value else (height.value - low)
+        assert abs(scene.height_dn - height.value) < 2.0 * half
+
+
+def test_scatter_counted_and_computed_alike_blends_to_itself(seed):
+    root = np.random.default_rng(seed).standard_normal((6, 6))
+    both = root @ root.T + 6.0 * np.eye(6)
+    unit = np.sqrt(np.diag(both))
+    assert np.linalg.eigvalsh(blended(both, both) / np.outer(unit, unit)).min() > 0.0
+
+
+def test_noise_reports_pulses_beside_its_own_numbers(seed):
+    session = replace(BRIGHT, frames=24).session_drawn(np.random.default_rng(seed))
+    result = noise.measure(session, context=QUICK)
+    assert {"read_noise", "detected_photoelectron_gain", "ebi"} <= {m.quantity for m in result.measurements}
+    assert len(result.find("excess_noise_factor")) == 1

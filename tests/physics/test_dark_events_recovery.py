@@ -1,0 +1,64 @@
+"""Single photoelectrons of the simulated camera in the dark; the simulator and the analysis share no formula."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from charact.method import Context
+from charact.noise.events import measure_events
+from charact.study.flats import HeldStack
+from labdata.conditions import Conditions
+from labdata.parameter import Parameter
+from labdata.sensors import load_sensor
+from simulate.iiccd import truth
+from simulate.lab import LabBench, Target
+
+SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167, illuminance_lux=0.0)
+SHEET = load_sensor("pulnix-ag5745ef3")
+
+
+def darks(sensor, seed: int, frames: int = 64):
+    """Darks of a part of the chip."""
+    sensor = replace(sensor, ccd=replace(sensor.ccd, rows=246, columns=192))
+    held = LabBench(sensor).expose("dark", Target(), SETTINGS, frames=frames, seed=seed)
+    entry = HeldStack(label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held)
+    context = Context(seed=1, quick=True, sensor=SHEET, interlaced=True, full_scale_dn=2.0**sensor.video.bit_depth - 1)
+    return measure_events([entry], context=context)
+
+
+def finer(bits: int):
+    """The camera of the sheet behind a digitiser of more bits, full scale as before."""
+    step, coarse = 2.0 ** (bits - SHEET.video.bit_depth), SHEET.video
+    names = ("conversion_gain_dn_per_e", "black_level_dn")
+    stated = {name: getattr(coarse, name) for name in names}
+    changed = SHEET.with_parameters({
+        f"video.{name}": Parameter(value=step * float(old), standing=old.standing, source=old.source)
+        for name, old in stated.items()
+    })  # fmt: skip
+    return replace(changed, video=replace(changed.video, bit_depth=bits))
+
+
+def test_background_and_pulse_heights_of_the_camera_are_found_again_at_twelve_bits(seed):
+    sensor = finer(12)
+    known = truth.quantities(sensor, SETTINGS)
+    result = darks(sensor, seed)
+    for quantity in ("detected_photoelectron_gain", "photoelectron_gain", "excess_noise_factor", "ebi"):
+        found = result.find(quantity)[0]
+        low, high = found.interval68 or (0.0, 0.0)
+        assert found.status == "ok" and found.value is not None, found
+        assert abs(found.value - known[quantity]) < 4.5 * 0.5 * (high - low), found
+    height = result.find("detected_photoelectron_gain")[0]
+    assert height.value == pytest.approx(known["detected_photoelectron_gain"], rel=0.1)
+    assert result.find("ebi")[0].value == pytest.approx(known["ebi"], rel=0.1)
+    # The sheet's screen gives off 56 % of its light with 35 ms, and a field lasts 16.7 ms.
+    glow = result.evidence["pulse-heights"]
+    assert glow["glow"] == pytest.approx(0.56, abs=0.06)
+    assert glow["glow_exposures"] == pytest.approx(2.1, abs=0.4)
+
+
+def test_the_eight_bits_of_the_sheet_are_too_coarse_and_that_is_said(seed):
+    result = darks(SHEET, seed)
+    for quantity in ("detected_photoelectron_gain", "ebi"):
+        found = result.find(quantity)[0]
+        assert found.status == "refused" or "quantised" in found.flags, found
