@@ -117,10 +117,12 @@ def components(found: Contrasts) -> dict[str, Component]:
     in the textbook, but over its slowest waves along the axis averaged over: for white noise both are the same (and
     the estimate unbiased for finite cubes), but noise correlated between pixels or frames has more power in slow waves
     than in fast ones and only the slow ones tell what of it is left in a mean, the slope from two periods to one
-    extended to none (`Slope`). Bias identities of the components:
+    extended to none (`Slope`). Bias identities that hold for white noise, and so here:
     s_vh^2 = sigma_vh^2 + sigma_tvh^2 / T and cyclic, s_t^2 = sigma_t^2 + sigma_tv^2 / V + sigma_th^2 / H
-    + sigma_tvh^2 / (VH) and cyclic; confidence after Appl. Opt. 54, 4907 (2015), by draws of every mean square
-    (generalized confidence intervals: Weerahandi, J. Am. Stat. Assoc. 88, 899 (1993)).
+    + sigma_tvh^2 / (VH) and cyclic (Appl. Opt. 54, 4907 (2015)). Mean squares are independent and vary like
+    chi-squared where noise is normal, and each with its own degrees of freedom where it is not white (see
+    `mean_square`); a draw of each gives a draw of their sum, and its quantiles the generalized confidence interval
+    (Weerahandi, J. Am. Stat. Assoc. 88, 899 (1993)).
     """
     arrays = _arrays(found)
     parts = {name: _component(arrays[name], OWN[name], found.size) for name in OWN}

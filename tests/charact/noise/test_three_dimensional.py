@@ -16,6 +16,8 @@ from labdata.frames import FrameStack
 NAMES = ("t", "v", "h", "tv", "th", "vh", "tvh")
 QUICK = Context(seed=1, quick=True)
 CUBES = 200
+# 95 % of 200, less four standard errors.
+LEAST_HELD = 178
 MARGIN = 12
 
 
@@ -90,7 +92,7 @@ def test_seven_components_at_once_are_unbiased_and_their_intervals_hold(seed, sh
     rng = np.random.default_rng(seed)
     found, held = trials(rng, lambda rng: cube(rng, shape, sd), sd)
     assert np.abs(pulls(found, sd)).max() < 3.5
-    assert held.min() >= 180
+    assert held.min() >= LEAST_HELD
     assert held.max() <= 199
 
 
@@ -99,7 +101,7 @@ def test_a_component_that_is_not_there_is_estimated_as_often_below_zero_as_above
     sd = (0.0, 0.5, 0.5, 0.0, 0.0, 0.0, 2.0)
     found, held = trials(np.random.default_rng(seed), lambda rng: cube(rng, (12, 32, 40), sd), sd)
     assert np.abs(pulls(found, sd)).max() < 3.5
-    assert held.min() >= 180
+    assert held.min() >= LEAST_HELD
     below = (found[:, [0, 3, 4, 5]] < 0).sum(axis=0)
     assert 0.3 * CUBES < below.min() <= below.max() < 0.8 * CUBES
 
@@ -137,7 +139,7 @@ def test_noise_shared_by_neighbours_is_no_noise_of_rows_or_columns(seed):
     sd = (0.1, 0.2, 0.2, 0.0, 0.0, 0.2, 2.0)
     rng = np.random.default_rng(seed)
     found, held = trials(rng, lambda rng: cube(rng, (8, 72, 96), sd, blur_px=1.0), sd)
-    assert held.min() >= 178
+    assert held.min() >= LEAST_HELD
     plain = (3.54 - 1.0) * sd[6] ** 2 / np.array([96, 72])
     assert (np.abs(found[:, 3:5].mean(axis=0)) < 0.05 * plain).all()
 
@@ -146,7 +148,7 @@ def test_noise_that_lasts_is_followed_to_frequency_zero(seed):
     """The slowest waves still hold less of it than the mean over time does: the slope between them tells the rest."""
     sd = (0.2, 0.3, 0.3, 0.0, 0.0, 0.2, 2.0)
     found, held = trials(np.random.default_rng(seed), lambda rng: cube(rng, (32, 40, 56), sd, lag=0.4), sd)
-    assert held.min() >= 178
+    assert held.min() >= LEAST_HELD
     # Without the slope 0.026 DN2 of the random noise would pass for fixed pattern.
     assert abs(found[:, 5].mean() - sd[5] ** 2) < 0.006
 
@@ -169,7 +171,7 @@ def test_fields_are_cubes_of_their_own(seed):
     rng = np.random.default_rng(seed)
     found, held = trials(rng, lambda rng: two_fields(rng, (10, 20, 40), sd), sd, interlaced=True)
     assert np.abs(pulls(found, sd)).max() < 3.5
-    assert held.min() >= 180
+    assert held.min() >= LEAST_HELD
 
 
 def test_a_column_pattern_common_to_both_fields_is_known_as_well_as_from_one(seed):
