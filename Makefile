@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map docs frontier peers lock clean
+.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map events-study docs frontier peers lock clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -42,6 +42,10 @@ mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_coverage
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_back
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep
+
+# Single photoelectrons: how often intervals hold over 200 stacks of known darks, and where the law is lost; table kept.
+events-study: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.dark_events_coverage
 
 # Where edges break: 5,000 cells drawn 20 times each; three quarters of an hour on two cores.
 edge-map: $(READY)

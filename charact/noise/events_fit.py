@@ -34,6 +34,8 @@ Priors = dict[str, tuple[float, float]]
 PRIORS: Priors = {"line_1": (0.0, 0.2), "line_2": (0.0, 0.1), "exponent": (1.3, 0.2), "wings": (0.0, 1.0)}
 # Share by which the law itself may be wrong: places and amplitudes are finite, and no spot is quite of its form.
 TOLERANCE = 3e-4
+# Where light lingers: a screen's decay is of one exponential only roughly.
+LINGERING_TOLERANCE = 5e-3
 # Places from which a fit starts: spots, px, and heights over the noise of a pixel.
 START_WIDTHS_PX = (0.3, 0.7, 1.3, 2.2)
 START_HEIGHTS = (2.0, 5.0, 12.0, 30.0, 80.0, 200.0)
@@ -81,8 +83,8 @@ class Problem:
         self.observed, self.row_pitch = observed, row_pitch
         self.names = NAMES if lag else NAMES[:-2]
         self.priors = dict(priors)
-        size = np.abs(observed.value)
-        covariance = covariance + np.diag((TOLERANCE * size) ** 2 + 1e-24)
+        size, tolerance = np.abs(observed.value), LINGERING_TOLERANCE if lag else TOLERANCE
+        covariance = covariance + np.diag((tolerance * size) ** 2 + 1e-24)
         self.root = np.linalg.inv(np.linalg.cholesky(covariance))
         self.walls = np.array([self._wall(name) for name in self.names])
 

@@ -12,8 +12,8 @@ from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
-# So many pixel values are enough for any law, and more would only take time.
-MOST_VALUES = 3_000_000
+# So many frames and pixel values are enough for any law, and more would only take time.
+MOST_FRAMES, MOST_VALUES = 64, 4_000_000
 # A pixel far brighter than its own mean so often that chance does it in one frame of a thousand is no pulse's.
 BRIGHT, CHANCE = 6.0, 1e-3
 # Correlation of successive exposures that is beyond so many standard errors and so large is light that stays.
@@ -53,8 +53,8 @@ class DarkFrames:
 
 def dark_frames(stack: FrameStack, context: Context) -> DarkFrames:
     """Split fields, take each pixel's mean away, and put pixels that flicker at rest."""
-    frames = min(len(stack), max(8, MOST_VALUES // stack.data[0].size))
-    shots = exposures(stack, 0, frames, interlaced=context.interlaced)
+    frames = min(len(stack), MOST_FRAMES)
+    shots = exposures(_middle(stack, frames), 0, frames, interlaced=context.interlaced)
     changes, bad, pixels, still = [], 0, 0, []
     for parity in np.unique(shots.parity):
         image = shots.image[shots.parity == parity]
@@ -69,6 +69,16 @@ def dark_frames(stack: FrameStack, context: Context) -> DarkFrames:
     return DarkFrames(changes=tuple(changes), stride=len(changes), row_pitch=context.pitch_ratio * shots.row_step,
                       defects=bad / pixels, still=float(np.mean(still)), frames=frames,
                       full=_full(stack.data[:frames], full_scale_dn))  # fmt: skip
+
+
+def _middle(stack: FrameStack, frames: int) -> FrameStack:
+    """The first frames, of large ones the middle; its first row is an even one, so that fields stay what they are."""
+    rows, cols = stack.data.shape[1:]
+    share = min(1.0, np.sqrt(MOST_VALUES / (frames * rows * cols)))
+    high, wide = max(1, int(share * rows)), max(1, int(share * cols))
+    row, col = (rows - high) // 4 * 2, (cols - wide) // 2
+    return FrameStack(data=stack.data[:frames, row : row + high, col : col + wide],
+                      frame_number=stack.frame_number[:frames])  # fmt: skip
 
 
 def spread(values: NDArray) -> float:
@@ -112,7 +122,7 @@ def usable_without(change: NDArray[np.float32], one: Filter, limit_dn: float, re
     after
         Exposures after it that it spoils as well.
     """
-    from scipy.ndimage import label, maximum, maximum_filter
+    from scipy.ndimage import label, maximum_filter
 
     rows, cols = len(one.rows) // 2, len(one.columns) // 2
     value = np.pad(one.of(change), ((0, 0), (rows, rows), (cols, cols)))
@@ -122,10 +132,11 @@ def usable_without(change: NDArray[np.float32], one: Filter, limit_dn: float, re
     # Neighbouring pixels and the following exposures belong to one pulse.
     joined = np.asarray(maximum_filter(above, size=(3, 5, 5)), bool)
     number, count = label(joined, structure=np.ones((3, 3, 3)))  # type: ignore[misc]
-    heights = np.atleast_1d(maximum(value, number, np.arange(1, count + 1)))
+    heights = np.zeros(count + 1)
+    np.maximum.at(heights, np.asarray(number, np.int64)[above], value[above])
     size = (2 * after + 1, 2 * reach[0] + 1, 2 * reach[1] + 1)
     spoilt = maximum_filter(above, size=size)
-    return ~np.asarray(spoilt, bool), np.asarray(heights, float)
+    return ~np.asarray(spoilt, bool), heights[1:]
 
 
 def recentred(change: NDArray[np.float32], usable: NDArray[np.bool_]) -> NDArray[np.float32]:

@@ -20,9 +20,9 @@ STEPS, SIDE_PX = 4, 48
 # Frequency at which the strength of the wings is stated, cycles per pixel.
 REFERENCE_CY_PER_PX = 0.1
 # Amplitudes by which a filter's response to all places is represented.
-NODES = 96
+NODES = 64
 # Ages of pulses, the same way.
-AGES = 20
+AGES = 28
 # Times within an exposure at which a pulse may begin, shares of it with equal weight.
 MOMENTS = (1.0 / 6.0, 0.5, 5.0 / 6.0)
 # The glow of a pulse is followed until less than this share is left, at most so many exposures.
@@ -196,7 +196,7 @@ def _comb(kernel: NDArray[np.float64], frequency: Array) -> NDArray[np.complex12
 def responses(one: Filter, spot: Spot, line: tuple[float, ...] = (1.0,)) -> tuple[Array, Array]:
     """Return the filter's response to unit pulses at all places: amplitudes, and the area in px of each.
 
-    The thousands of places are shared out to a few amplitudes so that area and mean response stay.
+    The thousands of places are shared out to a few amplitudes so that area, mean response and mean square stay.
     """
     return _responses(one.rows, one.columns, spot, line)
 
@@ -217,16 +217,21 @@ def _responses(rows: tuple[float, ...], columns: tuple[float, ...], spot: Spot, 
 
 
 def shared_out(value: Array, weight: Array, count: int) -> tuple[Array, Array]:
-    """Return few values with weights in place of many: the sum of weights and the weighted sum of values stay."""
+    """Return few values with weights in place of many, so that moments up to the second stay.
+
+    Each value goes to the three nearest nodes by the weights of quadratic interpolation, some of which are negative.
+    """
     low, high = float(value.min()), float(value.max())
     scale = max(high, -low) / 50.0
     place = np.linspace(np.arcsinh(low / scale), np.arcsinh(high / scale), count)
     nodes = np.asarray(scale * np.sinh(place), np.float64)
-    left = ((np.arcsinh(value / scale) - place[0]) / (place[1] - place[0])).astype(np.int64)
-    left = np.clip(left, 0, count - 2)
-    share = (value - nodes[left]) / (nodes[left + 1] - nodes[left])
-    below, above = (np.bincount(at, part * weight, count) for at, part in ((left, 1.0 - share), (left + 1, share)))
-    return nodes, np.asarray(below + above, np.float64)
+    middle = np.rint((np.arcsinh(value / scale) - place[0]) / (place[1] - place[0])).astype(np.int64)
+    middle = np.clip(middle, 1, count - 2)
+    out = np.zeros(count)
+    for here, one, other in ((-1, 0, 1), (0, -1, 1), (1, -1, 0)):
+        a, b, c = (nodes[middle + shift] for shift in (here, one, other))
+        out += np.bincount(middle + here, (value - b) * (value - c) / ((a - b) * (a - c)) * weight, count)
+    return nodes, out
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ SHEET = load_sensor("pulnix-ag5745ef3")
 
 def darks(sensor, seed: int, frames: int = 64):
     """Darks of a part of the chip."""
-    sensor = replace(sensor, ccd=replace(sensor.ccd, rows=246, columns=192))
+    sensor = replace(sensor, ccd=replace(sensor.ccd, rows=246, columns=252))
     held = LabBench(sensor).expose("dark", Target(), SETTINGS, frames=frames, seed=seed)
     entry = HeldStack(label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held)
     context = Context(seed=1, quick=True, sensor=SHEET, interlaced=True, full_scale_dn=2.0**sensor.video.bit_depth - 1)
@@ -48,9 +48,8 @@ def test_background_and_pulse_heights_of_the_camera_are_found_again_at_twelve_bi
         low, high = found.interval68 or (0.0, 0.0)
         assert found.status == "ok" and found.value is not None, found
         assert abs(found.value - known[quantity]) < 4.5 * 0.5 * (high - low), found
-    height = result.find("detected_photoelectron_gain")[0]
-    assert height.value == pytest.approx(known["detected_photoelectron_gain"], rel=0.1)
-    assert result.find("ebi")[0].value == pytest.approx(known["ebi"], rel=0.1)
+    for quantity, share in (("detected_photoelectron_gain", 0.1), ("ebi", 0.15)):
+        assert result.find(quantity)[0].value == pytest.approx(known[quantity], rel=share)
     # The sheet's screen gives off 56 % of its light with 35 ms, and a field lasts 16.7 ms.
     glow = result.evidence["pulse-heights"]
     assert glow["glow"] == pytest.approx(0.56, abs=0.06)
