@@ -147,7 +147,8 @@ def pulse_findings(found: PulseFit, frames: DarkFrames) -> list[Finding]:
     if found.lag and best.glow_exposures > LONG_GLOW * frames.frames * frames.stride:
         out.append(("lag", f"the screen glows on for {best.glow_exposures:.0f} exposures"))
     elif found.lag:
-        out.append((None, f"the screen gives off {100 * best.glow:.0f} % of a pulse late, and that was counted"))
+        late = f"the screen gives off {100 * best.glow:.0f} % of a pulse late"
+        out.append(("lag", f"{late}: counted as of one exponential, which no screen's glow is"))
     if len(found.ion_height_dn):
         size = float(np.mean(found.ion_height_dn)) / best.height_dn
         out.append((None, f"{len(found.ion_height_dn)} ion events of {size:.0f} mean pulses each were left out"))

@@ -46,7 +46,8 @@ def test_background_and_pulse_heights_of_the_camera_are_found_again_at_twelve_bi
     for quantity in ("detected_photoelectron_gain", "photoelectron_gain", "excess_noise_factor", "ebi"):
         found = result.find(quantity)[0]
         low, high = found.interval68 or (0.0, 0.0)
-        assert found.status == "ok" and found.value is not None, found
+        # A screen's glow is no single exponential: the numbers come near, and are not vouched for.
+        assert found.flags == ("lag",) and found.value is not None, found
         assert abs(found.value - known[quantity]) < 4.5 * 0.5 * (high - low), found
     for quantity, share in (("detected_photoelectron_gain", 0.1), ("ebi", 0.15)):
         assert result.find(quantity)[0].value == pytest.approx(known[quantity], rel=share)
