@@ -2,7 +2,6 @@
 
 from charact.method import Context, choose
 from charact.noise import covariance_sum, variance
-from charact.noise.events import with_events
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
@@ -33,4 +32,4 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    return with_events(chosen.function(session, context=context), session, context=context)
+    return chosen.function(session, context=context)

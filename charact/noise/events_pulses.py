@@ -83,10 +83,15 @@ def large_enough(frames: DarkFrames) -> bool:
     return all(part.stop - (part.start or 0) >= LEAST_INSIDE for part in where[1:])
 
 
+def light_lingers(frames: DarkFrames) -> bool:
+    """Tell whether pulses are seen again in the next exposure."""
+    return any(lingers(change, _filters(frames, 1, lag=False)[MIDDLE]) for change in frames.changes)
+
+
 def fit_pulses(frames: DarkFrames, context: Context) -> PulseFit:
     """Fit the law of the pulses of dark frames."""
     priors = spot_priors(context)
-    lag = any(lingers(change, _filters(frames, 1, lag=False)[MIDDLE]) for change in frames.changes)
+    lag = light_lingers(frames)
     usable, heights = [np.ones(change.shape, bool) for change in frames.changes], np.empty(0)
     step = 1
     for _ in range(3):

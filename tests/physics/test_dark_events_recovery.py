@@ -3,15 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from charact.method import Context
 from charact.noise.events import measure_events
 from charact.study.flats import HeldStack
 from labdata.conditions import Conditions
 from labdata.parameter import Parameter
 from labdata.sensors import load_sensor
-from simulate.iiccd import truth
 from simulate.lab import LabBench, Target
 
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167, illuminance_lux=0.0)
@@ -39,22 +36,12 @@ def finer(bits: int):
     return replace(changed, video=replace(changed.video, bit_depth=bits))
 
 
-def test_background_and_pulse_heights_of_the_camera_are_found_again_at_twelve_bits(seed):
-    sensor = finer(12)
-    known = truth.quantities(sensor, SETTINGS)
-    result = darks(sensor, seed)
-    for quantity in ("detected_photoelectron_gain", "photoelectron_gain", "excess_noise_factor", "ebi"):
+def test_the_glow_of_the_screen_is_seen_at_twelve_bits_and_refused(seed):
+    """The sheet's screen gives off 56 % of its light with 35 ms, and a field lasts 16.7 ms."""
+    result = darks(finer(12), seed)
+    for quantity in ("detected_photoelectron_gain", "ebi"):
         found = result.find(quantity)[0]
-        low, high = found.interval68 or (0.0, 0.0)
-        # A screen's glow is no single exponential: the numbers come near, and are not vouched for.
-        assert found.flags == ("lag",) and found.value is not None, found
-        assert abs(found.value - known[quantity]) < 4.5 * 0.5 * (high - low), found
-    for quantity, share in (("detected_photoelectron_gain", 0.1), ("ebi", 0.15)):
-        assert result.find(quantity)[0].value == pytest.approx(known[quantity], rel=share)
-    # The sheet's screen gives off 56 % of its light with 35 ms, and a field lasts 16.7 ms.
-    glow = result.evidence["pulse-heights"]
-    assert glow["glow"] == pytest.approx(0.56, abs=0.06)
-    assert glow["glow_exposures"] == pytest.approx(2.1, abs=0.4)
+        assert found.status == "refused" and "lingers" in found.reason, found
 
 
 def test_the_eight_bits_of_the_sheet_are_too_coarse_and_that_is_said(seed):
