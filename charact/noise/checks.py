@@ -3,12 +3,11 @@
 import numpy as np
 
 from charact.method import Context
+from charact.noise.findings import Finding, flags_of
 from charact.noise.hidden import Effect
 from charact.noise.level import Level
 from charact.noise.series import CLIPPED_SHARE, Series
 from labdata.conditions import Conditions
-
-Finding = tuple[str | None, str]
 
 # A check speaks up when the effect is both beyond its noise and large enough to move a number.
 SIGNIFICANT = 5.0
@@ -196,13 +195,3 @@ def _codes(series: Series) -> list[Finding]:
     if over and not series.fitted.any():
         found.append(("saturated", f"pixels of {', '.join(over)} are at the highest code"))
     return found
-
-
-def notes_of(findings: list[Finding]) -> tuple[str, ...]:
-    """The sentences."""
-    return tuple(dict.fromkeys(sentence for _, sentence in findings))
-
-
-def flags_of(findings: list[Finding]) -> tuple[str, ...]:
-    """The flags."""
-    return tuple(dict.fromkeys(flag for flag, _ in findings if flag))

@@ -11,16 +11,14 @@ from charact.noise import model, standard
 from charact.noise.calibrated import calibrated_quantities
 from charact.noise.checks import (
     QUANTISED_DN2,
-    Finding,
     bent,
     exposure_findings,
     exposure_flags,
-    flags_of,
     hidden_findings,
-    notes_of,
     series_findings,
 )
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
+from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
 from charact.noise.level import Level
 from charact.noise.provenance import provenance

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.components import Component, components
 from charact.noise.contrasts import contrasts
+from charact.noise.findings import Finding
 from charact.noise.frame_means import FrameMeans, frame_means
-from charact.noise.irregular import Finding, alternating_rows, few_pixels, uneven
+from charact.noise.irregular import alternating_rows, few_pixels, uneven
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]

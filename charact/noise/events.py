@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.calibrated import drawn, photoelectrons_per_lux_s
-from charact.noise.checks import QUANTISED_DN2, Finding, flags_of, notes_of
+from charact.noise.checks import QUANTISED_DN2
 from charact.noise.events_evidence import pulse_evidence
 from charact.noise.events_frames import DarkFrames, dark_frames
 from charact.noise.events_pulses import PulseFit, fit_pulses, large_enough, light_lingers
+from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.provenance import provenance
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement, Posterior, Result, from_draws, refused

@@ -3,10 +3,8 @@
 import numpy as np
 
 from charact.noise.contrasts import Contrasts
+from charact.noise.findings import Finding
 from charact.noise.mean_squares import COL, ROW, TIME, centred, shading
-
-# A flag, or none, and its sentence.
-Finding = tuple[str | None, str]
 
 # Rows that alternate are seen where the power at their frequency is so many times that of the others, of one mean
 # and, with a square root for the frames, of many.

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import QUANTISED_DN2, Finding, flags_of, notes_of
+from charact.noise.checks import QUANTISED_DN2
 from charact.noise.components import OWN, Component
 from charact.noise.cube import LEAST_FRAMES, LEAST_PIXELS, Cube
+from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.frame_means import FrameMeans
 from charact.noise.level import Level
 from charact.noise.mean_squares import TIME

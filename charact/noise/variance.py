@@ -7,8 +7,9 @@ import numpy as np
 
 from charact.method import Context, register
 from charact.noise import standard
-from charact.noise.checks import bent, exposure_flags, flags_of, hidden_findings, notes_of, series_findings
+from charact.noise.checks import bent, exposure_flags, hidden_findings, series_findings
 from charact.noise.evidence import transfer_evidence
+from charact.noise.findings import flags_of, notes_of
 from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
 from charact.noise.provenance import provenance
 from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
