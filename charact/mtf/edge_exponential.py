@@ -8,7 +8,7 @@ from charact.method import Context, register
 from charact.mtf import edge_checks
 from charact.mtf.edge_families import FamilyFitter
 from charact.mtf.edge_find import NoEdge, find_edge, no_edge, too_blurred
-from charact.mtf.edge_parametric import departs
+from charact.mtf.edge_forms import departs
 from charact.mtf.edge_profile import EVEN_PER_PX
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import Family

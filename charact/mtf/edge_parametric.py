@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,11 @@ from charact.method import Context, register
 from charact.mtf import edge_checks
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
-from charact.mtf.edge_model import departure_shapes
-from charact.mtf.edge_profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX, with_shading
+from charact.mtf.edge_forms import Weighed, departs, fitted_forms, wides
+from charact.mtf.edge_profile import with_shading
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
-from charact.mtf.families import Core, DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior, Wide
-from charact.mtf.optics import Known, halo_diameters_px, known_of
+from charact.mtf.families import Family, VeilPrior
+from charact.mtf.optics import Known, known_of
 from charact.mtf.region import Region
 from charact.posterior import laplace, sample, weighed
 from charact.posterior.diagnostics import leans_on_bound
@@ -26,24 +26,10 @@ from labdata.measurement import Posterior, Result
 Array = NDArray[np.float64]
 
 METHOD = "edge-parametric"
-# A form this much less probable than the best, as a share, adds nothing to the draws.
-LEAST_SHARE = 0.02
-# Gain in chi squared from which on wide light is worth a fit of its own: less is outweighed by its own freedom.
-WORTH_CHI2 = 6.0
-# Forms within this of the best in ln of the evidence are worth pursuing.
-CLOSE = 8.0
-# Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
-LEAST_FOR_DISC_PX, LEAST_FOR_HALO_PX = 6.0, 16.0
 # Share of the evidence for light wider than the window from which on the window is too small.
 VEILED = 0.65
 # Share of the sizes that a form may have which are too wide for the window to tell them from a veil.
 WIDEST_SHARE = 0.15
-# Light that slopes is tried with forms that would come within this of the best.
-SLOPED = 5.0
-# A fit that began this much worse than the best in chi squared is not carried on.
-HOPELESS = 100.0
-# Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
-DEPARTED_SD = 4.5
 # Parameters whose bounds were merely chosen. Beyond those of the others lies what nature forbids or another form.
 CHOSEN_BOUNDS = ("ln_half_frequency", "exponent")
 DRAWS, QUICK_DRAWS = 1000, 500
@@ -117,7 +103,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     return result_of(outcome, context, began)
 
 
-def _fitted(edge: FoundEdge, known: Known, context: Context) -> "tuple[FamilyFitter, list[Weighed]]":
+def _fitted(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitter, list[Weighed]]:
     """Fit an edge, first as if its plateaus were even, then with the shading that the forms leave over, if any."""
     wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
     fitter = FamilyFitter(edge.profile, known)
@@ -127,117 +113,6 @@ def _fitted(edge: FoundEdge, known: Known, context: Context) -> "tuple[FamilyFit
         fitter = FamilyFitter(shaded, known)
         fits = fitted_forms(fitter, wide)
     return fitter, fits
-
-
-@dataclass(frozen=True, kw_only=True)
-class Weighed:
-    """A fitted form with its share of the evidence."""
-
-    fit: FamilyFit
-    share: float
-
-
-def wides(context: Context, half_width_px: float, *, transposed: bool) -> tuple[Wide, ...]:
-    """Return what light beyond the core the window can show."""
-    if context.sensor is not None:
-        low, high = halo_diameters_px(context, transposed=transposed)
-        return (HaloPrior(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
-    found: list[Wide] = [VeilPrior(size_px=(0.5 * half_width_px, 4.0 * half_width_px))]
-    if half_width_px >= LEAST_FOR_DISC_PX:
-        found.append(DiscPrior(size_px=(6.0, 2.0 * half_width_px)))
-    if half_width_px >= LEAST_FOR_HALO_PX:
-        found.append(HaloPrior(size_px=(6.0, 2.0 * half_width_px)))
-        found.append(GlarePrior(size_px=(2.0, 0.25 * half_width_px)))
-    return tuple(found)
-
-
-def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
-    """Fit the forms that the data may ask for, simple ones first, and return them, the most probable first."""
-    even = _forms(fitter, wide, EVEN_PER_PX)
-    uneven = _uneven(fitter, even)
-    likeliest = max(uneven, key=_evidence, default=even[0])
-    if likeliest.log_evidence > max(map(_evidence, even)):
-        # What was given up as hopeless in even light may be what the slopes stand for.
-        uneven = _best_of_each([*uneven, *_forms(fitter, wide, likeliest.slope_sd_per_px)])
-    return _weighed([*even, *uneven, *_unseen(fitter, uneven, wide)])
-
-
-def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float) -> list[FamilyFit]:
-    """Fit the cores, then light beyond those that may have it, under one prior of the light's slopes."""
-    guess = fitter.guess()
-    found = [fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
-    found.append(_next_core(fitter, "exponential", found[0], guess))
-    best = max(found, key=_evidence)
-    if best.family.core == "exponential":
-        found.append(_next_core(fitter, "moffat", best, guess))
-    cores = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE or fit.family.core != "moffat"]
-    for prior in wide:
-        for core in cores:
-            hopeless = min(fit.cost for fit in found) + HOPELESS
-            fit = fitter.fit_wide(core, prior, WORTH_CHI2, hopeless)
-            found += [] if fit is None else [fit]
-    return found
-
-
-def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
-    return np.concatenate([[0.0], Family(core=core).start(half_frequency_cy_per_px)])
-
-
-def _next_core(fitter: FamilyFitter, core: Core, near: FamilyFit, half_frequency_cy_per_px: float) -> FamilyFit:
-    """Fit a core from the shift and half frequency of another."""
-    start = _start(core, half_frequency_cy_per_px)
-    start[:2] = near.point[:2]
-    return fitter.fit(Family(core=core), start, near.slope_sd_per_px)
-
-
-def _evidence(fit: FamilyFit) -> float:
-    return fit.log_evidence
-
-
-def _best_of_each(fits: list[FamilyFit]) -> list[FamilyFit]:
-    """Return the likeliest fit of each form: one form fitted twice must not count twice."""
-    best: dict[tuple[Family, float], FamilyFit] = {}
-    for fit in fits:
-        key = fit.family, fit.slope_sd_per_px
-        if key not in best or fit.cost < best[key].cost:
-            best[key] = fit
-    return list(best.values())
-
-
-def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
-    """Fit again the forms that uneven light would make probable.
-
-    All of them are asked: light that slopes on both sides may hide behind wings or a halo fitted to it.
-    """
-    asked = [(fit, slope) for fit in found for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)]
-    promised = np.array([fit.log_evidence + fitter.slope_gain(fit, slope) for fit, slope in asked])
-    least = max(promised.max(), *(fit.log_evidence for fit in found)) - SLOPED
-    return [
-        fitter.fit(fit.family, fit.point, slope)
-        for (fit, slope), promise in zip(asked, promised, strict=True)
-        if promise > least
-    ]
-
-
-def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...]) -> list[FamilyFit]:
-    """Fit light wider than the window to what was taken for uneven light, where it rises on both sides."""
-    veils = [prior for prior in wide if isinstance(prior, VeilPrior)]
-    rising = [fit for fit in uneven if fit.family.wide is None and fit.amplitude[2:].min() > 0]
-    if not veils or not rising:
-        return []
-    best, veil = max(rising, key=_evidence), veils[0]
-    widest = veil.size_px[1]
-    # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
-    share = min(float(best.amplitude[2:].min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
-    start = np.concatenate([best.point, [share, 0.5 * widest]])
-    return [fitter.fit(Family(core=best.family.core, wide=veil), start, UNEVEN_PER_PX)]
-
-
-def _weighed(found: list[FamilyFit]) -> list[Weighed]:
-    evidence = np.array([fit.log_evidence for fit in found])
-    share = np.exp(evidence - evidence.max())
-    share /= share.sum()
-    return [Weighed(fit=found[i], share=float(share[i])) for i in np.argsort(-share) if share[i] > LEAST_SHARE]
 
 
 def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context) -> list[tuple[Family, Posterior, int]]:
@@ -274,12 +149,6 @@ def _posterior(
     leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
     return replace(posterior, flags=flags)
-
-
-def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
-    """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
-    gain, count = fitter.departure_gain(fit, departure_shapes)
-    return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
 
 
 def _sampled(
