@@ -26,6 +26,8 @@ BENT_ERRORS = 2.5
 # Conditions that a flat shares with its dark: largest difference as a share of the value, and in its unit.
 ALIKE = {
     "mcp_v": (1e-3, 0.0),
+    "gain_control": (0.0, 0.5),
+    "em_gain": (0.01, 0.0),
     "camera_gain_db": (0.0, 0.05),
     "exposure_s": (0.1, 0.0),
     "temperature_c": (0.0, 5.0),

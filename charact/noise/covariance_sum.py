@@ -12,30 +12,24 @@ from charact.noise.calibrated import calibrated_quantities
 from charact.noise.checks import (
     QUANTISED_DN2,
     bent,
-    exposure_findings,
     exposure_flags,
     hidden_findings,
     series_findings,
 )
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
-from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
+from charact.noise.findings import flags_of, notes_of
 from charact.noise.level import Level
+from charact.noise.one_gain import OneGain, blur_exponent, one_gain
 from charact.noise.provenance import provenance
 from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.series import Series, read_levels, series_of
-from charact.noise.summary import Summary, summarise
+from charact.noise.summary import summarise
 from charact.noise.three_dimensional import three_dimensional
-from charact.noise.verdict import lit, problem, timed, without_flats
-from labdata.measurement import Measurement, Posterior, Result, from_draws, refused
+from charact.noise.verdict import problem, timed, without_flats
+from labdata.measurement import Measurement, Result, from_draws, refused
 from labdata.session import Session
 
 METHOD = "covariance-sum"
-# Levels whose covariance over signal departs by more than this share and this many standard errors lie on no line.
-LEVEL_SHARE = 0.06
-LEVEL_ERRORS = 5.0
-# Relative standard error beyond which the posterior is too skewed for its interval to hold what it promises.
-WIDEST_SHARE = 0.35
 # Bins of spatial frequency that the blur's five parameters need.
 LEAST_BINS = 24
 
@@ -100,18 +94,13 @@ def too_small(levels: list[Level]) -> str | None:
 def _of_series(series: Series, context: Context, fields: dict[str, Any], began: float) -> Result:
     """All quantities of a series of flats."""
     context.progress("posterior of the covariance gain", 0.9)
-    summary = summarise(series)
-    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=_exponent(context))
-    levels, spread = level_gains(series, summary, fit)
-    neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
-    white = not neighbours.seen
-    if not summary.lag.tested and exposures.allowance:
-        fit = replace(fit, posterior=_allowing(fit.posterior, exposures, context))
+    pooled = one_gain(series, context=context, quick=context.quick)
+    white = pooled.white
     if not white:
-        fit = replace(fit, posterior=_at_low_signal(fit.posterior, series, levels, spread, context))
+        pooled = pooled.at_low_signal(context)
+    fit = pooled.fit
     common = series_findings(series, context=context)
-    findings = common + _model_findings(summary, fit) + _lag_findings(summary, exposures)
-    findings += (bent(series) if white else []) + _departures(series, levels, spread)
+    findings = common + pooled.findings() + (bent(series) if white else []) + pooled.departures()
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
     out = [
@@ -119,8 +108,8 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
         from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
     plain = flags_of(common)
-    hidden = flags_of(bent(series) + hidden_findings(neighbours, exposures))
-    allowance = float(np.hypot(neighbours.allowance, exposures.allowance))
+    hidden = flags_of(bent(series) + hidden_findings(pooled.neighbours, pooled.exposures))
+    allowance = float(np.hypot(pooled.neighbours.allowance, pooled.exposures.allowance))
     gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
     out += (
         _white_quantities(series, gain, context, plain + hidden, fields)
@@ -130,16 +119,14 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], began: 
     out.append(saturation(series, flags=plain, **fields))
     out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=hidden,
-                              pair_flags=exposure_flags(exposures), **fields)  # fmt: skip
-    evidence = _evidence(series, summary, fit, gain, (levels, spread))
+                              pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
+    evidence = _evidence(pooled, gain)
     return Result(measurements=timed(out, began), evidence=evidence)
 
 
-def _evidence(
-    series: Series, summary: Summary, fit: model.Fit, gain: standard.Line | None, per_level
-) -> dict[str, Any]:
-    """What the report draws; `per_level` are the covariances over signal with their errors."""
-    levels, spread = per_level
+def _evidence(pooled: OneGain, gain: standard.Line | None) -> dict[str, Any]:
+    """What the report draws."""
+    series, summary, fit = pooled.series, pooled.summary, pooled.fit
     spectra = "many" if summary.lag.seen else "few"
     return {
         "photon-transfer": transfer_evidence(
@@ -148,8 +135,8 @@ def _evidence(
             # Frames that share light vary less about their own mean: the variance with that undone.
             variance_dn2=[getattr(flat, spectra).variance_dn2 for flat in series.flats],
             dark_variance_dn2=[getattr(dark, spectra).variance_dn2 for dark in series.darks],
-            covariance_dn2=(levels * series.signal_dn).tolist(),
-            covariance_sd_dn2=(spread * series.signal_dn).tolist(),
+            covariance_dn2=(pooled.levels_dn * series.signal_dn).tolist(),
+            covariance_sd_dn2=(pooled.levels_sd_dn * series.signal_dn).tolist(),
             covariance_gain_dn=float(np.median(fit.posterior["covariance_gain"])),
             blur_factor=float(np.median(fit.posterior["blur_factor"])),
             lag_factor=float(np.median(fit.posterior["lag_factor"])),
@@ -157,38 +144,6 @@ def _evidence(
         "noise-spectrum": spectrum_evidence(summary, fit),
         "autocorrelation": correlation_evidence(series, summary),
     }
-
-
-def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context: Context) -> Posterior:
-    """Return the posterior with the covariance gain carried to small signals.
-
-    A microchannel plate tires as its current rises and takes gain and covariance gain along; both are stated for
-    small signals. The share lost per DN of signal is the slope of the levels' covariance over signal.
-    """
-    chosen = series.fitted
-    if chosen.sum() < 3:
-        return posterior
-    signal, weight = series.signal_dn[chosen], 1.0 / spread[chosen] ** 2
-    design = np.stack([np.ones_like(signal), signal / signal.max()])
-    covariance = np.linalg.inv(design * weight @ design.T)
-    first, slope = covariance @ (design * weight @ levels[chosen])
-    excess = float(weight @ (levels[chosen] - first - slope * design[1]) ** 2) / max(1, chosen.sum() - 2)
-    pooled = float(weight @ levels[chosen] / weight.sum())
-    rest_sd = np.sqrt(max(1.0, excess) * max(covariance[0, 0] - 1.0 / weight.sum(), 0.0)) / pooled
-    rng = np.random.default_rng([context.seed, 4])
-    factor = first / pooled + rest_sd * rng.standard_normal(len(posterior.draws))
-    draws = posterior.draws.copy()
-    draws[:, posterior.names.index("covariance_gain")] *= factor
-    return replace(posterior, draws=draws)
-
-
-def _exponent(context: Context) -> tuple[float, float]:
-    """Prior of the exponent of the blur: the sensor's own where it is known."""
-    if context.sensor is None:
-        return model.EXPONENT
-    known = context.sensor.tube.mtf_exponent
-    spread = 0.0 if known.low is None or known.high is None else (known.high - known.low) / 3.92
-    return float(known), max(spread, 0.05)
 
 
 def _white_quantities(series: Series, gain: standard.Line, context: Context, flags: tuple[str, ...],
@@ -219,71 +174,6 @@ def _intensified_quantities(
     return [refused("system_gain", "DN/e-", reason, **fields), *calibrated]
 
 
-def level_gains(series: Series, summary: Summary, fit: model.Fit):
-    """Return the covariance over signal of every flat under the common blur, and its standard error, DN."""
-    shape = fit.model_dn / float(np.median(fit.posterior["power"]))
-    name = "many" if summary.lag.seen else "few"
-    use = fit.used
-    gains, errors = [], []
-    for flat, dark, signal in zip(series.flats, series.darks, series.signal_dn, strict=True):
-        power = getattr(flat, name).power_dn2[use, 0] - getattr(dark, name).power_dn2[use, 0]
-        modes = flat.bins.modes[use] * flat.bins.efficiency
-        weight = modes / modes.sum()
-        scaled = power / shape[use] / signal
-        gains.append(float(weight @ scaled))
-        own = np.sqrt(weight**2 @ (scaled - gains[-1]) ** 2)
-        errors.append(float(np.hypot(own, gains[-1] * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12))))
-    return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor
-
-
-def _allowing(posterior: Posterior, exposures: Effect, context: Context) -> Posterior:
-    """Return the posterior with what too few frames cannot exclude of lag."""
-    rng = np.random.default_rng([context.seed, 6])
-    return standard.widened(posterior, "covariance_gain", exposures.allowance, rng)
-
-
-def _lag_findings(summary: Summary, exposures: Effect) -> list[Finding]:
-    """Light of earlier exposures that is there and was not summed to its end."""
-    if summary.lag.seen and summary.lag.open:
-        return [("lag", f"earlier exposures still glow after {summary.lag.lag[-1]} more, where the sum over lags ends")]
-    if summary.lag.seen:
-        return []
-    return exposure_findings(exposures)
-
-
-def _model_findings(summary: Summary, fit: model.Fit) -> list[Finding]:
-    """What the fit itself says against or about its numbers."""
-    found: list[Finding] = []
-    if fit.chance < 1e-4:
-        found.append(("model-misfit", f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"))
-    blur = float(np.median(fit.posterior["blur_factor"]))
-    if blur < 0.9:
-        found.append((None, f"noise is correlated between pixels (blur factor {blur:.3g}) and was treated as such"))
-    if summary.lag.seen:
-        found.append((None, f"earlier exposures glow on (lag factor {summary.lag.factor:.3g}); all lags were summed"))
-    low, middle, high = np.quantile(fit.posterior["covariance_gain"], [0.16, 0.5, 0.84])
-    if 0.5 * (high - low) > WIDEST_SHARE * middle:
-        found.append(
-            ("too-few-frames", "the power at frequency 0 is known to worse than a third: more frames or pixels")
-        )
-    found += [(flag, "see the posterior") for flag in fit.posterior.flags]
-    return found
-
-
-def _departures(series: Series, levels, spread) -> list[Finding]:
-    """Levels whose covariance over signal is far from that of the others."""
-    chosen = np.flatnonzero(series.fitted)
-    middle = float(np.median(levels[chosen]))
-    return [
-        (
-            "model-misfit",
-            f"covariance over signal of {series.flats[i].label} is {levels[i]:.3g} DN, not {middle:.3g} DN",
-        )
-        for i in chosen
-        if abs(levels[i] - middle) > max(LEVEL_SHARE * middle, LEVEL_ERRORS * spread[i])
-    ]
-
-
 def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any]) -> Result:
     """Blur factor of the noise of darks alone."""
     dark = max(darks, key=lambda level: (level.frames, -(level.conditions.exposure_s or 0.0)))
@@ -296,7 +186,7 @@ def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any])
                     variance_dn2=one * dark.variance_dn2, variance_sd_dn2=one * dark.variance_sd_dn2,
                     fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
     summary = summarise(series)
-    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=_exponent(context))
+    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=blur_exponent(context))
     flags = ("model-misfit",) if fit.chance < 1e-4 else ()
     flags += cut(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
     note = ("from the darks alone: the electronics' white noise is in it",)

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 FIT_SHARE = 0.7
 # Share of values at the highest code above which a level's variance is cut short by it.
 CLIPPED_SHARE = 1e-4
+# Conditions that set the gain.
+GAINS = ("mcp_v", "gain_control", "em_gain", "camera_gain_db")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +88,9 @@ def read_levels(
     return darks, flats, single
 
 
-def gain_of(conditions: Conditions) -> tuple[float | None, float | None]:
-    """What sets the gain: the microchannel plate's voltage and the camera's own gain."""
-    return conditions.mcp_v, conditions.camera_gain_db
+def gain_of(conditions: Conditions) -> tuple[float | None, ...]:
+    """What sets the gain: the plate's voltage or control word, the register's multiplication, the camera's own gain."""
+    return tuple(getattr(conditions, name) for name in GAINS)
 
 
 def longest_series(flats: list[Level]) -> list[Level]:
@@ -101,10 +103,14 @@ def longest_series(flats: list[Level]) -> list[Level]:
 
 
 def series_of(flats: list[Level], darks: list[Level], single: list[str] | tuple[str, ...] = ()) -> Series:
-    """Set the flats of one gain against their darks and find the range where a gain may be fitted."""
+    """Set the flats of the gain that most were taken at against their darks."""
     chosen = longest_series(flats)
     here = {flat.label for flat in chosen}
-    left_out = (*(flat.label for flat in flats if flat.label not in here), *single)
+    return series_of_one_gain(chosen, darks, (*(flat.label for flat in flats if flat.label not in here), *single))
+
+
+def series_of_one_gain(chosen: list[Level], darks: list[Level], left_out: tuple[str, ...] = ()) -> Series:
+    """Set flats of one gain, in order of rising level, against their darks; find where a gain may be fitted."""
     reference = "dark"
     if not darks:
         reference = "lowest flat"
@@ -130,7 +136,7 @@ def _dark_of(flat: Level, darks: list[Level]) -> Level:
         here, there = flat.conditions, dark.conditions
         same = sum(
             getattr(here, name) is not None and getattr(here, name) == getattr(there, name)
-            for name in ("mcp_v", "camera_gain_db", "exposure_s", "gate_ns", "temperature_c")
+            for name in (*GAINS, "exposure_s", "gate_ns", "temperature_c")
         )
         known = here.exposure_s is not None and there.exposure_s is not None
         return -same, abs((here.exposure_s or 0) - (there.exposure_s or 0)) if known else 0.0, -dark.frames
