@@ -4,35 +4,26 @@
 cells one thing that breaks edge methods, from too little to matter to far too much.
 """
 
-import argparse
-import json
-import os
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
-from multiprocessing import get_context
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-import charact.mtf  # registers the methods
+import charact.mtf  # noqa: F401  # registers the methods
 from charact.method import Context
 from charact.method.registry import of_kind
+from charact.study import cell_map
+from charact.study.cell_map import SCENE, Outcome, outcome_of, seed_of
 from charact.study.edge import Blur, EdgeScene
 from charact.study.edge_bound import least_relative_sd
-from charact.study.failure_map import one_thread_each
-from charact.study.harness import Case, Row, attempt
+from charact.study.harness import Case, attempt
 from labdata.frames import FrameStack
 
 TABLE = Path(__file__).resolve().parent / "tables" / "edge_map.json"
 METHOD = "edge-parametric"
 CELLS, REPEATS = 5000, 20
-# One cell in fifty is measured by Markov chains too.
-CHAINED = 50
-# Streams of a cell's scene and of its repeats, so that neither depends on the other.
-SCENE, NOISE = 11, 12
+# The bound of Cramer and Rao is found for one cell in ten.
+BOUNDED = 10
 # What breaks edge methods, from where it hardly matters to where nothing is left, and whether steps are even in ln.
 BREAKING: dict[str, tuple[float, float, bool]] = {
     "snr": (0.2, 3.0, True),
@@ -142,71 +133,14 @@ def _broken(scene: EdgeScene, axis: str, strength: float) -> EdgeScene:
     return replace(scene, **{axis: strength})
 
 
-@dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What became of the repeats of one cell.
-
-    Parameters
-    ----------
-    number, axis, strength
-        As of the cell.
-    ok, suspect, refused, crashed
-        Repeats by status.
-    silent, missed
-        Repeats that are ok with the truth beyond twice the 95 % half interval, and outside the 95 % interval.
-    truth_cy_per_px
-        MTF50.
-    worst_percent
-        Largest error of an ok number, % of the truth; None: there is none.
-    sd_percent
-        Median over the ok numbers of a quarter of the 95 % interval's width over 0.98, % of the truth.
-    bound_percent
-        Least standard deviation by Cramer and Rao, % of the truth; None: not asked.
-    seconds
-        Median time of a repeat, s.
-    """
-
-    number: int
-    axis: str
-    strength: float
-    ok: int
-    suspect: int
-    refused: int
-    crashed: int
-    silent: int
-    missed: int
-    truth_cy_per_px: float
-    worst_percent: float | None
-    sd_percent: float | None
-    bound_percent: float | None
-    seconds: float
-
-
-def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, bound: bool = False) -> Outcome:
+def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True) -> Outcome:
     """Draw a cell's frames and put the method to each of them."""
     cell = cell_of(number)
     truth = cell.scene.truth_mtf50
     rows = [attempt(of_kind("edge")[METHOD], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)]
-    sure = [row for row in rows if row.status == "ok"]
-    truths = truths_of(cell)
-    widths = [(row.high95 - row.low95) / 3.92 / truth for row in sure if row.high95 and row.low95]
-    statuses = [row.status for row in rows]
-    return Outcome(
-        number=number,
-        axis=cell.axis,
-        strength=cell.strength,
-        ok=len(sure),
-        suspect=statuses.count("suspect"),
-        refused=statuses.count("refused"),
-        crashed=statuses.count("crashed"),
-        silent=sum(silent(row, truths) for row in sure),
-        missed=sum(not covers(row, truths) for row in sure),
-        truth_cy_per_px=truth,
-        worst_percent=max((row.error_percent or 0.0 for row in sure), default=None),
-        sd_percent=100.0 * float(np.median(widths)) if widths else None,
-        bound_percent=100.0 * least_relative_sd(cell.scene) if bound and cell.in_scope else None,
-        seconds=float(np.median([row.seconds for row in rows])),
-    )
+    bounded = cell.in_scope and number % BOUNDED == 0
+    bound = 100.0 * least_relative_sd(cell.scene) if bounded else None
+    return outcome_of(cell, rows, truth, truths=truths_of(cell), bound_percent=bound)
 
 
 def truths_of(cell: Cell) -> tuple[float, float]:
@@ -220,24 +154,6 @@ def truths_of(cell: Cell) -> tuple[float, float]:
         return truth, truth
     core = replace(cell.scene.blur, halo_share=0.0)
     return truth, core.mtf50(cell.scene.angle_deg)
-
-
-def covers(row: Row, truths: tuple[float, float]) -> bool:
-    """Tell whether a 95 % interval holds a right value."""
-    low, high = _interval(row)
-    return low <= truths[1] and high >= truths[0]
-
-
-def silent(row: Row, truths: tuple[float, float]) -> bool:
-    """Tell whether an ok number is off by more than twice its 95 % half interval on the side of the right value."""
-    value, (low, high) = row.value or 0.0, _interval(row)
-    off = float(np.clip(value, *truths)) - value
-    return abs(off) > 2.0 * ((high - value) if off > 0 else (value - low))
-
-
-def _interval(row: Row) -> tuple[float, float]:
-    assert row.low95 is not None and row.high95 is not None, "an ok number has an interval"
-    return row.low95, row.high95
 
 
 def case_of(cell: Cell, truth: float, repeat: int) -> Case:
@@ -255,102 +171,14 @@ def case_of(cell: Cell, truth: float, repeat: int) -> Case:
         quantity="mtf50",
         truth=truth,
         in_scope=cell.in_scope,
-        seed=int(np.random.SeedSequence([cell.number, NOISE, repeat]).generate_state(1)[0]),
+        seed=seed_of(cell, repeat),
         draw=draw,
     )
 
 
-def mapped(cells: Sequence[int], *, repeats: int = REPEATS, quick: bool = True, bounds_each: int = 10) -> list[Outcome]:
-    """Measure cells on all cores, the Cramer-Rao bound of one in `bounds_each`."""
-    with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        asked = [
-            pool.submit(partial(measured_cell, n, repeats=repeats, quick=quick, bound=n % bounds_each == 0))
-            for n in cells
-        ]
-        return [one.result() for one in asked]
-
-
-def told(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return the figures of a map: silent failures, misses, share ok in scope, width against the bound."""
-    inside = [one for one in outcomes if one.axis == "none"]
-    drawn = sum(_draws(one) for one in inside)
-    ok, missed = sum(one.ok for one in outcomes), sum(one.missed for one in outcomes)
-    bounded = [one for one in inside if one.bound_percent and one.sd_percent]
-    ratios = np.array([(one.sd_percent or 0.0) / (one.bound_percent or 1.0) for one in bounded])
-    share = missed / max(ok, 1)
-    return {
-        "cells": len(outcomes),
-        "draws": sum(_draws(one) for one in outcomes),
-        "ok": ok,
-        "crashed": sum(one.crashed for one in outcomes),
-        "silent": sum(one.silent for one in outcomes),
-        "silent_in_scope": sum(one.silent for one in inside),
-        "silent_of_honest_gaussian": ok * 8.9e-5,
-        "missed_percent": 100.0 * share,
-        "missed_standard_errors_over_5_percent": float((share - 0.05) / np.sqrt(0.05 * 0.95 / max(ok, 1))),
-        "in_scope_ok_percent": 100.0 * sum(one.ok for one in inside) / max(drawn, 1),
-        "median_sd_over_bound": float(np.median(ratios)) if ratios.size else None,
-        "cells_with_bound": len(bounded),
-        "by_axis": {axis: _by_axis([one for one in outcomes if one.axis == axis]) for axis in ("none", *BREAKING)},
-        "worst": [one.number for one in worst(outcomes)],
-    }
-
-
-def _draws(one: Outcome) -> int:
-    return one.ok + one.suspect + one.refused + one.crashed
-
-
-def _by_axis(own: Sequence[Outcome]) -> dict[str, int]:
-    names = ("ok", "suspect", "refused", "crashed", "missed", "silent")
-    return {"cells": len(own), **{name: sum(getattr(one, name) for one in own) for name in names}}
-
-
-def worst(outcomes: Sequence[Outcome], count: int = 10) -> list[Outcome]:
-    """Return the cells with the most silent failures, then misses, then the largest error of an ok number."""
-    return sorted(outcomes, key=lambda one: (-one.silent, -one.missed, -(one.worst_percent or 0.0)))[:count]
-
-
-def written(outcomes: Sequence[Outcome], chained: Sequence[Outcome], path: Path = TABLE) -> Path:
-    """Write the table: a row for each cell, and what it says as a whole."""
-    names = [one.name for one in fields(Outcome)]
-    table = {
-        "charact": charact.__version__,
-        "method": METHOD,
-        "quick": _part(outcomes, names),
-        "chains": _part(chained, names),
-    }
-    text = json.dumps(table).replace("], [", "],\n[")
-    path.write_text(text + "\n", encoding="utf-8")
-    return path
-
-
-def _part(outcomes: Sequence[Outcome], names: list[str]) -> dict[str, Any]:
-    rows = [[_short(value) for value in asdict(one).values()] for one in outcomes]
-    return {"summary": told(outcomes), "columns": names, "rows": rows}
-
-
-def _short(value: Any) -> Any:
-    return float(f"{value:.4g}") if isinstance(value, float) else value
-
-
 def main() -> None:
-    """Make the map, print what it says and write the table."""
-    parser = argparse.ArgumentParser(prog="python -m charact.study.edge_map", description=__doc__)
-    parser.add_argument("--cells", type=int, default=CELLS, help="number of cells")
-    parser.add_argument("--first", type=int, default=0, help="number of the first cell")
-    parser.add_argument("--repeats", type=int, default=REPEATS, help="drawings of each")
-    parser.add_argument("--out", type=Path, default=TABLE, help="table to write")
-    asked = parser.parse_args()
-    numbers = range(asked.first, asked.first + asked.cells)
-    quick = mapped(numbers, repeats=asked.repeats)
-    # Half an hour's work is on disk before the chains begin.
-    written(quick, [], asked.out)
-    chained = mapped(numbers[::CHAINED], repeats=1, quick=False)
-    written(quick, chained, asked.out)
-    for part in (quick, chained):
-        print(json.dumps(told(part), indent=1))
-    for one in worst(quick):
-        print(json.dumps(asdict(one)))
+    """Make the map."""
+    cell_map.make(measured_cell, method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__)
 
 
 if __name__ == "__main__":

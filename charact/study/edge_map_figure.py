@@ -8,19 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from charact.study.cell_map_figure import draw_fates
 from charact.study.draw import _pyplot, plain_numbers
 from charact.study.edge_map import BREAKING, TABLE, cell_of
 
 FIGURE = Path("docs/mtf/edge-map.png")
-BINS = 9
-# What a drawing may come to, from the floor of a panel to its top, in colours that differ in lightness too.
-FATES = (
-    ("ok, interval holds", "#0072b2"),
-    ("ok, interval misses", "#e69f00"),
-    ("silent failure", "#c00000"),
-    ("suspect", "#b8b8b8"),
-    ("refused", "#e8e8e8"),
-)
 LABELS = {
     "snr": "step / sd of the noise (1)",
     "angle_deg": "tilt (deg)",
@@ -53,10 +45,10 @@ def draw_map(found: Mapping[str, Any], path: Path) -> Path:
     panels = iter(grid.flat)
     inside = [cell for cell in cells if cell["axis"] == "none"]
     snr = [cell_of(cell["number"]).scene.snr for cell in inside]
-    _draw_fates(next(panels), inside, snr, log=True, label=LABELS["snr"], title="inside the scope")
+    draw_fates(next(panels), inside, snr, log=True, label=LABELS["snr"], title="inside the scope")
     for axis, (_, _, log) in BREAKING.items():
         own = [cell for cell in cells if cell["axis"] == axis]
-        _draw_fates(next(panels), own, [cell["strength"] for cell in own], log=log, label=LABELS[axis], title=axis)
+        draw_fates(next(panels), own, [cell["strength"] for cell in own], log=log, label=LABELS[axis], title=axis)
     _draw_widths(next(panels), inside)
     for spare in panels:
         spare.axis("off")
@@ -74,32 +66,6 @@ def draw_map(found: Mapping[str, Any], path: Path) -> Path:
     figure.savefig(path, dpi=100)
     _pyplot().close(figure)
     return path
-
-
-def _draw_fates(
-    panel: Any, cells: Sequence[Mapping[str, Any]], at: Sequence[float], *, log: bool, label: str, title: str
-) -> None:
-    """Stack the shares of what became of the drawings over one axis."""
-    place = np.asarray(at, float)
-    low, high = (place.min(), place.max()) if place.size else (0.1, 1.0)
-    borders = np.geomspace(low, high, BINS + 1) if log else np.linspace(low, high, BINS + 1)
-    counts = np.array([_fates(cell) for cell in cells], float).reshape(-1, len(FATES))
-    which = np.clip(np.searchsorted(borders, place, side="right") - 1, 0, BINS - 1)
-    totals = np.array([counts[which == index].sum(axis=0) for index in range(BINS)])
-    shares = totals / np.maximum(totals.sum(axis=1, keepdims=True), 1.0)
-    floor = np.zeros(BINS)
-    for (name, colour), share in zip(FATES, shares.T, strict=True):
-        panel.bar(borders[:-1], share, np.diff(borders), bottom=floor, align="edge", color=colour, label=name)
-        floor = floor + share
-    panel.set(xlim=(low, high), ylim=(0, 1), xlabel=label, title=title, xscale="log" if log else "linear")
-    if log:
-        plain_numbers(panel.xaxis, subs=(1.0, 3.0) if high > 6.0 * low else (1.0, 2.0, 5.0))
-    panel.grid(visible=False)
-
-
-def _fates(cell: Mapping[str, Any]) -> tuple[int, ...]:
-    missed = cell["missed"] - cell["silent"]
-    return cell["ok"] - cell["missed"], missed, cell["silent"], cell["suspect"], cell["refused"] + cell["crashed"]
 
 
 def _draw_widths(panel: Any, inside: Sequence[Mapping[str, Any]]) -> None:

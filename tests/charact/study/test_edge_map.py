@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from charact.study.cell_map import told, worst
 from charact.study.edge_bound import least_relative_sd
-from charact.study.edge_map import BREAKING, TABLE, cell_of, measured_cell, told, worst
+from charact.study.edge_map import BREAKING, TABLE, cell_of, measured_cell
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,237 @@
+"""Maps of where a method breaks: thousands of random cells, what became of each, and what they say together."""
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, fields
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+import charact
+from charact.study.failure_map import one_thread_each
+from charact.study.harness import Row
+
+# One cell in fifty is measured by Markov chains too.
+CHAINED = 50
+# Streams of a cell's scene and of its repeats, so that neither depends on the other.
+SCENE, NOISE = 11, 12
+
+
+class Cell(Protocol):
+    """One scene of a map.
+
+    Parameters
+    ----------
+    number
+        Seed of the cell.
+    axis, strength
+        What breaks the scene and by how much, in the unit of its name; "none" and 0 inside the scope.
+    """
+
+    @property
+    def number(self) -> int: ...
+    @property
+    def axis(self) -> str: ...
+    @property
+    def strength(self) -> float: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of the repeats of one cell.
+
+    Parameters
+    ----------
+    number, axis, strength
+        As of the cell.
+    ok, suspect, refused, crashed
+        Repeats by status.
+    silent, missed
+        Repeats that are ok with the truth beyond twice the 95 % half interval, and outside the 95 % interval.
+    truth
+        What should be found.
+    worst_percent
+        Largest error of an ok number, % of the truth; None: there is none.
+    sd_percent
+        Median over the ok numbers of a quarter of the 95 % interval's width over 0.98, % of the truth.
+    bound_percent
+        Least standard deviation by Cramer and Rao, % of the truth; None: not asked.
+    seconds
+        Median time of a repeat, s.
+    """
+
+    number: int
+    axis: str
+    strength: float
+    ok: int
+    suspect: int
+    refused: int
+    crashed: int
+    silent: int
+    missed: int
+    truth: float
+    worst_percent: float | None
+    sd_percent: float | None
+    bound_percent: float | None
+    seconds: float
+
+
+def outcome_of(
+    cell: Cell, rows: Sequence[Row], truth: float, *, truths: tuple[float, float], bound_percent: float | None = None
+) -> Outcome:
+    """Sum up the repeats of a cell.
+
+    Parameters
+    ----------
+    truth
+        The value that errors are stated against.
+    truths
+        Least and largest value that is right.
+    bound_percent
+        Least standard deviation that there can be, % of the truth.
+    """
+    sure = [row for row in rows if row.status == "ok"]
+    widths = [(row.high95 - row.low95) / 3.92 / truth for row in sure if row.high95 and row.low95]
+    statuses = [row.status for row in rows]
+    return Outcome(
+        number=cell.number,
+        axis=cell.axis,
+        strength=cell.strength,
+        ok=len(sure),
+        suspect=statuses.count("suspect"),
+        refused=statuses.count("refused"),
+        crashed=statuses.count("crashed"),
+        silent=sum(silent(row, truths) for row in sure),
+        missed=sum(not covers(row, truths) for row in sure),
+        truth=truth,
+        worst_percent=max((row.error_percent or 0.0 for row in sure), default=None),
+        sd_percent=100.0 * float(np.median(widths)) if widths else None,
+        bound_percent=bound_percent,
+        seconds=float(np.median([row.seconds for row in rows])),
+    )
+
+
+def seed_of(cell: Cell, repeat: int) -> int:
+    """Return the seed of one drawing of a cell."""
+    return int(np.random.SeedSequence([cell.number, NOISE, repeat]).generate_state(1)[0])
+
+
+def covers(row: Row, truths: tuple[float, float]) -> bool:
+    """Tell whether a 95 % interval holds a right value."""
+    low, high = _interval(row)
+    return low <= truths[1] and high >= truths[0]
+
+
+def silent(row: Row, truths: tuple[float, float]) -> bool:
+    """Tell whether an ok number is off by more than twice its 95 % half interval on the side of the right value."""
+    value, (low, high) = row.value or 0.0, _interval(row)
+    off = float(np.clip(value, *truths)) - value
+    return abs(off) > 2.0 * ((high - value) if off > 0 else (value - low))
+
+
+def _interval(row: Row) -> tuple[float, float]:
+    assert row.low95 is not None and row.high95 is not None, "an ok number has an interval"
+    return row.low95, row.high95
+
+
+class Measure(Protocol):
+    """Measures one cell of a map."""
+
+    def __call__(self, number: int, /, *, repeats: int, quick: bool) -> Outcome: ...
+
+
+def mapped(measure: Measure, cells: Sequence[int], *, repeats: int, quick: bool = True) -> list[Outcome]:
+    """Measure cells on all cores; the function must be one that a module holds."""
+    with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+        asked: Callable[[int], Outcome] = partial(measure, repeats=repeats, quick=quick)
+        return list(pool.map(asked, cells, chunksize=4))
+
+
+def told(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return the figures of a map: silent failures, misses, share ok in scope, width against the bound."""
+    inside = [one for one in outcomes if one.axis == "none"]
+    drawn = sum(_draws(one) for one in inside)
+    ok, missed = sum(one.ok for one in outcomes), sum(one.missed for one in outcomes)
+    bounded = [one for one in inside if one.bound_percent and one.sd_percent]
+    ratios = np.array([(one.sd_percent or 0.0) / (one.bound_percent or 1.0) for one in bounded])
+    share = missed / max(ok, 1)
+    axes = dict.fromkeys(["none", *(one.axis for one in outcomes)])
+    return {
+        "cells": len(outcomes),
+        "draws": sum(_draws(one) for one in outcomes),
+        "ok": ok,
+        "crashed": sum(one.crashed for one in outcomes),
+        "silent": sum(one.silent for one in outcomes),
+        "silent_in_scope": sum(one.silent for one in inside),
+        "silent_of_honest_gaussian": ok * 8.9e-5,
+        "missed_percent": 100.0 * share,
+        "missed_standard_errors_over_5_percent": float((share - 0.05) / np.sqrt(0.05 * 0.95 / max(ok, 1))),
+        "in_scope_ok_percent": 100.0 * sum(one.ok for one in inside) / max(drawn, 1),
+        "median_sd_over_bound": float(np.median(ratios)) if ratios.size else None,
+        "cells_with_bound": len(bounded),
+        "by_axis": {axis: _by_axis([one for one in outcomes if one.axis == axis]) for axis in axes},
+        "worst": [one.number for one in worst(outcomes)],
+    }
+
+
+def _draws(one: Outcome) -> int:
+    return one.ok + one.suspect + one.refused + one.crashed
+
+
+def _by_axis(own: Sequence[Outcome]) -> dict[str, int]:
+    names = ("ok", "suspect", "refused", "crashed", "missed", "silent")
+    return {"cells": len(own), **{name: sum(getattr(one, name) for one in own) for name in names}}
+
+
+def worst(outcomes: Sequence[Outcome], count: int = 10) -> list[Outcome]:
+    """Return the cells with the most silent failures, then misses, then the largest error of an ok number."""
+    return sorted(outcomes, key=lambda one: (-one.silent, -one.missed, -(one.worst_percent or 0.0)))[:count]
+
+
+def written(outcomes: Sequence[Outcome], chained: Sequence[Outcome], path: Path, *, method: str) -> Path:
+    """Write a table: a row for each cell, and what it says as a whole."""
+    names = [one.name for one in fields(Outcome)]
+    table = {
+        "charact": charact.__version__,
+        "method": method,
+        "quick": _part(outcomes, names),
+        "chains": _part(chained, names),
+    }
+    text = json.dumps(table).replace("], [", "],\n[")
+    path.write_text(text + "\n", encoding="utf-8")
+    return path
+
+
+def _part(outcomes: Sequence[Outcome], names: list[str]) -> dict[str, Any]:
+    rows = [[_short(value) for value in asdict(one).values()] for one in outcomes]
+    return {"summary": told(outcomes), "columns": names, "rows": rows}
+
+
+def _short(value: Any) -> Any:
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def make(measure: Measure, *, method: str, table: Path, cells: int, repeats: int, about: str | None) -> None:
+    """Make a map as the command line asks, print what it says and write its table."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--cells", type=int, default=cells, help="number of cells")
+    parser.add_argument("--first", type=int, default=0, help="number of the first cell")
+    parser.add_argument("--repeats", type=int, default=repeats, help="drawings of each")
+    parser.add_argument("--out", type=Path, default=table, help="table to write")
+    asked = parser.parse_args()
+    numbers = range(asked.first, asked.first + asked.cells)
+    quick = mapped(measure, numbers, repeats=asked.repeats)
+    # Half an hour's work is on disk before the chains begin.
+    written(quick, [], asked.out, method=method)
+    chained = mapped(measure, numbers[::CHAINED], repeats=1, quick=False)
+    written(quick, chained, asked.out, method=method)
+    for part in (quick, chained):
+        print(json.dumps(told(part), indent=1))
+    for one in worst(quick):
+        print(json.dumps(asdict(one)))
