@@ -3,13 +3,13 @@
 import argparse
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,13 @@ CHAINED = 50
 SCENE, NOISE = 11, 12
 
 
-class Cell(Protocol):
+Scene = TypeVar("Scene")
+# What breaks a method: from where it hardly matters to where nothing is left, and whether steps are even in ln.
+Breaking = Mapping[str, tuple[float, float, bool]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell(Generic[Scene]):
     """One scene of a map.
 
     Parameters
@@ -32,14 +38,45 @@ class Cell(Protocol):
         Seed of the cell.
     axis, strength
         What breaks the scene and by how much, in the unit of its name; "none" and 0 inside the scope.
+    scene
+        What is drawn.
     """
 
+    number: int
+    axis: str
+    strength: float
+    scene: Scene
+
     @property
-    def number(self) -> int: ...
-    @property
-    def axis(self) -> str: ...
-    @property
-    def strength(self) -> float: ...
+    def in_scope(self) -> bool:
+        """Whether the method declares to measure such a scene."""
+        return self.axis == "none"
+
+
+def cell_drawn(
+    number: int,
+    breaking: Breaking,
+    scene_in_scope: Callable[[np.random.Generator], Scene],
+    broken: Callable[[Scene, str, float], Scene],
+) -> Cell[Scene]:
+    """Return a cell from its number: half of all have one thing wrong.
+
+    Parameters
+    ----------
+    breaking
+        What may be wrong.
+    scene_in_scope, broken
+        Draw a scene, and put one thing wrong in it: its axis and strength.
+    """
+    rng = np.random.default_rng([number, SCENE])
+    scene = scene_in_scope(rng)
+    if rng.random() < 0.5:
+        return Cell(number=number, axis="none", strength=0.0, scene=scene)
+    axis = str(rng.choice(list(breaking)))
+    low, high, even_in_ln = breaking[axis]
+    share = rng.random()
+    strength = float(low * (high / low) ** share if even_in_ln else low + (high - low) * share)
+    return Cell(number=number, axis=axis, strength=strength, scene=broken(scene, axis, strength))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +120,12 @@ class Outcome:
 
 
 def outcome_of(
-    cell: Cell, rows: Sequence[Row], truth: float, *, truths: tuple[float, float], bound_percent: float | None = None
+    cell: Cell[Any],
+    rows: Sequence[Row],
+    truth: float,
+    *,
+    truths: tuple[float, float],
+    bound_percent: float | None = None,
 ) -> Outcome:
     """Sum up the repeats of a cell.
 
@@ -117,7 +159,7 @@ def outcome_of(
     )
 
 
-def seed_of(cell: Cell, repeat: int) -> int:
+def seed_of(cell: Cell[Any], repeat: int) -> int:
     """Return the seed of one drawing of a cell."""
     return int(np.random.SeedSequence([cell.number, NOISE, repeat]).generate_state(1)[0])
 

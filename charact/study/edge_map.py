@@ -4,7 +4,7 @@
 cells one thing that breaks edge methods, from too little to matter to far too much.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import charact.mtf  # noqa: F401  # registers the methods
 from charact.method import Context
 from charact.method.registry import of_kind
 from charact.study import cell_map
-from charact.study.cell_map import SCENE, Outcome, outcome_of, seed_of
+from charact.study.cell_map import Breaking, Cell, Outcome, cell_drawn, outcome_of, seed_of
 from charact.study.edge import Blur, EdgeScene
 from charact.study.edge_bound import least_relative_sd
 from charact.study.harness import Case, attempt
@@ -25,7 +25,7 @@ CELLS, REPEATS = 5000, 20
 # The bound of Cramer and Rao is found for one cell in ten.
 BOUNDED = 10
 # What breaks edge methods, from where it hardly matters to where nothing is left, and whether steps are even in ln.
-BREAKING: dict[str, tuple[float, float, bool]] = {
+BREAKING: Breaking = {
     "snr": (0.2, 3.0, True),
     "angle_deg": (0.0, 1.0, False),
     "rows": (8.0, 30.0, False),
@@ -41,42 +41,9 @@ BREAKING: dict[str, tuple[float, float, bool]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cell:
-    """One scene of the map.
-
-    Parameters
-    ----------
-    number
-        Seed of the cell.
-    axis, strength
-        What breaks the scene and by how much, in the unit of its name; "none" and 0 inside the scope.
-    scene
-        The scene without its place, which differs from repeat to repeat.
-    """
-
-    number: int
-    axis: str
-    strength: float
-    scene: EdgeScene
-
-    @property
-    def in_scope(self) -> bool:
-        """Whether the method declares to measure such a scene."""
-        return self.axis == "none"
-
-
-def cell_of(number: int) -> Cell:
+def cell_of(number: int) -> Cell[EdgeScene]:
     """Return a cell from its number."""
-    rng = np.random.default_rng([number, SCENE])
-    scene = _scene_in_scope(rng)
-    if rng.random() < 0.5:
-        return Cell(number=number, axis="none", strength=0.0, scene=scene)
-    axis = str(rng.choice(list(BREAKING)))
-    low, high, even_in_ln = BREAKING[axis]
-    share = rng.random()
-    strength = float(low * (high / low) ** share if even_in_ln else low + (high - low) * share)
-    return Cell(number=number, axis=axis, strength=strength, scene=_broken(scene, axis, strength))
+    return cell_drawn(number, BREAKING, _scene_in_scope, _broken)
 
 
 def _scene_in_scope(rng: np.random.Generator) -> EdgeScene:
@@ -143,7 +110,7 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True) ->
     return outcome_of(cell, rows, truth, truths=truths_of(cell), bound_percent=bound)
 
 
-def truths_of(cell: Cell) -> tuple[float, float]:
+def truths_of(cell: Cell[EdgeScene]) -> tuple[float, float]:
     """Return the least and the largest MTF50 that are right for a cell, cy/px.
 
     Light spread wider than the window belongs to the normalisation as far as it is seen, and a result says that it is
@@ -156,7 +123,7 @@ def truths_of(cell: Cell) -> tuple[float, float]:
     return truth, core.mtf50(cell.scene.angle_deg)
 
 
-def case_of(cell: Cell, truth: float, repeat: int) -> Case:
+def case_of(cell: Cell[EdgeScene], truth: float, repeat: int) -> Case:
     """Return one drawing of a cell, the edge at a place of its own."""
 
     def draw(rng: np.random.Generator) -> FrameStack:

@@ -4,7 +4,7 @@
 interlace and automatic gain off; in half of the cells one thing breaks it, from too little to matter to far too much.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import charact.noise  # noqa: F401  # registers the methods
 from charact.method import Context
 from charact.method.registry import of_kind
 from charact.study import cell_map
-from charact.study.cell_map import SCENE, Outcome, outcome_of, seed_of
+from charact.study.cell_map import Breaking, Cell, Outcome, cell_drawn, outcome_of, seed_of
 from charact.study.gain_scene import BLACK_AND_FULL_DN, GainScene
 from charact.study.harness import Case, attempt
 
@@ -21,7 +21,7 @@ TABLE = Path(__file__).resolve().parent / "tables" / "gain_map.json"
 METHOD, QUANTITY = "covariance-sum", "covariance_gain"
 CELLS, REPEATS = 3000, 2
 # What breaks gains, from where it hardly matters to where nothing is left, and whether steps are even in ln.
-BREAKING: dict[str, tuple[float, float, bool]] = {
+BREAKING: Breaking = {
     "decay_ms": (1.0, 100.0, True),
     "interlaced_decay_ms": (1.0, 60.0, True),
     "gain_range_db": (0.1, 20.0, True),
@@ -35,38 +35,9 @@ BREAKING: dict[str, tuple[float, float, bool]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cell:
-    """One scene of the map; see `charact.study.cell_map.Cell`.
-
-    Parameters
-    ----------
-    scene
-        The specimen and its light.
-    """
-
-    number: int
-    axis: str
-    strength: float
-    scene: GainScene
-
-    @property
-    def in_scope(self) -> bool:
-        """Whether the method declares to measure such a scene."""
-        return self.axis == "none"
-
-
-def cell_of(number: int) -> Cell:
+def cell_of(number: int) -> Cell[GainScene]:
     """Return a cell from its number."""
-    rng = np.random.default_rng([number, SCENE])
-    scene = _scene_in_scope(rng)
-    if rng.random() < 0.5:
-        return Cell(number=number, axis="none", strength=0.0, scene=scene)
-    axis = str(rng.choice(list(BREAKING)))
-    low, high, even_in_ln = BREAKING[axis]
-    share = rng.random()
-    strength = float(low * (high / low) ** share if even_in_ln else low + (high - low) * share)
-    return Cell(number=number, axis=axis, strength=strength, scene=_broken(scene, axis, strength))
+    return cell_drawn(number, BREAKING, _scene_in_scope, _broken)
 
 
 def _scene_in_scope(rng: np.random.Generator) -> GainScene:
@@ -110,7 +81,7 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True) ->
     return outcome_of(cell, rows, truth, truths=(truth, truth))
 
 
-def case_of(cell: Cell, repeat: int) -> Case:
+def case_of(cell: Cell[GainScene], repeat: int) -> Case:
     """Return one drawing of a cell."""
     scene = cell.scene
     return Case(
