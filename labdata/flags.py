@@ -29,6 +29,7 @@ FLAGS: dict[str, str] = {
     "not-converged": "The Markov chain did not meet its convergence rule; the interval comes from the curvature.",
     "prior-bound": "The posterior leans on a bound of its prior.",
     "several-modes": "The posterior has more than one peak.",
+    "extrapolated": "The number lies beyond the levels that were measured and leans on the law fitted to them.",
     "unlike-conditions": "The stacks compared were taken under different conditions.",
 }
 

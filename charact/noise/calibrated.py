@@ -1,66 +1,68 @@
-"""Gain per photoelectron and excess noise, which flats alone cannot tell: they take a light of known size.
+"""What a photocathode makes of light: photoelectrons on a pixel per lux and second, and per photon of one wavelength.
 
-The signal of an exposure is k lam with lam = E S A t / e photoelectrons on a pixel; E is read off a meter and the
-luminous sensitivity S is on the tube's sheet within wide bounds, which carry over to every number here.
+Illuminance is that of a lamp at 2856 K, for which the luminous sensitivity of a tube is stated. The sensitivity scales
+the table of quantum efficiencies, whose own at 2856 K follows from Planck's law and the eye's response to light.
 """
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.series import Series
-from labdata.measurement import Measurement, Posterior, from_draws, refused
 from labdata.parameter import Parameter
+from labdata.sensor import Photocathode
+
+Array = NDArray[np.float64]
 
 ELECTRON_C = 1.602176634e-19
+# h c in J nm, and h c / k in nm K.
+PHOTON_J_NM, SECOND_RADIATION_NM_K = 1.986445857e-16, 1.438776877e7
+LUMENS_PER_WATT = 683.002
+LAMP_K = 2856.0
 
 
-def calibrated_quantities(series: Series, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
-                          covariance_flags: tuple[str, ...], **fields: Any) -> list[Measurement]:  # fmt: skip
-    """Return k and F^2, refused where the light or the sensor is unknown.
-
-    F^2 comes from the covariance gain and is suspect for whatever that is suspect for.
-    """
-    names = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
-    chosen = np.flatnonzero(series.fitted)
-    known = [series.flats[i].conditions for i in chosen]
-    given = [(c.illuminance_lux or 0.0) * (c.gate_ns or 0.0) * 1e-9 for c in known]
-    if context.sensor is None or not all(given):
-        reason = (
-            "k and F2 cannot be told apart from flats: known illuminance, gate and sensor are needed; "
-            "see covariance_gain"
-        )
-        return [refused(name, unit, reason, **fields) for name, unit in names]
-    rng = np.random.default_rng([context.seed, 3])
-    count = len(posterior.draws)
-    exposure = np.array(given)
-    slope = float(exposure @ series.signal_dn[chosen] / (exposure @ exposure))
-    meter = 1.0 + (known[0].illuminance_relative_sd or 0.0) * rng.standard_normal(count)
-    per_lux_s = photoelectrons_per_lux_s(context, rng, count)
-    gain = slope / (per_lux_s * np.maximum(meter, 0.05))
-    per_electron = drawn(context.sensor.video.conversion_gain_dn_per_e, rng, count)
-    excess = (posterior["covariance_gain"] - per_electron) / gain
-    note = ("the interval is that of the luminous sensitivity and of the light meter, which flats cannot narrow",)
-    return [
-        from_draws(name, unit, draws, flags=own, notes=note, **fields)
-        for (name, unit), draws, own in zip(names, (gain, excess), (flags, covariance_flags), strict=True)
-    ]
-
-
-def photoelectrons_per_lux_s(context: Context, rng: np.random.Generator, count: int):
+def photoelectrons_per_lux_s(context: Context, rng: np.random.Generator, count: int) -> Array:
     """Return draws of the photoelectrons on a pixel per lux and second of gate, shape (count,)."""
+    sensor = context.sensor
+    assert sensor is not None
+    sensitivity = drawn(sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, count)
+    return sensitivity * 1e-6 / ELECTRON_C * pixel_area_m2(context, rng, count)
+
+
+def pixel_area_m2(context: Context, rng: np.random.Generator, count: int) -> Array:
+    """Return draws of the area of a pixel as read at the photocathode, shape (count,), m2: two rows in a field."""
     sensor = context.sensor
     assert sensor is not None
     demagnification = drawn(sensor.taper.demagnification, rng, count)
     rows = 2.0 if context.interlaced else 1.0
-    width_um = float(sensor.ccd.pitch_x_um) * demagnification
-    height_um = float(sensor.ccd.pitch_y_um) * demagnification * rows
-    sensitivity = drawn(sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, count)
-    return sensitivity * 1e-6 / ELECTRON_C * width_um * height_um * 1e-12
+    return float(sensor.ccd.pitch_x_um) * float(sensor.ccd.pitch_y_um) * demagnification**2 * rows * 1e-12
 
 
-def drawn(parameter: Parameter, rng: np.random.Generator, count: int):
+def photoelectrons_per_photon(context: Context, wavelength_nm: float, rng: np.random.Generator, count: int) -> Array:
+    """Return draws of the photocathode's quantum efficiency at a wavelength, shape (count,)."""
+    assert context.sensor is not None
+    cathode = context.sensor.photocathode
+    table = np.interp(wavelength_nm, cathode.wavelength_nm, cathode.relative_quantum_efficiency, left=0.0, right=0.0)
+    sensitivity = drawn(cathode.luminous_sensitivity_ua_per_lm, rng, count)
+    return np.minimum(sensitivity / luminous_sensitivity_ua_per_lm(cathode) * table, 1.0)
+
+
+def luminous_sensitivity_ua_per_lm(cathode: Photocathode) -> float:
+    """Return the luminous sensitivity that the table of quantum efficiencies has as it stands, uA/lm at 2856 K.
+
+    Notes
+    -----
+    S = int QE (e lambda / h c) P dlambda / (683 int V P dlambda), P Planck's law. V is taken as the Gaussian
+    1.019 exp(-285.4 (lambda - 0.559)^2), lambda in um, which gives the lumens of this lamp within a percent.
+    """
+    wavelength = np.arange(360.0, 1101.0, 1.0)
+    radiant = wavelength**-5.0 / np.expm1(SECOND_RADIATION_NM_K / (wavelength * LAMP_K))
+    eye = 1.019 * np.exp(-285.4 * (wavelength * 1e-3 - 0.559) ** 2)
+    efficiency = np.interp(wavelength, cathode.wavelength_nm, cathode.relative_quantum_efficiency, left=0.0, right=0.0)
+    current = ELECTRON_C / PHOTON_J_NM * np.sum(efficiency * wavelength * radiant)
+    return float(1e6 * current / (LUMENS_PER_WATT * np.sum(eye * radiant)))
+
+
+def drawn(parameter: Parameter, rng: np.random.Generator, count: int) -> Array:
     """Return draws of a parameter: normal in its logarithm, with its 95 % bounds; exact where it has none."""
     if parameter.low is None or parameter.high is None or parameter.low <= 0:
         return np.full(count, float(parameter))

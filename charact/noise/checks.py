@@ -135,7 +135,7 @@ def unsteadiness(level: Level) -> tuple[float, float]:
     means = level.frame_mean_dn
     if len(means) < 4:
         return 0.0, 0.0
-    power = level.variance_dn2 if not len(level.many.lags) else _low_power(level)
+    power = _low_power(level) if len(level.bins.modes) else level.variance_dn2
     noise = np.sqrt(max(power, level.variance_dn2) / level.pixels)
     time = np.linspace(-0.5, 0.5, len(means))
     slope = float(time @ means / (time @ time))

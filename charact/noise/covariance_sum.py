@@ -8,7 +8,6 @@ import numpy as np
 
 from charact.method import Context, register
 from charact.noise import model, standard
-from charact.noise.calibrated import calibrated_quantities
 from charact.noise.checks import (
     QUANTISED_DN2,
     bent,
@@ -19,9 +18,11 @@ from charact.noise.checks import (
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.level import Level
-from charact.noise.one_gain import OneGain, blur_exponent, one_gain
+from charact.noise.light_snr import snr_against_light
+from charact.noise.one_gain import LEAST_BINS, OneGain, blur_exponent, one_gain
 from charact.noise.provenance import provenance
 from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.separation import separated
 from charact.noise.series import Series, read_levels, series_of
 from charact.noise.summary import summarise
 from charact.noise.three_dimensional import three_dimensional
@@ -30,8 +31,6 @@ from labdata.measurement import Measurement, Result, from_draws, refused
 from labdata.session import Session
 
 METHOD = "covariance-sum"
-# Bins of spatial frequency that the blur's five parameters need.
-LEAST_BINS = 24
 
 
 @register(
@@ -59,7 +58,8 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     """
     began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
-    return _of_levels(darks, flats, single, context, began) + three_dimensional([*darks, *flats], context=context)
+    result = _of_levels(darks, flats, single, context, began) + three_dimensional([*darks, *flats], context=context)
+    return result + snr_against_light(darks, flats, context=context)
 
 
 def _of_levels(darks: list[Level], flats: list[Level], single: list[str], context: Context, began: float
@@ -168,10 +168,8 @@ def _intensified_quantities(
         f"neighbouring pixels share noise (blur factor {blur:.3g}): the variance over the signal is no gain "
         "per electron; see covariance_gain"
     )
-    calibrated = calibrated_quantities(
-        series, fit.posterior, context=context, flags=flags, covariance_flags=covariance_flags, **fields
-    )
-    return [refused("system_gain", "DN/e-", reason, **fields), *calibrated]
+    apart = separated(series, fit.posterior, context=context, flags=flags, covariance_flags=covariance_flags, **fields)
+    return [refused("system_gain", "DN/e-", reason, **fields), *apart]
 
 
 def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any]) -> Result:

@@ -22,6 +22,8 @@ LEVEL_SHARE = 0.06
 LEVEL_ERRORS = 5.0
 # Relative standard error beyond which the posterior is too skewed for its interval to hold what it promises.
 WIDEST_SHARE = 0.35
+# Bins of spatial frequency that the blur's five parameters need.
+LEAST_BINS = 24
 
 
 @dataclass(frozen=True, kw_only=True)
