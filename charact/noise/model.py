@@ -1,7 +1,8 @@
 """The noise spectrum of a camera that blurs after its gain, and the posterior of the covariance gain under it.
 
-Photoelectrons arrive independently and everything after the gain blurs them, so the power of the noise is
-(K + k F^2) mu |H(f)|^2: at f -> 0 it is the covariance summed over all lags, whatever the blur. Blur of image tubes
+Photoelectrons arrive independently and everything after the gain blurs them; the electrons of the CCD that each of them
+makes are counted at random once more, which no blur touches. The power of the noise is (k F^2 |H(f)|^2 + K) mu: at
+f -> 0 it is the covariance summed over all lags, whatever the blur. Blur of image tubes
 has long wings (transfer exp(-(f/fc)^n) with n near 1), so that no window of lags holds all of the sum; the spectrum is
 extrapolated instead with the form that such transfers have, and the extrapolation's uncertainty is in the interval.
 """
@@ -18,20 +19,23 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-NAMES = ("power", "fall_columns", "fall_rows", "strength", "exponent")
-UNITS = ("DN", "1", "1", "1", "1")
+NAMES = ("power", "fall_columns", "fall_rows", "strength", "exponent", "electron_share")
+UNITS = ("DN", "1", "1", "1", "1", "1")
 DERIVED = ("covariance_gain", "blur_factor", "lag_factor")
 DERIVED_UNITS = ("DN", "1", "1")
 # Frequency at which the fall of the logarithm is stated, cycles per column pitch.
 REFERENCE_CY_PER_PX = 0.1
-# Flat priors but for the exponent. Falls and strength may go below zero, else a camera without blur would be pushed
-# to one side.
-BOUNDS = np.array([[0.0, np.inf], [-1.0, 6.0], [-1.0, 6.0], [-1.5, 6.0], [0.7, 2.5]])
+# Flat priors but for the last two. Falls, strength and share may go below zero, else a camera without blur would be
+# pushed to one side.
+BOUNDS = np.array([[0.0, np.inf], [-1.0, 6.0], [-1.0, 6.0], [-1.5, 6.0], [0.7, 2.5], [-0.5, 0.5]])
 # Normal prior of the exponent where no sensor states it: image tubes lie between 1.1 and 1.7, Gaussian blur is left
 # to the widths that falls and strength leave. Mean and standard deviation.
 EXPONENT = (1.3, 0.2)
+# Normal prior of the electrons' share of the noise, K / (K + k F^2): a photoelectron makes some hundred electrons in
+# the CCD. It matters only where blur leaves little else at the highest frequency fitted.
+ELECTRON_SHARE = (0.003, 0.01)
 # The spectrum is fitted up to one of these radii, the widest that the model describes.
-REACHES_CY_PER_PX = (0.18, 0.15, 0.12, 0.1)
+REACHES_CY_PER_PX = (0.25, 0.21, 0.18, 0.15, 0.12, 0.1)
 # Least probability of the residuals by chance for the model to pass.
 LEAST_CHANCE = 0.05
 
@@ -73,7 +77,19 @@ def transfer(parameters: Array, column: Array, row: Array) -> Array:
 
 def spectrum_at(parameters: Array, column: Array, row: Array) -> Array:
     """Return the power per DN of signal at one time lag 0, shape (draw, bin), DN."""
-    return parameters[:, :1] * transfer(parameters, column, row)
+    share = parameters[:, 5:]
+    return parameters[:, :1] * ((1.0 - share) * transfer(parameters, column, row) + share)
+
+
+def leaked(point: Array, summary: Summary) -> Array:
+    """Return the power that the modes of faded images have over that of `spectrum_at`, shape (bin,), dimensionless.
+
+    Each mode is a mean over frequencies nearby, which to second order is the mean of two on either side.
+    """
+    column, row = summary.column_cy_per_px, summary.row_cy_per_px
+    across, down = np.sqrt(summary.leak_cy2_per_px2)
+    around = [spectrum_at(point[None], column + i * across, row + j * down)[0] for i in (-1, 1) for j in (-1, 1)]
+    return np.mean(around, axis=0) / spectrum_at(point[None], column, row)[0]
 
 
 def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, float] = EXPONENT) -> Fit:
@@ -100,6 +116,7 @@ def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, floa
     )  # fmt: skip
     posterior = _with_gain(drawn, summary, np.random.default_rng([seed, 1]))
     model = spectrum_at(peak.point[None], summary.column_cy_per_px, summary.row_cy_per_px)[0]
+    model = model * leaked(peak.point, summary)
     return Fit(posterior=posterior, used=used, model_dn=model, chi2=peak.chi2, freedom=peak.freedom, chance=peak.chance)
 
 
@@ -122,12 +139,13 @@ def _climb(summary: Summary, used: NDArray[np.bool_], exponent: tuple[float, flo
     column, row, power = summary.column_cy_per_px[used], summary.row_cy_per_px[used], summary.power_dn[used]
     point = _start(summary, used, exponent[0])
     for _ in range(2):
-        model = spectrum_at(point[None], column, row)[0]
+        leak = leaked(point, summary)[used]
+        model = spectrum_at(point[None], column, row)[0] * leak
         own = summary.power_sd_dn[used] * model / np.maximum(power, 0.2 * model)
-        log_probability = _log_probability(summary, used, model, own, exponent)
+        log_probability = _log_probability(summary, used, model, leak, own, exponent)
         point, covariance = maximum(log_probability, point, BOUNDS)
-    model = spectrum_at(point[None], column, row)[0]
-    chi2, freedom = float(np.sum(((power - model) / own) ** 2)), int(used.sum()) - 5
+    model = spectrum_at(point[None], column, row)[0] * leak
+    chi2, freedom = float(np.sum(((power - model) / own) ** 2)), int(used.sum()) - len(NAMES)
     return _Peak(log_probability=log_probability, point=point, covariance=covariance, chi2=chi2, freedom=freedom,
                  chance=float(chi_squared.sf(chi2, freedom)))  # fmt: skip
 
@@ -166,20 +184,21 @@ def _start(summary: Summary, used: NDArray[np.bool_], exponent: float) -> Array:
     root = np.sqrt(summary.modes[used])
     level, strength, columns, rows = np.linalg.lstsq((design * root).T, np.log(power) * root, rcond=None)[0]
     falls = np.clip([columns + strength, rows + strength, strength], -0.8, 5.0)
-    return np.array([np.exp(level), *falls, exponent])
+    return np.array([np.exp(level), *falls, exponent, ELECTRON_SHARE[0]])
 
 
-def _log_probability(summary: Summary, used: NDArray[np.bool_], model: Array, own: Array, exponent):
+def _log_probability(summary: Summary, used: NDArray[np.bool_], model: Array, leak: Array, own: Array, exponent):
     """Gaussian likelihood of the spectrum; the bins share the error that pulse heights give them all."""
     column, row, power = summary.column_cy_per_px[used], summary.row_cy_per_px[used], summary.power_dn[used]
-    shared = model * summary.variance_sd_dn / summary.variance_dn
+    shared = model * summary.height_sd
     root = np.linalg.cholesky(np.linalg.inv(np.diag(own**2) + np.outer(shared, shared)))
 
     def log_probability(points: Array) -> Array:
         inside = np.all((points >= BOUNDS[:, 0]) & (points <= BOUNDS[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, BOUNDS.mean(axis=1, where=np.isfinite(BOUNDS)))
-        residual = (power - spectrum_at(safe, column, row)) @ root
-        prior = ((safe[:, 4] - exponent[0]) / exponent[1]) ** 2
+        residual = (power - leak * spectrum_at(safe, column, row)) @ root
+        known = np.array([exponent, ELECTRON_SHARE])
+        prior = (((safe[:, 4:] - known[:, 0]) / known[:, 1]) ** 2).sum(axis=1)
         return np.where(inside, -0.5 * ((residual**2).sum(axis=1) + prior), -np.inf)
 
     return log_probability

@@ -58,23 +58,29 @@ class Summary:
     ----------
     column_cy_per_px, row_cy_per_px
         Frequencies of the bins, cycles per column pitch, shape (bin,).
+    leak_cy2_per_px2
+        Variance of the frequencies mixed into one mode, along rows and along columns.
     modes
         Independent modes behind each bin, exposures counted, shape (bin,).
     power_dn, power_sd_dn
         Power of the fluctuations over the signal, both above the dark's, shape (bin,), DN.
     variance_dn, variance_sd_dn
         Variance of a pixel over the signal, DN.
+    height_sd
+        Relative standard error that few pulses of unequal heights give to the power of all bins in common.
     lag
         Correlation in time.
     """
 
     column_cy_per_px: Array
     row_cy_per_px: Array
+    leak_cy2_per_px2: tuple[float, float]
     modes: Array
     power_dn: Array
     power_sd_dn: Array
     variance_dn: float
     variance_sd_dn: float
+    height_sd: float
     lag: Lag
 
 
@@ -87,21 +93,38 @@ def summarise(series: Series) -> Summary:
     weight = exposures * signal / np.array([flat.variance_dn2 for flat, _ in pairs]) ** 2
     weight = weight / (weight @ signal)
     bins = pairs[0][0].bins
-    lag = _lag(*_power(pairs, weight, "many"), bins)
+    dark = weight @ np.array([d.many.power_dn2[:, 0] for _, d in pairs])
+    fields = len(np.unique(pairs[0][0].parity))
+    lag = _lag(*_power(pairs, weight, "many"), dark, bins, interlaced=fields > 1)
     name = "many" if lag.seen else "few"
     power, _ = _power(pairs, weight, name)
     variance = np.array([getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs])
+    by_heights = np.array([_by_heights(flat, count) for (flat, _), count in zip(pairs, exposures, strict=True)])
     known = np.array([_independent(flat, name, lag) for flat, _ in pairs])
     return Summary(
         column_cy_per_px=bins.column_cy_per_px,
         row_cy_per_px=bins.row_cy_per_px,
+        leak_cy2_per_px2=bins.leak_cy2_per_px2,
         modes=bins.modes * bins.efficiency * known[:, 0].sum(),
         power_dn=power[:, 0],
         power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag),
         variance_dn=float(weight @ variance),
         variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
+        height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
         lag=lag,
     )
+
+
+def _by_heights(flat: Level, exposures: float) -> float:
+    """Square of the standard error of a level's variance beyond that of normal modes of the same spectrum, DN^4.
+
+    A variance v of N pixels is the mean power of N modes, known to 2 sum P^2 / (N v)^2 from one exposure. Modes beyond
+    the band share what power is left to them.
+    """
+    pixels, power, modes = flat.pixels / len(np.unique(flat.parity)), flat.few.power_dn2[:, 0], 2.0 * flat.bins.modes
+    beyond = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (pixels - modes.sum())
+    normal = 2.0 * (float(modes @ power**2) + beyond) / pixels**2 / exposures
+    return max(flat.variance_sd_dn2**2 - normal, 0.0)
 
 
 def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
@@ -146,8 +169,8 @@ def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
     return float(np.sqrt(square))
 
 
-def _lag(power: Array, lags: NDArray[np.int64], bins: Bins) -> Lag:
-    """Correlation in time, pooled over the bins, with errors from their scatter."""
+def _lag(power: Array, lags: NDArray[np.int64], dark: Array, bins: Bins, *, interlaced: bool) -> Lag:
+    """Correlation in time, pooled over the bins by what the dark's power lets them know; errors from their scatter."""
     if len(lags) < 2:
         none = np.empty(0)
         return Lag(lag=lags[1:], correlation=none, correlation_sd=none, seen=False, factor=1.0, factor_sd=0.0,
@@ -155,13 +178,14 @@ def _lag(power: Array, lags: NDArray[np.int64], bins: Bins) -> Lag:
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     smooth = smoothed(power[:, 0], radius, bins.modes)
     ratio = power[:, 1:] / smooth[:, None]
-    low = bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW
-    pooled = [_pooled(ratio[:, i], bins.modes * (low if lag % 2 else 1.0)) for i, lag in enumerate(lags[1:])]
+    known = bins.modes * (smooth / (smooth + 2.0 * np.maximum(dark, 0.0))) ** 2
+    low = (bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW) if interlaced else np.ones_like(radius, bool)
+    pooled = [_pooled(ratio[:, i], known * (low if lag % 2 else 1.0)) for i, lag in enumerate(lags[1:])]
     value, sd = np.array(pooled).T
     seen = bool((value[:3] > SEEN * sd[:3]).any())
     reach = len(value) if seen else min(2, len(value))
     parts = [
-        _pooled(ratio[:, :reach][:, chosen].sum(axis=1), bins.modes * mask)
+        _pooled(ratio[:, :reach][:, chosen].sum(axis=1), known * mask)
         for chosen, mask in ((lags[1 : reach + 1] % 2 == 0, np.ones_like(radius)), (lags[1 : reach + 1] % 2 == 1, low))
         if chosen.any()
     ]
