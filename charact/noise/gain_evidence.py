@@ -20,6 +20,9 @@ def sweep_evidence(joint: Joint, knee: Knee | None) -> dict[str, Any]:
     x = np.linspace(-0.5, 0.5, GRID)
     pulses = np.exp(law.posterior["log_gain"][:, None] + law.posterior["rise"][:, None] * x)
     low, middle, high = np.quantile(pulses + law.electron_gain_dn[:, None], [0.025, 0.5, 0.975], axis=0)
+    left = np.exp(law.posterior["log_blur"]) if "log_blur" in law.posterior.names else np.ones(len(pulses))
+    electrons = law.electron_gain_dn[:, None]
+    stated = np.sqrt((electrons + left[:, None] * pulses) * (electrons + pulses) * STATED_PE)
     shrunk = np.quantile(law.settings, [0.025, 0.5, 0.975], axis=0)
     dark = [s.dark_variance_dn2 for s in sweep.settings]
     found: dict[str, Any] = {
@@ -39,6 +42,7 @@ def sweep_evidence(joint: Joint, knee: Knee | None) -> dict[str, Any]:
         "law_interval95_dn": [low.tolist(), high.tolist()],
         "departure_percent": 100.0 * float(np.median(np.exp(law.posterior["log_departure"]))),
         "stated_signal_pe": STATED_PE,
+        "stated_noise_dn": np.quantile(stated, [0.025, 0.5, 0.975], axis=0).tolist(),
     }
     if knee is not None:
         places = np.quantile(knee.place, [0.025, 0.5, 0.975])

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.report import blooms, edges, joint, noise
+from charact.report import blooms, edges, gains, joint, noise
 from charact.report.numerals import plain
 from charact.report.style import as_svg, styled
 
@@ -22,6 +22,8 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "halo-constancy": ("bloom", blooms.halo_constancy),
     "photon-transfer": ("noise", noise.photon_transfer),
     "noise-spectrum": ("noise", noise.noise_spectrum),
+    "noise-against-gain": ("noise", gains.noise_against_gain),
+    "noise-by-gain": ("noise", gains.noise_by_gain),
     "autocorrelation": ("noise", noise.autocorrelation),
     "three-dimensional-noise": ("noise", noise.three_dimensional),
 }

@@ -243,6 +243,17 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "neighbour_correlation": spread, "neighbour_sd": spread, "lag_exposures": spread,
             "lag_correlation": spread, "lag_correlation_sd": spread,
         },
+        "noise-against-gain": {
+            "knob": "plate voltage", "knob_unit": "V", "logarithmic": True, "setting": [700.0, 800.0, 850.0],
+            "gain_dn": [1, 2, 3], "gain_relative_sd": [0.1, 0.1, 0.1], "joint_interval95_dn": [[1, 2, 3], [2, 3, 4]],
+            "law_setting": [700.0, 850.0], "law_gain_dn": [1, 3], "law_interval95_dn": [[0.9, 2.9], [1.1, 3.1]],
+            "stated_noise_dn": [[1, 2], [1.1, 2.2], [1.2, 2.4]], "stated_signal_pe": 1.0,
+            "dark_noise_dn": [2.0, None, 2.1], "read_noise_dn": 1.9, "knee_setting": [720.0, 730.0, 745.0],
+        },
+        "noise-by-gain": {
+            "setting": ["700 V", "800 V"], "signal_dn": [spread[1:], spread[1:]], "noise_dn": [spread[1:], spread[1:]],
+            "light": [None, spread[1:]], "light_unit": "lx",
+        },
         "three-dimensional-noise": {
             "exposure_mean_dn": spread, "row_mean_dn": spread, "column_mean_dn": spread, "exposure_period_s": 0.04,
             "frequency_cy_per_exposure": spread, "power_dn2": spread,
