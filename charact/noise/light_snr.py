@@ -138,5 +138,6 @@ def _ratios(series: Series, scope: Scope, findings: list[Finding], fields: dict[
             reason = f"{flat.label} is not brighter than its dark by {LIT:g} standard errors"
             out.append(refused(name, "1", reason, **told))
         else:
-            out.append(from_sd(name, "1", scope.levels.snr[index], scope.levels.snr_sd[index], **told, **own))
+            value, sd = float(scope.levels.snr[index]), float(scope.levels.snr_sd[index])
+            out.append(from_sd(name, "1", value, sd, **told, **own))
     return out

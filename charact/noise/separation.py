@@ -65,34 +65,50 @@ def separated(series: Series, posterior: Posterior, *, context: Context, flags: 
     response = response_of(series, len(posterior.draws), context)
     pulses = posterior["covariance_gain"] - floor.draws * posterior["lag_factor"]
     told = spread_of(floor, posterior) <= WIDEST_SHARE
-    out = [_electrons(floor, flags=covariance_flags, **fields)]
-    light = {"flags": tuple(dict.fromkeys((*flags, *covariance_flags))), **fields}
-    if told:
-        kept = Posterior(names=("pulse_gain",), units=("DN",), draws=pulses[:, None], sampler=posterior.sampler,
-                         seed=posterior.seed)  # fmt: skip
-        note = (f"covariance_gain less K, which is {floor.source}",)
-        out.append(from_draws("pulse_gain", "DN", pulses, flags=covariance_flags, notes=note, posterior=kept, **fields))
-    else:
-        reason = (
-            f"k F2 lies anywhere between {np.quantile(pulses, 0.025):.3g} and {np.quantile(pulses, 0.975):.3g} DN, for "
-            "no white floor is seen: flats with the tube's gain off, or the sensor's conversion gain, would give K"
-        )
-        out.append(refused("pulse_gain", "DN", reason, **fields))
+    noisy = {"flags": covariance_flags, **fields}
+    out = [_electrons(floor, **noisy), _pulses(pulses, floor, told, context.seed, **noisy)]
     if response.gain is None:
         reason = f"k and F2 cannot be told apart: {response.why_not}; {PULSES} would tell as well"
         out += [refused(name, unit, reason, **fields) for name, unit in _GAINS]
     else:
-        note = (response.note, "the interval holds the photocathode's sensitivity, which flats cannot narrow")
-        out.append(from_draws("photoelectron_gain", "DN/pe", response.gain, flags=flags, notes=note, **fields))
-        if told:
-            factor = pulses / response.gain
-            out.append(from_draws("excess_noise_factor", "1", factor, notes=note, **light))
-        else:
-            out.append(refused("excess_noise_factor", "1", "k F2 is not known; see pulse_gain", **fields))
-    return [*out, _tube(response, pulses if told else None, context, **light)]
+        out += _parted(response, response.gain, pulses if told else None, context.seed, signal_flags=flags, **noisy)
+    return [*out, _tube(response, pulses if told else None, context, **noisy)]
 
 
 _GAINS = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
+
+
+def _pulses(pulses: Array, floor: Floor, told: bool, seed: int, **fields: Any) -> Measurement:
+    """k F^2, where K is known or too small to matter."""
+    if told:
+        kept = posterior_of("pulse_gain", "DN", pulses, seed)
+        note = (f"covariance_gain less K, which is {floor.source}",)
+        return from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **fields)
+    fields.pop("flags")
+    reason = (
+        f"k F2 lies anywhere between {np.quantile(pulses, 0.025):.3g} and {np.quantile(pulses, 0.975):.3g} DN, for no "
+        "white floor is seen: flats with the tube's gain down, or the sensor's conversion gain, would give K"
+    )
+    return refused("pulse_gain", "DN", reason, **fields)
+
+
+def _parted(
+    response: Response, gain: Array, pulses: Array | None, seed: int, *, signal_flags: tuple[str, ...], **fields: Any
+) -> list[Measurement]:
+    """k and F^2 by a light of known size; k is not suspect for what the covariance gain alone is."""
+    notes = (response.note, "the interval holds the photocathode's sensitivity, which flats cannot narrow")
+    kept = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
+    own = {**fields, "flags": signal_flags}
+    out = [from_draws("photoelectron_gain", "DN/pe", gain, notes=notes, posterior=kept, **own)]
+    if pulses is not None:
+        return [*out, from_draws("excess_noise_factor", "1", pulses / gain, notes=notes, **fields)]
+    fields.pop("flags")
+    return [*out, refused("excess_noise_factor", "1", "k F2 is not known; see pulse_gain", **fields)]
+
+
+def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
+    """Keep the draws of one derived quantity."""
+    return Posterior(names=(name,), units=(unit,), draws=draws[:, None], sampler="laplace", seed=seed)
 
 
 def spread_of(floor: Floor, posterior: Posterior) -> float:

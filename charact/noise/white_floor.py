@@ -71,7 +71,8 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
     rng = np.random.default_rng([context.seed, 31])
     count = len(posterior.draws)
     power, sd = power_beyond(series)
-    pulses = float(np.median(posterior["power"])) * _transfer_beyond(series, posterior)
+    share = 1.0 - posterior["electron_share"]
+    pulses = float(np.median(posterior["power"] * share)) * _transfer_beyond(series, posterior)
     white = not _smoothed(series, context)
     error = float(np.hypot(sd, BEYOND_BAND * pulses))
     if white and power > SIGNIFICANT * sd and pulses < PULSES_SHARE * power and power - pulses > SIGNIFICANT * error:

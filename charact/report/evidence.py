@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.report import blooms, edges, gains, joint, noise
+from charact.report import blooms, edges, gains, joint, light, noise
 from charact.report.numerals import plain
 from charact.report.style import as_svg, styled
 
@@ -25,6 +25,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "noise-against-gain": ("noise", gains.noise_against_gain),
     "noise-by-gain": ("noise", gains.noise_by_gain),
     "autocorrelation": ("noise", noise.autocorrelation),
+    "snr-light": ("noise", light.snr_light),
     "three-dimensional-noise": ("noise", noise.three_dimensional),
 }
 

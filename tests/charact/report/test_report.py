@@ -243,6 +243,15 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "neighbour_correlation": spread, "neighbour_sd": spread, "lag_exposures": spread,
             "lag_correlation": spread, "lag_correlation_sd": spread,
         },
+        "snr-light": {
+            "least_snr": 1.0, "unit": "lux", "gains": [{
+                "gain": "plate at 800 V", "unit": "lux", "amount": [1e-5, 1e-4], "fitted": [True, False], "scopes": [{
+                    "name": "pixel", "snr": [0.5, 4.0], "snr_sd": [0.1, 0.1], "law_amount": [1e-6, 1e-3],
+                    "law_low": [0.1, 9.0], "law_snr": [0.2, 10.0], "law_high": [0.3, 11.0],
+                    "law_with_pattern": [0.2, 8.0], "minimum": 3e-5, "minimum_interval95": [2e-5, 4e-5],
+                }],
+            }],
+        },
         "noise-against-gain": {
             "knob": "plate voltage", "knob_unit": "V", "logarithmic": True, "setting": [700.0, 800.0, 850.0],
             "gain_dn": [1, 2, 3], "gain_relative_sd": [0.1, 0.1, 0.1], "joint_interval95_dn": [[1, 2, 3], [2, 3, 4]],
