@@ -2,6 +2,7 @@
 
 from charact.method import Context, choose
 from charact.noise import covariance_sum, variance
+from charact.noise.separation_pulses import with_pulses
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
@@ -32,4 +33,4 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    return chosen.function(session, context=context)
+    return with_pulses(chosen.function(session, context=context), session, context=context)
