@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from charact.method import Context
+from charact.method.cluster import Spread
 from labdata.measurement import Measurement, Result
 from labdata.parameter import Parameter
 from labdata.session import Session, StackEntry, open_session
@@ -25,6 +26,7 @@ def measure(
     seed: int = 0,
     within_percent: float = 2.0,
     progress: Progress = unheard,
+    spread: Spread = map,
 ) -> Result:
     """Measure all that a session allows: noise and gain, MTF of every target, halo and blooming.
 
@@ -40,6 +42,8 @@ def measure(
         Error that the automatic choice of a method must meet, percent.
     progress
         Called with a sentence and the share done (0..1).
+    spread
+        Where parts of the noise analysis are computed, see `charact.method.Context`.
 
     Returns
     -------
@@ -49,7 +53,7 @@ def measure(
     """
     session = session if isinstance(session, Session) else open_session(session)
     tasks = _tasks(session, within_percent)
-    context, result = context_of(session, quick=quick, seed=seed), Result()
+    context, result = context_of(session, quick=quick, seed=seed, spread=spread), Result()
     for done, (sentence, task) in enumerate(tasks):
         progress(sentence, done / len(tasks))
         result += task(context)
@@ -90,7 +94,9 @@ def _knowing_halo(context: Context, result: Result) -> Context:
     return replace(context, sensor=sensor.with_parameters({"photocathode.gap_mm": gap}))
 
 
-def context_of(session: Session, *, quick: bool, seed: int, progress: Progress = unheard) -> Context:
+def context_of(
+    session: Session, *, quick: bool, seed: int, progress: Progress = unheard, spread: Spread = map
+) -> Context:
     """What methods are told of a session."""
     full_scale_dn = None if session.bit_depth is None else float(2**session.bit_depth - 1)
     return Context(
@@ -100,6 +106,7 @@ def context_of(session: Session, *, quick: bool, seed: int, progress: Progress =
         interlaced=session.is_interlaced,
         full_scale_dn=full_scale_dn,
         progress=progress,
+        spread=spread,
     )
 
 

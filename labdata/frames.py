@@ -83,6 +83,10 @@ class FrameStack:
         frames, rows, cols = self.data.shape
         return frames, rows, cols
 
+    def frames(self, first: int, last: int) -> NDArray:
+        """Return the pixels of the frames first..last-1."""
+        return self.data[first:last]
+
     def region(self, row: int, col: int, height: int, width: int) -> "FrameStack":
         """Return the frames cut to a rectangle; one that leaves the image is a BadInput."""
         _, rows, cols = self.shape

@@ -21,6 +21,10 @@ Plane = Annotated[
         help="Colour channel: r, g, b or luminance of an RGB picture (else its luminance); r, g1, g2 or b of raw."
     ),
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(help="Address of a Dask scheduler whose workers read the stacks; they must see the same paths."),
+]
 SensorName = Annotated[str | None, typer.Option("--sensor", help="A shipped sensor's name, or a path to its TOML.")]
 Units = Annotated[
     str,

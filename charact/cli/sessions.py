@@ -25,6 +25,7 @@ def noise(
     within: options.Within = 2.0,
     quick: options.Quick = False,
     seed: options.Seed = 0,
+    scheduler: options.Scheduler = None,
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
@@ -32,7 +33,7 @@ def noise(
 
     Example: charact noise ccd12 --json
     """
-    _analyse("noise", session, method, within, quick, seed, as_json, events)
+    _analyse("noise", session, method, within, quick, seed, as_json, events, scheduler)
 
 
 def bloom(
@@ -52,18 +53,21 @@ def bloom(
 
 
 def _analyse(
-    room: str, folder: Path, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool
-) -> None:
+    room: str, folder: Path, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool,
+    scheduler: str | None = None,
+) -> None:  # fmt: skip
     with bad_input_ends(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
         from importlib import import_module
 
         from charact.measuring import context_of
+        from charact.method.cluster import spread_over
         from labdata.session import open_session
 
         opened = open_session(folder)
-        context = context_of(opened, quick=quick, seed=seed, progress=progress)
         analysis = import_module(f"charact.{room}")
-        result = analysis.measure(opened, method=method, within_percent=within, context=context)
+        with spread_over(scheduler) as spread:
+            context = context_of(opened, quick=quick, seed=seed, progress=progress, spread=spread)
+            result = analysis.measure(opened, method=method, within_percent=within, context=context)
         show(result, given=str(folder), as_json=as_json, events=events, next_verb=f"charact measure {folder}")
 
 
@@ -72,6 +76,7 @@ def measure(
     within: options.Within = 2.0,
     quick: options.Quick = False,
     seed: options.Seed = 0,
+    scheduler: options.Scheduler = None,
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
@@ -80,19 +85,25 @@ def measure(
     Example: charact measure day1 --quick
     """
     with bad_input_ends(str(session), as_json=as_json, events=events):
-        result = measured_and_kept(session, quick=quick, seed=seed, within=within, events=events)
+        result = measured_and_kept(session, quick=quick, seed=seed, within=within, events=events, scheduler=scheduler)
         show(result, given=str(session), as_json=as_json, events=events, next_verb=f"charact report {session}")
 
 
-def measured_and_kept(folder: Path, *, quick: bool = False, seed: int = 0, within: float = 2.0, events: bool = False):
+def measured_and_kept(
+    folder: Path, *, quick: bool = False, seed: int = 0, within: float = 2.0, events: bool = False,
+    scheduler: str | None = None,
+):  # fmt: skip
     """Measure a session and keep the result in it."""
     from charact.measuring import measure as measure_session
+    from charact.method.cluster import spread_over
     from labdata import document
     from labdata.session import open_session
 
     opened = open_session(folder)
-    with progress_bar(events=events) as progress:
-        result = measure_session(opened, quick=quick, seed=seed, within_percent=within, progress=progress)
+    with progress_bar(events=events) as progress, spread_over(scheduler) as spread:
+        result = measure_session(
+            opened, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread
+        )
     document.save(result, opened.folder)
     return result
 

@@ -6,9 +6,14 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from charact.method.cluster import Spread
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.sensor import Sensor
+
+
+def unheard(sentence: str, share: float) -> None:
+    """Progress that nobody asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +34,9 @@ class Context:
         Highest code, DN; None: found from the data.
     progress
         Called with a sentence and the share done (0..1) on long work.
+    spread
+        Applies a function to parts of the work and returns what it gives in their order, as `map` does: here, or on
+        the workers of a cluster.
     """
 
     seed: int = 0
@@ -36,7 +44,8 @@ class Context:
     sensor: Sensor | None = None
     interlaced: bool = False
     full_scale_dn: float | None = None
-    progress: Callable[[str, float], None] = lambda sentence, share: None
+    progress: Callable[[str, float], None] = unheard
+    spread: Spread = map
 
     @property
     def pitch_ratio(self) -> float:

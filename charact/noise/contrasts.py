@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.frames import FrameStack
+from labdata.opened import OpenStack
 
 Array = NDArray[np.float64]
 
@@ -65,7 +66,7 @@ def waves(length: int) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def contrasts(stack: FrameStack, *, interlaced: bool) -> Contrasts:
+def contrasts(stack: OpenStack | FrameStack, *, interlaced: bool) -> Contrasts:
     """Read a stack once, some frames at a time, and return its contrasts.
 
     Parameters
@@ -81,10 +82,10 @@ def contrasts(stack: FrameStack, *, interlaced: bool) -> Contrasts:
     of the squares, and single precision is enough for them.
     """
     step = 2 if interlaced else 1
-    rows = step * (stack.data.shape[1] // step)
+    rows = step * (stack.shape[1] // step)
     parts = [_Pass(stack, parity, rows, step) for parity in range(step)]
     for first in range(0, len(stack), CHUNK_FRAMES):
-        frames = stack.data[first : first + CHUNK_FRAMES]
+        frames = stack.frames(first, min(first + CHUNK_FRAMES, len(stack)))
         for part in parts:
             part.take(frames, first)
     found = [part.contrasts() for part in parts]
@@ -95,9 +96,9 @@ def contrasts(stack: FrameStack, *, interlaced: bool) -> Contrasts:
 class _Pass:
     """The running sums of one field."""
 
-    def __init__(self, stack: FrameStack, parity: int, rows: int, step: int) -> None:
+    def __init__(self, stack: OpenStack | FrameStack, parity: int, rows: int, step: int) -> None:
         self.field = np.s_[parity:rows:step]
-        self.first = stack.data[0, self.field].astype(np.float64)
+        self.first = stack.frames(0, 1)[0][self.field].astype(np.float64)
         frames, (height, width) = len(stack), self.first.shape
         self.along = [waves(length).astype(np.float32) for length in (frames, height, width)]
         self.by_row = np.empty((frames, height, len(self.along[2])), np.float32)

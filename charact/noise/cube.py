@@ -12,7 +12,7 @@ from charact.noise.contrasts import contrasts
 from charact.noise.findings import Finding
 from charact.noise.frame_means import FrameMeans, frame_means
 from charact.noise.irregular import alternating_rows, few_pixels, uneven
-from labdata.frames import FrameStack
+from labdata.opened import OpenStack
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Cube:
     seconds: float
 
 
-def cube_of(stack: FrameStack, *, context: Context) -> Cube | None:
+def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
     """Return the 3-D noise of a stack; None where it is too short or too small to tell it."""
     frames, rows, cols = stack.shape
     if frames < LEAST_FRAMES or min(rows // (2 if context.interlaced else 1), cols) < LEAST_PIXELS:

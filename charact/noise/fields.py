@@ -1,5 +1,6 @@
 """The exposures of a stack in the order of time: whole frames, or the two fields that make each interlaced frame."""
 
+from collections.abc import Sized
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -34,7 +35,7 @@ class Exposures:
     row_step: int
 
 
-def runs_of(stack: FrameStack) -> list[tuple[int, int]]:
+def runs_of(stack: Sized) -> list[tuple[int, int]]:
     """Return the first and last-plus-one frame of runs of nearly equal length, each of at least two frames."""
     frames = len(stack)
     count = max(1, -(-frames // RUN_FRAMES))
@@ -42,19 +43,38 @@ def runs_of(stack: FrameStack) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(edges)]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """When the exposures of some frames were made: `time`, `parity` and `row_step` as in `Exposures`."""
+
+    time: NDArray[np.int64]
+    parity: NDArray[np.int64]
+    row_step: int
+
+
+def order_of(frame_number: NDArray[np.int64], *, interlaced: bool) -> Order:
+    """Return the order of the exposures of frames that follow one another; lost frames leave a gap in their times."""
+    number = np.asarray(frame_number, np.int64) - int(frame_number[0])
+    if not interlaced:
+        return Order(time=number, parity=np.zeros(len(number), np.int64), row_step=1)
+    parity = np.tile([0, 1], len(number))
+    return Order(time=2 * np.repeat(number, 2) + parity, parity=parity, row_step=2)
+
+
+def fields_of(data: NDArray, row_step: int) -> list[NDArray]:
+    """Return the fields of frames as views, each of shape (frame, row, col); a last odd row has no partner."""
+    rows = row_step * (data.shape[1] // row_step)
+    return [data[:, parity:rows:row_step] for parity in range(row_step)]
+
+
 def exposures(stack: FrameStack, first: int, last: int, *, interlaced: bool) -> Exposures:
     """Return the exposures of the frames first..last-1; lost frames leave a gap in their times."""
     data = stack.data[first:last]
-    number = stack.frame_number[first:last] if len(stack.frame_number) == len(stack) else np.arange(first, last)
-    number = np.asarray(number, np.int64) - int(number[0])
-    if not interlaced:
-        image = data.astype(np.float32)
-        return Exposures(image=image, time=number, parity=np.zeros(len(data), np.int64), row_step=1)
-    rows = 2 * (data.shape[1] // 2)
-    pair = np.stack([data[:, 0:rows:2], data[:, 1:rows:2]], axis=1).astype(np.float32)
-    parity = np.tile([0, 1], len(data))
-    return Exposures(image=pair.reshape(-1, *pair.shape[2:]), time=2 * np.repeat(number, 2) + parity, parity=parity,
-                     row_step=2)  # fmt: skip
+    stamped = len(stack.frame_number) == len(stack)
+    order = order_of(stack.frame_number[first:last] if stamped else np.arange(first, last), interlaced=interlaced)
+    image = np.stack(fields_of(data, order.row_step), axis=1).astype(np.float32)
+    return Exposures(image=image.reshape(-1, *image.shape[2:]), time=order.time, parity=order.parity,
+                     row_step=order.row_step)  # fmt: skip
 
 
 def fluctuations(shots: Exposures) -> NDArray[np.float32]:

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.fields import Exposures
+from charact.noise.fields import Order
+from charact.noise.pixels import PixelSums
 
 Array = NDArray[np.float64]
 
-# Exposures whose spectra tell how far the noise of pixels is independent.
-SPECTRA = 8
 # Near pairs that share more than far ones, beyond so many standard errors and this share of all, still share noise.
 SIGNIFICANT = 3.0
 SHARE = 0.02
@@ -35,15 +34,15 @@ class Pattern:
     settled: bool
 
 
-def fixed_pattern(shots: Exposures, change: NDArray[np.float32], least: int) -> Pattern:
+def fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     """Return the variance over the image of what does not change in time.
 
     Parameters
     ----------
-    shots
-        The exposures.
-    change
-        Their fluctuations, see `charact.noise.fields`.
+    order
+        Order of the exposures.
+    sums
+        Products of their pixels.
     least
         Exposures nearer in time than this are never compared.
 
@@ -53,7 +52,7 @@ def fixed_pattern(shots: Exposures, change: NDArray[np.float32], least: int) -> 
     of it has to be known and subtracted. Light that lags is alike in exposures near in time. The distance is doubled
     until pairs further apart share no less.
     """
-    parts = [_of_rows(shots, change, parity, least) for parity in np.unique(shots.parity)]
+    parts = [_of_rows(order, sums, int(parity), least) for parity in np.unique(order.parity)]
     return Pattern(
         variance_dn2=float(np.mean([part.variance_dn2 for part in parts])),
         sd_dn2=float(np.sqrt(np.sum([part.sd_dn2**2 for part in parts])) / len(parts)),
@@ -61,14 +60,13 @@ def fixed_pattern(shots: Exposures, change: NDArray[np.float32], least: int) -> 
     )
 
 
-def _of_rows(shots: Exposures, change: NDArray[np.float32], parity: int, least: int) -> Pattern:
+def _of_rows(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
     """The pattern of the exposures of the same rows."""
-    same = np.flatnonzero(shots.parity == parity)
-    flat = shots.image[same].reshape(len(same), -1)
-    flat = flat - flat.mean(axis=1, keepdims=True, dtype=np.float64).astype(np.float32)
-    products = (flat @ flat.T).astype(np.float64) / flat.shape[1]
-    distance = np.abs(shots.time[same][:, None] - shots.time[same])
-    spread = _spread(shots.image[same], change[same])
+    same = np.flatnonzero(order.parity == parity)
+    cross = sums.with_mean[same]
+    products = sums.mean_square[parity] + cross[:, None] + cross + sums.products[np.ix_(same, same)]
+    distance = np.abs(order.time[same][:, None] - order.time[same])
+    spread = _spread(sums, parity)
     apart, excess = int(distance[distance > 0].min()), [0.0]
     while True:
         found, sd = _mean(products, distance >= apart, spread)
@@ -112,23 +110,32 @@ def _mean(products: Array, chosen: NDArray[np.bool_], spread: tuple[float, float
     return common, float(np.sqrt(square))
 
 
-def _spread(image: NDArray[np.float32], change: NDArray[np.float32]) -> tuple[float, float]:
-    """One over the number of independent pixels: for noise with noise, and for noise with the pattern."""
-    count = len(change)
-    some = np.linspace(0, count - 1, min(count, SPECTRA)).round().astype(int)
-    noise = np.mean([_power(frame) for frame in change[some]], axis=0)
-    mean = _power(image.mean(axis=0))
-    total = float(noise.sum())
-    if total <= 0:
+def _spread(sums: PixelSums, parity: int) -> tuple[float, float]:
+    """One over the number of independent pixels: for noise with noise, and for noise with the pattern.
+
+    The middle of the image speaks for all of it; what its mean image lacks of the whole one's variance is shading,
+    and lies at the lowest frequencies.
+    """
+    middle, pixels = sums.middle[parity], sums.size[0] * sums.size[1]
+    noise, mean = np.mean([_power(image) for image in middle], axis=0), _power(sums.mean_middle[parity])
+    level = float(noise.mean())
+    if level <= 0:
         return 0.0, 0.0
-    # The square of a mean over m exponential powers is too large by 1 + 1/m; centring takes one exposure away.
-    twice = float((noise**2).sum()) / total**2 / (1.0 + 1.0 / max(1, min(len(some), count - 1)))
-    crossed = float((mean * noise).sum()) / (total * max(float(mean.sum()), 1e-30))
-    return twice, crossed
+    # The square of a mean over m exponential powers is too large by 1 + 1/m.
+    twice = float(np.mean(noise**2)) / level**2 / (1.0 + 1.0 / len(middle))
+    lowest = np.delete(
+        noise[np.ix_(*([0, min(1, n - 1), -1][:most] for n, most in zip(noise.shape, (3, 2), strict=True)))], 0
+    )
+    own = float(mean.mean()) / middle[0].size
+    shading = max(sums.mean_square[parity] - own, 0.0)
+    alike = own * float(np.mean(mean * noise)) / max(float(mean.mean()), 1e-30) + shading * float(lowest.mean())
+    return twice / pixels, alike / max((own + shading) * level, 1e-30) / pixels
 
 
 def _power(image: NDArray[np.float32]) -> Array:
-    """Power of every mode of an image but its mean."""
-    power = np.abs(np.fft.fft2(image.astype(np.float64))) ** 2
+    """Power of every mode of an image but its mean, half of the plane."""
+    from scipy import fft
+
+    power = np.abs(np.asarray(fft.rfft2(image, workers=1))).astype(np.float64) ** 2
     power[0, 0] = 0.0
     return power

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.level import Level, read_level
+from charact.noise.level import Level
+from charact.noise.parts import read_levels_of
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import Session
@@ -60,7 +61,7 @@ class Series:
 def read_levels(
     session: Session, *, context: Context, spectra: bool, cubes: bool = False
 ) -> tuple[list[Level], list[Level], list[str]]:
-    """Read every dark and flat of a session, one stack at a time.
+    """Read every dark and flat of a session, part by part.
 
     Returns
     -------
@@ -74,9 +75,8 @@ def read_levels(
     """
     darks, flats, single = [], [], []
     entries = session.of_kind("dark", "flat")
-    for done, entry in enumerate(entries):
-        context.progress(f"noise of {entry.label}", done / max(1, len(entries)))
-        level = read_level(entry, context=context, spectra=spectra, cube=cubes)
+    read = read_levels_of(entries, context=context, spectra=spectra, cubes=cubes)
+    for entry, level in zip(entries, read, strict=True):
         if level is None:
             single.append(entry.label)
         else:

@@ -1,5 +1,7 @@
 """Autocovariance in time without bias, from a few exposures whose mean was taken away."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,10 +46,17 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
 
 def _solution(time, parity, lags, within_parity: bool):
     """The pairs of every lag, and the matrix that undoes the centring."""
-    usable = (parity[:, None] == parity[None, :]) if within_parity else np.ones((len(time), len(time)), bool)
-    distance = np.abs(time[:, None] - time[None, :])
+    return _solved(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
+
+
+@lru_cache(maxsize=64)
+def _solved(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
+    """The same, remembered: most stacks of a session are exposed alike."""
+    when, rows = np.array(time), np.array(parity)
+    usable = (rows[:, None] == rows[None, :]) if within_parity else np.ones((len(when), len(when)), bool)
+    distance = np.abs(when[:, None] - when[None, :])
     pairs = [(distance == lag) & usable for lag in lags]
-    project = centring(parity)
+    project = centring(rows)
     centred = [project @ (distance == lag) @ project for lag in lags]
     return pairs, np.linalg.inv(np.array([[matrix[pair].mean() for matrix in centred] for pair in pairs]))
 

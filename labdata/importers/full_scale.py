@@ -26,9 +26,14 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
     if data.dtype == np.uint8:
         return replace(stack, full_scale_dn=255.0)
     highest = int(data.max())
-    bits = (highest + 1).bit_length() - 1
     held = int(np.count_nonzero(data == highest))
-    if highest + 1 != 2**bits or bits < LEAST_BITS or held < LEAST_PIXELS:
+    if not ends_at(highest, held):
         return stack
+    bits = highest.bit_length()
     note = f"{FOUND}: {held} pixels hold the highest code, {highest} DN, which is that of {bits} bits"
     return replace(stack, full_scale_dn=float(highest), notes=(*stack.notes, note))
+
+
+def ends_at(highest: int, held: int) -> bool:
+    """Whether the highest code in the data, held by so many pixels, is the last one of a digitiser."""
+    return highest.bit_length() >= LEAST_BITS and highest == 2 ** highest.bit_length() - 1 and held >= LEAST_PIXELS

@@ -47,9 +47,18 @@ def lazy(path: str | Path) -> Any:
     return _array(Path(path)), len(journal(path))
 
 
+def block(path: Path, array: Any, acknowledged: tuple[Acknowledged, ...]) -> NDArray:
+    """Read some frames that follow one another of an array opened by `lazy`; altered or missing ones are a BadInput."""
+    data = array[acknowledged[0].index : acknowledged[-1].index + 1]
+    if len(data) < len(acknowledged):
+        raise BadInput(f"{path} must hold the frames of its journal, got none from frame {acknowledged[0].index} on")
+    _check(path, data, acknowledged)
+    return data
+
+
 def _check(path: Path, data: NDArray, frames: tuple[Acknowledged, ...]) -> None:
     for entry in frames:
-        if sha256(data[entry.index]) != entry.sha256:
+        if sha256(data[entry.index - frames[0].index]) != entry.sha256:
             raise BadInput(
                 f"every frame must be what was acknowledged, got other pixels in frame {entry.index} of {path}"
             )

@@ -5,8 +5,10 @@ import pytest
 
 from charact import noise
 from charact.method import Context
+from charact.noise.fields import order_of
 from charact.noise.hidden import Effect
-from charact.noise.pixels import neighbours, successors
+from charact.noise.pixels import below, beside, pixel_sums, successors
+from charact.noise.spectrum import NO_BINS
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 
@@ -97,15 +99,20 @@ def test_codes_that_pile_up_are_the_end_of_the_range_though_nobody_told(ccd, ser
     assert abs(errors(one(result, "system_gain"), 0.5)) < 4.5
 
 
+def sums_of(image):
+    """Sums over the pixels of frames that follow one another."""
+    order = order_of(np.arange(len(image)), interlaced=False)
+    return pixel_sums(image, order, NO_BINS), order.parity
+
+
 def test_independent_noise_has_neither_neighbours_nor_successors(seed):
-    """Both statistics are unbiased however few frames the mean was taken from."""
+    """All three statistics are unbiased however few frames the mean was taken from."""
     rng = np.random.default_rng(seed)
     for frames in (2, 3, 6):
-        change = rng.standard_normal((frames, 96, 128), dtype=np.float32)
-        change -= change.mean(axis=0)
-        value, sd = neighbours(change)
-        assert abs(value) < 4.5 * sd
-        value, sd = successors(change, np.arange(frames), np.zeros(frames, int))
+        sums, parity = sums_of(rng.standard_normal((frames, 96, 128), dtype=np.float32))
+        for value, sd in (beside(sums), below(sums)):
+            assert abs(value) < 4.5 * sd
+        value, sd = successors(sums, parity)
         assert (np.isinf(sd) and frames == 2) or abs(value) < 4.5 * sd
 
 
@@ -113,11 +120,38 @@ def test_successors_are_weighed_against_frames_further_apart(seed):
     """A moving mean of two frames: neighbours in time share half, others nothing."""
     rng = np.random.default_rng(seed)
     white = rng.standard_normal((13, 96, 128), dtype=np.float32)
-    change = (white[1:] + white[:-1]) / np.float32(np.sqrt(2.0))
-    change -= change.mean(axis=0)
-    value, sd = successors(change, np.arange(12), np.zeros(12, int))
+    value, sd = successors(*sums_of((white[1:] + white[:-1]) / np.float32(np.sqrt(2.0))))
     # Centring lowers the variance by the mean covariance of all pairs, 11 of 66 sharing a half.
     assert abs(value - 0.5 / (1.0 - 0.5 * 11 / 66)) < 4.5 * sd
+
+
+def test_sums_over_pixels_are_those_of_plain_arithmetic(seed):
+    """Four frames of two fields, each at its own level over unequal pixels: every sum written out."""
+    rng = np.random.default_rng(seed)
+    rows, cols = 160, 440
+    fixed = 50.0 * rng.standard_normal((2 * rows, cols))
+    frames = (fixed + 9.0 * rng.standard_normal((4, 2 * rows, cols)) + np.arange(4)[:, None, None]).astype(np.float32)
+    sums = pixel_sums(frames, order_of(np.arange(4), interlaced=True), NO_BINS)
+    image = np.stack([frames[:, 0::2], frames[:, 1::2]], axis=1).reshape(8, rows, cols).astype(float)
+    parity = np.arange(8) % 2
+    level = image - image.mean(axis=(1, 2), keepdims=True)
+    mean = np.stack([level[parity == p].mean(axis=0) for p in (0, 1)])
+    change = (level - mean[parity]) * np.sqrt(rows * cols / (rows * cols - 1))
+    products = np.einsum("irc,jrc->ij", change, change) / (rows * cols) * (parity[:, None] == parity)
+    assert sums.products == pytest.approx(products, rel=1e-5, abs=1e-4)
+    assert sums.with_mean == pytest.approx(np.einsum("irc,irc->i", change, mean[parity]) / (rows * cols), abs=1e-3)
+    assert sums.mean_square == pytest.approx((mean**2).mean(axis=(1, 2)), rel=1e-5)
+    assert sums.mean_dn == pytest.approx(image.mean(axis=(1, 2)), rel=1e-5)
+    # The last block of rows lies in both bands.
+    low, high = int(rows * 5 / 6), rows
+    block, right = change[:, low:high, :55], change[:, low:high, 1:56]
+    assert sums.power[40] == pytest.approx((block**2).sum(axis=0).mean(), rel=1e-5)
+    assert sums.beside[40] == pytest.approx((block * right).sum(axis=0).mean(), rel=1e-3, abs=0.1)
+    under = (block * change[:, low - 1 : high - 1, :55]).sum(axis=0).mean()
+    assert sums.below[40] == pytest.approx(under, rel=1e-3, abs=0.1)
+    nearest = sum((block[i] * block[i + 2]).mean() for i in range(6))
+    assert (sums.near[40], sums.pairs) == (pytest.approx(nearest, rel=1e-3), 6)
+    assert sums.level[40] == pytest.approx(image[:, low:high, :55].mean(), rel=1e-4)
 
 
 def test_what_a_weak_test_cannot_exclude_is_in_the_interval(ccd, series, seed):

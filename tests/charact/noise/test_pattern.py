@@ -5,20 +5,17 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.fields import Exposures, fluctuations
+from charact.noise.fields import order_of
 from charact.noise.pattern import fixed_pattern
+from charact.noise.pixels import pixel_sums
+from charact.noise.spectrum import NO_BINS
 
 QUICK = Context(seed=1, quick=True)
 
 
-def exposures(image) -> Exposures:
-    count = len(image)
-    return Exposures(image=image.astype(np.float32), time=np.arange(count), parity=np.zeros(count, int), row_step=1)
-
-
 def pattern_of(image):
-    shots = exposures(image)
-    return fixed_pattern(shots, fluctuations(shots), 1)
+    order = order_of(np.arange(len(image)), interlaced=False)
+    return fixed_pattern(order, pixel_sums(image, order, NO_BINS), 1)
 
 
 def kept(rng, share, count, shape=(96, 128)):

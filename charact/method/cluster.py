@@ -1,0 +1,52 @@
+"""The workers that parts of the work are spread over: those of a Dask scheduler, or none but this process."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from labdata.errors import BadInput
+
+Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
+
+CONNECT_S = 10.0
+
+
+@contextmanager
+def spread_over(scheduler: str | None) -> Iterator[Spread]:
+    """Yield what applies a function to parts and returns what it gives in their order.
+
+    Parameters
+    ----------
+    scheduler
+        Address of a Dask scheduler, such as "tcp://host:8786", whose workers see the session's files under the same
+        paths; None: `map`, in this process.
+
+    Raises
+    ------
+    BadInput
+        If Dask is not installed, no scheduler answers, or a worker dies of its part.
+    """
+    if scheduler is None:
+        yield map
+        return
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError:
+        raise BadInput("--scheduler needs Dask (pip install 'charact[dask]'), which is not installed") from None
+    try:
+        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError):
+        raise BadInput(f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}") from None
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise BadInput(f"a Dask scheduler must have at least one worker, got none at {scheduler}")
+        try:
+            yield lambda function, parts: _in_order(client.map(function, parts, pure=False))
+        except KilledWorker as error:
+            raise BadInput(f"workers must live through their part of the work, got: {error}") from None
+
+
+def _in_order(futures: list[Any]) -> Iterator[Any]:
+    """What the futures give, each let go when it is there."""
+    while futures:
+        yield futures.pop(0).result()

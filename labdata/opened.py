@@ -1,0 +1,132 @@
+"""A stack opened but not read: its frames come a run at a time, so that it may be larger than memory."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.session import StackEntry
+from labdata.store import is_ours, journal
+from labdata.store.reading import block, lazy
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenStack:
+    """Frames that are read when they are asked for.
+
+    Parameters
+    ----------
+    label
+        As in the session.
+    shape
+        Frames, rows and columns.
+    dtype
+        Type of the pixels.
+    time_s, frame_number
+        As in `labdata.frames.FrameStack`.
+    full_scale_dn
+        Highest code where it is stated, DN; None where only the frames could show it.
+    block
+        Returns the frames first..last-1, shape (frame, row, col).
+    """
+
+    label: str
+    shape: tuple[int, int, int]
+    dtype: np.dtype
+    time_s: NDArray
+    frame_number: NDArray
+    full_scale_dn: float | None
+    block: Callable[[int, int], NDArray]
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes that all frames take."""
+        return int(np.prod(self.shape)) * self.dtype.itemsize
+
+    def frames(self, first: int, last: int) -> NDArray:
+        """Read the frames first..last-1.
+
+        Raises
+        ------
+        BadInput
+            If a pixel is not finite or above the highest code of its bit depth, or a frame is not as acknowledged.
+        """
+        return self.block(first, last)
+
+    def loaded(self) -> "OpenStack":
+        """Return the same with all frames in memory."""
+        data = self.frames(0, len(self))
+        return replace(self, block=lambda first, last: data[first:last])
+
+
+def open_stack(entry: StackEntry) -> OpenStack:
+    """Open a stack: a Zarr array or a .npy file without reading it, anything else read whole.
+
+    Raises
+    ------
+    BadInput
+        As `StackEntry.read`.
+    """
+    path = entry.paths[0] if isinstance(entry.frames, str) else None
+    if path is not None and is_ours(path):
+        return _of_store(entry, path)
+    array = None if path is None else _mapped(path)
+    if array is not None and array.ndim == 3 and array.dtype.kind in "uif" and array.size and array.dtype.isnative:
+        return _opened(entry, array, lambda first, last: np.asarray(array[first:last]))
+    stack = entry.read()
+    return OpenStack(label=entry.label, shape=stack.shape, dtype=stack.data.dtype, time_s=stack.time_s,
+                     frame_number=stack.frame_number, full_scale_dn=stack.full_scale_dn,
+                     block=lambda first, last: stack.data[first:last])  # fmt: skip
+
+
+def _of_store(entry: StackEntry, path: Path) -> OpenStack:
+    acknowledged = journal(path)
+    if not acknowledged:
+        raise BadInput(f"a stack must hold at least one frame, got none in {path}")
+    array, _ = lazy(path)
+    stamps = {
+        "time_s": np.array([frame.time_s for frame in acknowledged]),
+        "frame_number": np.array([frame.frame_number for frame in acknowledged], np.int64),
+    }
+    found = _opened(entry, array, lambda first, last: block(path, array, acknowledged[first:last]), **stamps)
+    return replace(found, shape=(len(acknowledged), *found.shape[1:]))
+
+
+def _opened(entry: StackEntry, array, block: Callable[[int, int], NDArray], **stamps: NDArray) -> OpenStack:
+    stated = None if entry.bit_depth is None else float(2**entry.bit_depth - 1)
+    return OpenStack(label=entry.label, shape=tuple(array.shape), dtype=np.dtype(array.dtype),
+                     time_s=stamps.get("time_s", np.empty(0)),
+                     frame_number=stamps.get("frame_number", np.empty(0, np.int64)),
+                     full_scale_dn=255.0 if stated is None and array.dtype == np.uint8 else stated,
+                     block=lambda first, last: _checked(entry, block(first, last)))  # fmt: skip
+
+
+def _checked(entry: StackEntry, data: NDArray) -> NDArray:
+    """Frames whose pixels are what a stack may hold."""
+    if data.dtype.kind == "f" and not np.isfinite(data).all():
+        bad = int(data.size - np.count_nonzero(np.isfinite(data)))
+        raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite in stack {entry.label!r}")
+    if entry.bit_depth is not None and data.max() > 2**entry.bit_depth - 1:
+        raise BadInput(
+            f"pixels must not exceed the {2**entry.bit_depth - 1} DN of {entry.bit_depth} bits, "
+            f"got {data.max()} in stack {entry.label!r}"
+        )
+    return data
+
+
+def _mapped(path: Path):
+    """The array of a Zarr folder or of a .npy file, its pixels unread; None for anything else."""
+    try:
+        if (path / "zarr.json").is_file():
+            import zarr
+
+            return zarr.open_array(path, mode="r")
+        return np.load(path, mmap_mode="r", allow_pickle=False) if path.suffix.lower() == ".npy" else None
+    except (OSError, ValueError, EOFError):
+        return None

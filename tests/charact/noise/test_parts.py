@@ -1,0 +1,115 @@
+"""However a stack is cut and wherever it is read, its statistics are the same bytes, in little memory."""
+
+import shutil
+import sys
+from dataclasses import fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+
+from charact.measuring import context_of
+from charact.method.cluster import spread_over
+from charact.noise import parts
+from charact.noise.series import read_levels
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.session import open_session
+from labdata.store import SessionWriter
+
+SHAPE = (64, 96)
+# More than one run of 32 frames, so that large stacks have several parts.
+FRAMES = {"dark": 40, "flat-0": 70, "flat-1": 2}
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory, seed):
+    """A session of the store: blurred noise above a pattern."""
+    from scipy.ndimage import gaussian_filter
+
+    rng = np.random.default_rng(seed)
+    folder = tmp_path_factory.mktemp("spread") / "session"
+    pattern = 5.0 * rng.standard_normal(SHAPE)
+    with SessionWriter.create(folder, name="spread", bit_depth=12) as writer:
+        for label, count in FRAMES.items():
+            kind = "dark" if label == "dark" else "flat"
+            with writer.begin_stack(label, kind, SHAPE, np.uint16, Conditions()) as stack:
+                for number in range(count):
+                    noise = gaussian_filter(20.0 * rng.standard_normal(SHAPE), 0.7) + rng.standard_normal(SHAPE)
+                    frame = 300.0 + 100.0 * (label != "dark") + pattern + noise
+                    stack.append(np.rint(frame).astype(np.uint16), number / 30.0, number)
+                stack.finish()
+    return open_session(folder)
+
+
+def same(one, two) -> bool:
+    """Whether two values are equal to the last bit, the time they took aside."""
+    if is_dataclass(one):
+        names = [field.name for field in fields(one) if field.name != "seconds"]
+        return type(one) is type(two) and all(same(getattr(one, name), getattr(two, name)) for name in names)
+    if isinstance(one, np.ndarray):
+        return one.dtype == two.dtype and one.tobytes() == two.tobytes()
+    if isinstance(one, dict):
+        return list(one) == list(two) and all(same(one[key], two[key]) for key in one)
+    if isinstance(one, list | tuple):
+        return len(one) == len(two) and all(map(same, one, two))
+    return one == two
+
+
+def levels(session, **more):
+    darks, flats, single = read_levels(
+        session, context=context_of(session, quick=True, seed=1, **more), spectra=True, cubes=True
+    )
+    assert not single
+    return darks + flats
+
+
+def test_a_stack_larger_than_memory_has_the_statistics_of_one_that_is_not(session, monkeypatch):
+    whole = levels(session)
+    monkeypatch.setattr(parts, "WHOLE_BYTES", 0)
+    assert same(levels(session), whole)
+
+
+def test_two_workers_of_a_cluster_give_the_same_bytes(session, monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
+    here = levels(session)
+    monkeypatch.setattr(parts, "WHOLE_BYTES", 2**19)
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+        ) as cluster,
+        spread_over(cluster.scheduler_address) as spread,
+    ):
+        assert same(levels(session, spread=spread), here)
+        broken = replace(session.stacks[0], frames="frames/none")
+        with pytest.raises(BadInput):
+            list(spread(parts.found_of, [replace(_part(session), entry=broken)]))
+
+
+def _part(session):
+    context = context_of(session, quick=True, seed=1)
+    return parts.Part(entry=session.stacks[0], runs=((0, 2),), cube=False, spectra=False, context=context, whole=False)
+
+
+def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(session, tmp_path, monkeypatch):
+    copy = tmp_path / "copy"
+    shutil.copytree(session.folder, copy)
+    (journal,) = (path for path in copy.rglob("journal.jsonl") if "dark" in path.parent.name)
+    lines = journal.read_text().splitlines()
+    lines[35] = lines[35].replace('"sha256": "', '"sha256": "0')
+    journal.write_text("\n".join(lines) + "\n")
+    monkeypatch.setattr(parts, "WHOLE_BYTES", 0)
+    with pytest.raises(BadInput, match="frame 35"):
+        levels(open_session(copy))
+
+
+def test_a_scheduler_that_does_not_answer_ends_in_one_sentence(monkeypatch):
+    pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
+    monkeypatch.setattr("charact.method.cluster.CONNECT_S", 0.5)
+    with pytest.raises(BadInput, match="running Dask scheduler"), spread_over("tcp://127.0.0.1:9"):
+        pass
+
+
+def test_without_dask_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(BadInput, match=r"charact\[dask\]"), spread_over("tcp://127.0.0.1:9"):
+        pass
