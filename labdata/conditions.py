@@ -30,8 +30,8 @@ class Conditions:
     illuminance_lux
         Illuminance on the photocathode from the brightest large area of the target, 2856 K, lux.
     illuminance_relative_sd
-        Relative standard uncertainty of the illuminance, dimensionless; one meter for the whole session, so the
-        error is common to all its stacks.
+        Relative standard uncertainty of the illuminance, or of the photons on a pixel, dimensionless; one meter for
+        the whole session, so the error is common to all its stacks.
     photons_per_px
         Photons that fall on one pixel in one exposure.
     camera_gain_db

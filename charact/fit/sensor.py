@@ -12,6 +12,7 @@ from charact.fit.gather import observations
 from charact.fit.levels import levels_of
 from charact.fit.model import Model, doubted, model_of, most_probable, posterior_of
 from charact.fit.product import shared_out
+from charact.noise.light import UNSTATED_ILLUMINANCE_SD
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
 from labdata.parameter import Parameter
@@ -25,8 +26,6 @@ Progress = Callable[[str, float], None]
 IDENTIFIED_SHARE = 0.7
 # The description's own values must reproduce the data this well, in units of chi-squared above the best there is.
 WORST_MISFIT = 1.0
-# A photometer whose uncertainty nobody stated.
-UNSTATED_ILLUMINANCE_SD = 0.1
 # Parameters that the light meter's one error goes into.
 _METERED = (
     "tube.luminous_gain",

@@ -11,6 +11,7 @@ from charact.noise.checks import series_findings
 from charact.noise.findings import Finding
 from charact.noise.gain_knob import KNOBS, Knob, rounded, turned
 from charact.noise.level import Level
+from charact.noise.light import relative_sd_of
 from charact.noise.one_gain import LEAST_BINS, OneGain, one_gain
 from charact.noise.series import longest_series, series_of_one_gain
 from charact.noise.verdict import problem
@@ -183,7 +184,9 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
         white=white,
         light=light,
         light_unit=unit,
-        light_relative_sd=max((flat.conditions.illuminance_relative_sd or 0.0) for flat in flats),
+        light_relative_sd=relative_sd_of(
+            [flat.conditions for flat in flats], "photons/px" if unit == "photon" else "lux"
+        )[0],
         signal_dn=series.signal_dn[chosen],
         signal_sd_dn=np.array(signal_sd),
         levels_dn=covariance,

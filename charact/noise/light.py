@@ -97,12 +97,17 @@ def light_of_series(series: Series) -> Light | str:
         longest = max((time for time in times if time), default=None)
         share = np.array([1.0 if time is None or longest is None else time / longest for time in times])
         amount, unit = np.array(lux, float) * share, "lux"
-    elif all(photons):
-        amount, unit, longest = np.array(photons, float), "photons/px", None
-    else:
-        return "the light on the flats is unknown: illuminance_lux or photons_per_px of every flat is needed"
-    relative_sd, stated = relative_sd_of(known, unit)
-    return Light(amount=amount, unit=unit, seconds=longest, relative_sd=relative_sd, stated=stated)
+        relative_sd, stated = relative_sd_of(known, unit)
+        return Light(amount=amount, unit=unit, seconds=longest, relative_sd=relative_sd, stated=stated)
+    if all(photons):
+        return light_of_photons(series, np.array(photons, float))
+    return "the light on the flats is unknown: illuminance_lux or photons_per_px of every flat is needed"
+
+
+def light_of_photons(series: Series, photons: Array) -> Light:
+    """Return the light of flats whose photons on a pixel are known."""
+    relative_sd, stated = relative_sd_of([flat.conditions for flat in series.flats], "photons/px")
+    return Light(amount=photons, unit="photons/px", seconds=None, relative_sd=relative_sd, stated=stated)
 
 
 def signal_sd(flat: Level, dark: Level) -> float:

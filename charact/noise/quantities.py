@@ -11,6 +11,7 @@ from charact.noise import standard
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.hidden import FEW_FRAMES
 from charact.noise.level import Level
+from charact.noise.light import light_of_photons
 from charact.noise.series import Series
 from labdata.measurement import Measurement, from_draws, from_sd, refused
 
@@ -126,7 +127,9 @@ def white_quantities(series: Series, gain: standard.Line, *, context: Context, f
     if photons is not None and (photons > 0).all():
         response = standard.responsivity_line(series, photons, context=context)
         efficiency = rng.permutation(response.slope) / slope
-        out.append(from_draws("quantum_efficiency", "%", 100 * efficiency, flags=flags, **fields))
+        light = light_of_photons(series, photons)
+        true = efficiency / light.scale(context.seed, len(efficiency))
+        out.append(from_draws("quantum_efficiency", "%", 100 * true, flags=flags, notes=(light.note,), **fields))
         out.append(_linearity(series, response, photons, flags=flags, **fields))
     if not series.all_darks:
         return out

@@ -257,3 +257,20 @@ def test_ratios_and_minima_stand_among_the_results_of_charact_noise(pulses, in_m
     alone = measured(session)
     assert [m.value for m in of(result, "snr")] == [m.value for m in of(alone, "snr")]
     assert of(result, "minimum_illumination")[0].status == "ok"
+
+
+@pytest.mark.parametrize("relative_sd", [None, 0.04])
+def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(pulses, in_memory, seed, relative_sd):
+    """Efficiency 50 %, photons recorded 4 % too many: one standard error where it is stated."""
+    camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=(96, 128))
+    rng = np.random.default_rng(seed)
+    stacks = [("dark", "dark", camera.frames(rng, 0.0, 16), Conditions())]
+    stacks += [(f"flat-{electrons:g}", "flat", camera.frames(rng, electrons, 8), Conditions(
+                photons_per_px=2.08 * electrons, illuminance_relative_sd=relative_sd))
+               for electrons in (400.0, 1500.0, 4000.0, 9000.0)]  # fmt: skip
+    (found,) = of(noise.measure(in_memory(stacks), method="variance", context=QUICK), "quantum_efficiency")
+    if relative_sd is None:
+        assert any("taken for exact" in note for note in found.notes)
+        assert found.interval95[1] < 50.0
+    else:
+        assert errors(found, 50.0) == pytest.approx(-1.0, abs=0.3)
