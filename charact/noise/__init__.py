@@ -1,13 +1,13 @@
 """Noise against gain, from dark and evenly lit frames."""
 
 from charact.method import Context, choose
-from charact.noise import covariance_sum, variance
+from charact.noise import covariance_sum, lag_window, near_zero, variance
 from charact.noise.separation_pulses import with_pulses
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
-__all__ = ["covariance_sum", "measure", "variance"]
+__all__ = ["covariance_sum", "lag_window", "measure", "near_zero", "variance"]
 
 
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:

@@ -20,7 +20,7 @@ from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain_sweep import gain_sweep
 from charact.noise.level import Level
 from charact.noise.light_snr import snr_against_light
-from charact.noise.one_gain import LEAST_BINS, OneGain, blur_exponent, one_gain
+from charact.noise.one_gain import LEAST_BINS, Estimate, OneGain, blur_exponent, one_gain
 from charact.noise.provenance import provenance
 from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.separation import separated
@@ -32,12 +32,13 @@ from labdata.measurement import Measurement, Result, from_draws, refused
 from labdata.session import Session
 
 METHOD = "covariance-sum"
+QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain")
 
 
 @register(
     "flats",
     METHOD,
-    quantities=("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain"),
+    quantities=QUANTITIES,
     preferred=True,
     scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more. "
     "Where noise is white the gains are slopes over all levels: a response that bends by up to 2 % goes unflagged.",
@@ -57,17 +58,23 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     Covariance gain is K + k F^2, the power of the noise at frequency 0 over the signal, summed over the lags of the
     phosphor. See `charact.noise.model`.
     """
+    return measured(session, context=context, method=METHOD)
+
+
+def measured(session: Session, *, context: Context, method: str, estimate: Estimate | None = None) -> Result:
+    """Return all that darks and flats tell, the covariance gain by an estimate of one's own; None: by the model."""
     began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
-    result = _of_levels(darks, flats, single, context, began) + three_dimensional([*darks, *flats], context=context)
+    fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
+    result = _of_levels(darks, flats, single, context, fields, estimate, began)
+    result += three_dimensional([*darks, *flats], context=context)
     result += gain_sweep(darks, flats, context=context)
     return result + snr_against_light(darks, flats, context=context)
 
 
-def _of_levels(darks: list[Level], flats: list[Level], single: list[str], context: Context, began: float
-               ) -> Result:  # fmt: skip
+def _of_levels(darks: list[Level], flats: list[Level], single: list[str], context: Context, fields: dict[str, Any],
+               estimate: Estimate | None, began: float) -> Result:  # fmt: skip
     """Gains and all that follows from them, or why there are none."""
-    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     small = too_small([*darks, *flats])
     if small is not None:
         out = [refused(name, unit, small, **fields) for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))]
@@ -79,7 +86,7 @@ def _of_levels(darks: list[Level], flats: list[Level], single: list[str], contex
         # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=timed([*out, *alone.measurements], began), evidence=alone.evidence)
-    return _of_series(series, context, fields, began)
+    return _of_series(series, context, fields, estimate, began)
 
 
 def too_small(levels: list[Level]) -> str | None:
@@ -93,10 +100,11 @@ def too_small(levels: list[Level]) -> str | None:
     )
 
 
-def _of_series(series: Series, context: Context, fields: dict[str, Any], began: float) -> Result:
+def _of_series(series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None, began: float
+               ) -> Result:  # fmt: skip
     """All quantities of a series of flats."""
     context.progress("posterior of the covariance gain", 0.9)
-    pooled = one_gain(series, context=context, quick=context.quick)
+    pooled = one_gain(series, context=context, quick=context.quick, estimate=estimate)
     white = pooled.white
     if not white:
         pooled = pooled.at_low_signal(context)

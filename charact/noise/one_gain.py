@@ -1,5 +1,6 @@
 """The covariance gain of the flats of one gain: pooled noise, the blur fitted to it, and what is wrong with either."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from charact.noise import model, standard
 from charact.noise.checks import exposure_findings
 from charact.noise.findings import Finding
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
+from charact.noise.reach import with_power
 from charact.noise.series import Series
 from charact.noise.summary import Summary, summarise
 from charact.noise.verdict import lit
@@ -76,7 +78,11 @@ class OneGain:
         return _departures(self.series, self.levels_dn, self.levels_sd_dn)
 
 
-def one_gain(series: Series, *, context: Context, quick: bool) -> OneGain:
+# From a series and its noise per DN of signal to the covariance over signal of one exposure and its standard error, DN.
+Estimate = Callable[[Series, Summary], tuple[float, float]]
+
+
+def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimate | None = None) -> OneGain:
     """Fit blur and covariance gain to a series.
 
     Parameters
@@ -87,9 +93,14 @@ def one_gain(series: Series, *, context: Context, quick: bool) -> OneGain:
         Seed, and the sensor for the prior of the blur.
     quick
         Without a Markov chain.
+    estimate
+        How the covariance gain is estimated; None: as the model of the spectrum has it.
     """
     summary = summarise(series)
+    quick = quick or estimate is not None
     fit = model.fit(summary, seed=context.seed, quick=quick, exponent=blur_exponent(context))
+    if estimate is not None:
+        fit = with_power(fit, summary, *estimate(series, summary), seed=context.seed)
     levels, spread = _level_gains(series, summary, fit)
     exposures = shared_by_exposures(series)
     if not summary.lag.tested and exposures.allowance:

@@ -86,12 +86,9 @@ class Summary:
 
 def summarise(series: Series) -> Summary:
     """Pool the fitted flats of a series, each by what it knows."""
-    chosen = np.flatnonzero(series.fitted)
+    chosen, weight = pooling(series)
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]
-    signal = series.signal_dn[chosen]
-    exposures = np.array([flat.runs * (len(flat.time) - len(np.unique(flat.parity))) for flat, _ in pairs], float)
-    weight = exposures * signal / np.array([flat.variance_dn2 for flat, _ in pairs]) ** 2
-    weight = weight / (weight @ signal)
+    exposures = np.array([_exposures(flat) for flat, _ in pairs])
     bins = pairs[0][0].bins
     dark = weight @ np.array([d.many.power_dn2[:, 0] for _, d in pairs])
     fields = len(np.unique(pairs[0][0].parity))
@@ -113,6 +110,22 @@ def summarise(series: Series) -> Summary:
         height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
         lag=lag,
     )
+
+
+def pooling(series: Series) -> tuple[NDArray[np.int64], Array]:
+    """Return the flats to pool and the weight of what each has above its dark, shape (flat,), 1/DN.
+
+    Weighted sums of variances are variances over signal.
+    """
+    chosen = np.flatnonzero(series.fitted)
+    signal, flats = series.signal_dn[chosen], [series.flats[i] for i in chosen]
+    weight = np.array([_exposures(flat) / flat.variance_dn2**2 for flat in flats]) * signal
+    return chosen, weight / (weight @ signal)
+
+
+def _exposures(level: Level) -> float:
+    """Independent exposures of a level."""
+    return float(level.runs * (len(level.time) - len(np.unique(level.parity))))
 
 
 def _by_heights(flat: Level, exposures: float) -> float:

@@ -39,6 +39,8 @@ class FlatScene:
         K, DN per CCD electron.
     blur_px
         Standard deviation of the Gaussian blur after the gain, px.
+    wings_cy_per_px
+        Frequency fc of the blur exp(-(f/fc)^1.2) of an image tube that comes on top, cycles per px; infinite: none.
     photoelectrons
         Mean photoelectrons per pixel and frame at each level; the first stack is dark.
     rows, cols, frames
@@ -59,6 +61,7 @@ class FlatScene:
     excess_noise_factor: float = 2.0
     electron_gain_dn: float = 0.05
     blur_px: float = 0.6
+    wings_cy_per_px: float = np.inf
     photoelectrons: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
     rows: int = 192
     cols: int = 256
@@ -113,8 +116,19 @@ class FlatScene:
         pulses = _pulse_heights(counted, self.excess_noise_factor, rng) * self.photoelectron_gain_dn
         if self.blur_px > 0:
             pulses = gaussian_filter(pulses, (0, self.blur_px, self.blur_px), mode="wrap", truncate=6)
+        if np.isfinite(self.wings_cy_per_px):
+            pulses = _with_wings(pulses, self.wings_cy_per_px)
         lagged = (1 - self.lag) * pulses[1:] + self.lag * pulses[:-1]
         return self.electron_gain_dn * rng.poisson(np.maximum(lagged, 0) / self.electron_gain_dn)
+
+
+def _with_wings(pulses: NDArray[np.floating], frequency_cy_per_px: float) -> NDArray[np.floating]:
+    """Blur by exp(-(f/fc)^1.2), as image tubes do."""
+    from scipy.fft import irfft2, rfft2
+
+    rows, cols = pulses.shape[1:]
+    radius = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None, :])
+    return irfft2(rfft2(pulses) * np.exp(-((radius / frequency_cy_per_px) ** 1.2)), s=(rows, cols))
 
 
 def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> NDArray[np.floating]:
@@ -215,9 +229,16 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
-    """Cases inside the scope, drawn at random: gain, pulse heights, blur and number of frames."""
+    """Cases inside the scope, drawn at random: gain, pulse heights, blur, every other with wings, number of frames."""
     rng = np.random.default_rng([seed, 4])
-    scenes = [replace(_base(rng), frames=int(rng.integers(24, 49))) for _ in range(count)]
+    scenes = [
+        replace(
+            _base(rng),
+            frames=int(rng.integers(24, 49)),
+            wings_cy_per_px=float(rng.uniform(0.2, 0.5)) if number % 2 else np.inf,
+        )
+        for number in range(count)
+    ]
     return tuple(
         flat_case("covariance_gain", "in scope", number, "", scene, True, int(rng.integers(1 << 31)))
         for number, scene in enumerate(scenes)

@@ -56,6 +56,10 @@ class Case:
     arguments: Mapping[str, Any] = field(default_factory=dict)
     context: Mapping[str, Any] = field(default_factory=dict)
 
+    def drawn(self) -> Any:
+        """Draw the input from the seed."""
+        return self.draw(np.random.default_rng(self.seed))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
@@ -135,13 +139,20 @@ class Stopwatch:
         return min(time.perf_counter() - self._wall, time.process_time() - self._processor)
 
 
-def attempt(method: Method, case: Case, context: Context) -> Row:
+def attempt(method: Method, case: Case, context: Context, *, material: Any = None) -> Row:
     """Give one case to one method and judge what comes back.
 
+    Parameters
+    ----------
+    material
+        What the case draws, where it is drawn already.
+
+    Notes
+    -----
     A `BadInput` is a refusal. Any other exception, and any warning, is a crash: a user would see it.
     """
     base = {key: getattr(case, key) for key in ("kind", "axis", "position", "unit", "in_scope", "seed", "truth")}
-    material = case.draw(np.random.default_rng(case.seed))
+    material = case.drawn() if material is None else material
     context = replace(context, **{"seed": case.seed, **case.context})
     clock = Stopwatch()
     try:
@@ -197,7 +208,8 @@ def run(
     rows: list[Row] = []
     for number, case in enumerate(cases):
         progress(case.name, number / len(cases))
-        rows += [attempt(method, case, context) for method in methods if method.kind == case.kind]
+        material = case.drawn()
+        rows += [attempt(method, case, context, material=material) for method in methods if method.kind == case.kind]
     progress("cases done", 1.0)
     return tuple(rows)
 

@@ -74,7 +74,7 @@ FLATS = Study(
     axes=tuple(flats.AXES),
     chart_cases=flats.chart_cases,
     stability_cases=flats.stability_cases,
-    chart_count=8,
+    chart_count=24,
     quick_count=2,
     repeats=1,
 )
