@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import charact
-from charact import noise
-from charact.method import Context
+import charact.noise  # registers the methods
+from charact.method import Context, choose
 from charact.study.failure_map import one_thread_each
 from charact.study.flats import HeldStack
 from charact.study.gain_bound import least_relative_sd
@@ -118,8 +118,8 @@ def measured_once(number: int, repeat: int) -> tuple[Measurement, Measurement]:
     """Return the covariance gain and the plain gain by variance of one drawing."""
     session = session_of(scene_of(number), np.random.default_rng([number, DRAWN, repeat]))
     context = Context(seed=repeat, quick=True)
-    (covariance,) = noise.measure(session, method=METHOD, context=context).find("covariance_gain")
-    (plain,) = noise.measure(session, method="variance", context=context).find("system_gain")
+    (covariance,) = choose("flats", METHOD).function(session, context=context).find("covariance_gain")
+    (plain,) = choose("flats", "variance").function(session, context=context).find("system_gain")
     return covariance, plain
 
 

@@ -16,6 +16,11 @@ def scene(**more):
     return FlatScene(rows=128, cols=160, frames=12, photoelectrons=(4.0, 8.0, 16.0), **more)
 
 
+def gain_by(method, session):
+    (gain,) = noise.measure(session, method=method, context=Context(quick=True)).find("covariance_gain")
+    return gain
+
+
 @pytest.fixture(scope="module")
 def compact(seed):
     return scene(blur_px=0.6).session_drawn(np.random.default_rng(seed))
@@ -28,20 +33,19 @@ def winged(seed):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_compact_blur_leaves_the_gain_whole(method, compact):
-    (gain,) = noise.measure(compact, method=method, context=Context(quick=True)).find("covariance_gain")
-    truth = scene().truth_covariance_gain
-    low, high = gain.interval68
+    gain, truth = gain_by(method, compact), scene().truth_covariance_gain
+    low, high = gain.interval68 or (0.0, 0.0)
     assert gain.status == "ok"
-    assert abs(gain.value - truth) < 4.5 * 0.5 * (high - low)
+    assert gain.value is not None and abs(gain.value - truth) < 4.5 * 0.5 * (high - low)
     assert gain.value == pytest.approx(truth, rel=0.12)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_wings_that_are_left_out_are_in_the_interval(method, winged):
-    (gain,) = noise.measure(winged, method=method, context=Context(quick=True)).find("covariance_gain")
-    low, high = gain.interval95
+    gain = gain_by(method, winged)
+    low, high = gain.interval95 or (0.0, 0.0)
     assert low < scene().truth_covariance_gain < high
-    assert gain.value > 0.6 * scene().truth_covariance_gain
+    assert (gain.value or 0.0) > 0.6 * scene().truth_covariance_gain
 
 
 def test_every_estimator_gives_what_the_covariance_sum_gives(compact):
