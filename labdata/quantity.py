@@ -60,6 +60,8 @@ QUANTITIES: dict[str, Quantity] = {
     "noise_tvh": _entry("3-D noise: random", "DN"),
     "quantum_efficiency": _entry("Quantum efficiency", "%"),
     "dark_signal": _entry("Dark signal", "DN", "e-", "e-/s"),
+    "dark_current": _entry("Dark current", "DN/s", "e-/s"),
+    "dark_doubling_temperature": _entry("Warming that doubles the dark current", "K"),
     "saturation": _entry("Saturation level (variance peak)", "DN"),
     "gain_exponent": _entry("Exponent of the gain against what sets it", "1"),
     "gain_doubling": _entry("Step of the control word that doubles the gain", "count"),

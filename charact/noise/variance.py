@@ -8,6 +8,7 @@ import numpy as np
 from charact.method import Context, register
 from charact.noise import standard
 from charact.noise.checks import bent, exposure_flags, hidden_findings, series_findings
+from charact.noise.dark_current import dark_current
 from charact.noise.evidence import transfer_evidence
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
@@ -46,7 +47,8 @@ def variance(session: Session, *, context: Context) -> Result:
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
-        return Result(measurements=timed(without_flats(darks, series, single, **fields), began)) + cubes
+        result = Result(measurements=timed(without_flats(darks, series, single, **fields), began)) + cubes
+        return result + dark_current(darks, result, context=context)
     neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
     findings = series_findings(series, context=context)
     flags = flags_of(findings)
@@ -62,4 +64,5 @@ def variance(session: Session, *, context: Context) -> Result:
     out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
                               **fields)  # fmt: skip
     evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}
-    return Result(measurements=timed(out, began), evidence=evidence) + cubes
+    result = Result(measurements=timed(out, began), evidence=evidence) + cubes
+    return result + dark_current(darks, result, context=context)

@@ -1,0 +1,225 @@
+"""Dark current: how fast the level of darks rises with the exposure, and at how many degrees it doubles."""
+
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.checks import QUANTISED_DN2, unsteadiness
+from charact.noise.findings import Finding, flags_of, notes_of
+from charact.noise.level import Level
+from charact.noise.provenance import provenance
+from charact.noise.quantities import CUT_SHARE
+from charact.noise.standard import QUANTISATION_DN2
+from labdata.measurement import Measurement, Result, from_draws, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "dark-exposures"
+DRAWS = 4000
+# Darks whose temperatures differ by less were taken at one temperature, K.
+SAME_TEMPERATURE_K = 0.5
+# A bend that changes the slope by more than this share, and so many standard errors, is no straight line.
+BENT_SHARE = 0.05
+BENT_ERRORS = 4.0
+# Share of the dark current within which the law of doubling is taken to hold from one temperature to the next.
+LAW_SHARE = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slope:
+    """Dark current at one temperature.
+
+    Parameters
+    ----------
+    temperature_c
+        Mean temperature, degrees Celsius; None if unknown.
+    draws
+        Draws of the current, shape (draw,), DN/s.
+    exposures
+        Number of different exposures.
+    findings
+        What is wrong with it.
+    """
+
+    temperature_c: float | None
+    draws: Array
+    exposures: int
+    findings: tuple[Finding, ...]
+
+
+def dark_current(darks: list[Level], result: Result, *, context: Context) -> Result:
+    """Return the dark current of a series of exposures, and the temperature difference that doubles it.
+
+    Parameters
+    ----------
+    darks
+        Darks; those of the gain and temperature with most exposures tell the current.
+    result
+        What was measured before; its system gain, where it is sound, turns DN into electrons.
+    context
+        Seed.
+
+    Notes
+    -----
+    The mean of darks is mu_d = mu_d0 + mu_I t (EMVA 1288 Release 4, 7.1) and mu_I doubles every T_d kelvin (7.2).
+    Levels that depart from the line by more than their noise widen the interval by Student's law.
+    """
+    if not darks:
+        return Result()
+    began = perf_counter()
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    rng = np.random.default_rng([context.seed, 11])
+    slopes = [found for group in _groups(darks) if (found := _slope(group, rng)) is not None]
+    if not slopes:
+        known = sorted({d.conditions.exposure_s for d in darks if d.conditions.exposure_s is not None})
+        reason = (
+            "dark current needs darks of at least two exposures at one gain and temperature, got "
+            + (f"only {known[0]:.4g} s" if len(known) == 1 else "no two alike but for their exposure" if known else
+               "none whose exposure is stated")
+        )  # fmt: skip
+        return Result(measurements=(refused("dark_current", "DN/s", reason, **fields),))
+    best = max(slopes, key=lambda slope: slope.exposures)
+    out = [_current(best, "DN/s", best.draws, (), **fields), *_electrons(best, result, rng, **fields)]
+    out.append(_doubling(slopes, rng, **fields))
+    seconds = perf_counter() - began
+    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out))
+
+
+def _groups(darks: list[Level]) -> list[list[Level]]:
+    """Darks of one gain and temperature; of several gains those of the one with most darks."""
+    whole = [d for d in darks if d.conditions.exposure_s is not None and max(d.low_share, d.high_share) <= CUT_SHARE]
+    gains: dict[tuple, list[Level]] = {}
+    for dark in whole:
+        here = dark.conditions
+        gains.setdefault((here.mcp_v, here.camera_gain_db, here.em_gain, here.gain_control), []).append(dark)
+    chosen = max(gains.values(), key=len, default=[])
+    groups: list[list[Level]] = []
+    for dark in sorted(chosen, key=lambda level: level.conditions.temperature_c or 0.0):
+        last = groups[-1][-1].conditions.temperature_c if groups else None
+        here = dark.conditions.temperature_c
+        alike = (
+            bool(groups) and (last is None) == (here is None) and abs((here or 0) - (last or 0)) < SAME_TEMPERATURE_K
+        )
+        if alike:
+            groups[-1].append(dark)
+        else:
+            groups.append([dark])
+    return groups
+
+
+def _slope(darks: list[Level], rng: np.random.Generator) -> Slope | None:
+    """Fit level against exposure; None where there is one exposure only."""
+    time = np.array([d.conditions.exposure_s for d in darks], float)
+    exposures = len(np.unique(time))
+    if exposures < 2:
+        return None
+    mean = np.array([d.mean_dn for d in darks])
+    sd = np.array([_level_sd(d) for d in darks])
+    value, error, chi2 = _line(time, mean, sd, 1)
+    freedom = len(time) - 2
+    student = (
+        rng.standard_t(freedom, DRAWS) * np.sqrt(max(1.0, chi2 / freedom)) if freedom else rng.standard_normal(DRAWS)
+    )
+    warm = [d.conditions.temperature_c for d in darks if d.conditions.temperature_c is not None]
+    return Slope(temperature_c=float(np.mean(warm)) if warm else None, draws=value + error * student,
+                 exposures=exposures, findings=tuple(_findings(darks, time, mean, sd, value)))  # fmt: skip
+
+
+def _level_sd(dark: Level) -> float:
+    """Standard error of the level of a dark, DN."""
+    scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
+    return max(scatter, float(np.sqrt(max(dark.variance_dn2, QUANTISATION_DN2) / (dark.pixels * dark.frames))))
+
+
+def _line(time: Array, mean: Array, sd: Array, order: int) -> tuple[float, float, float]:
+    """Coefficient of the highest power of a weighted polynomial, its standard error, and chi-squared."""
+    design = np.stack([(time / time.max()) ** power for power in range(order + 1)]) / sd
+    covariance = np.linalg.inv(design @ design.T)
+    fit = covariance @ (design @ (mean / sd))
+    chi2 = float(np.sum((mean / sd - fit @ design) ** 2))
+    scale = time.max() ** order
+    return float(fit[-1] / scale), float(np.sqrt(covariance[-1, -1]) / scale), chi2
+
+
+def _findings(darks: list[Level], time: Array, mean: Array, sd: Array, slope: float) -> list[Finding]:
+    """What is wrong with darks of several exposures."""
+    found: list[Finding] = []
+    if len(np.unique(time)) == 2:
+        found.append(("too-few-frames", "from two exposures: whether the level rises in proportion cannot be checked"))
+    if len(np.unique(time)) > 3:
+        bend, error, chi2 = _line(time, mean, sd, 2)
+        error *= np.sqrt(max(1.0, chi2 / max(1, len(time) - 3)))
+        if abs(bend) * time.max() > max(BENT_SHARE * abs(slope), BENT_ERRORS * error * time.max()):
+            found.append(("nonlinear", "the level of darks does not rise in proportion to the exposure"))
+    if any(d.variance_dn2 < QUANTISED_DN2 for d in darks):
+        found.append(("quantised", "darks whose noise is below the digitiser's steps have levels between two codes"))
+    rise = abs(slope) * float(np.ptp(time))
+    for dark in darks:
+        drift = abs(unsteadiness(dark)[0])
+        if drift > 0.1 * rise:
+            found.append(
+                ("drift", f"{dark.label} drifts by {drift:.3g} DN, beside {rise:.3g} DN from exposure to exposure")
+            )
+    if any((d.conditions.mcp_v or 0.0) > 0 for d in darks):
+        found.append((None, "with the tube on: light of its own background is in it"))
+    return found
+
+
+def _current(slope: Slope, unit: str, draws: Array, flags: tuple[str, ...], **fields: Any) -> Measurement:
+    notes = notes_of(list(slope.findings))
+    if slope.temperature_c is not None:
+        notes = (f"at {slope.temperature_c:.1f} degrees Celsius", *notes)
+    return from_draws("dark_current", unit, draws, flags=flags_of(list(slope.findings)) + flags, notes=notes, **fields)
+
+
+def _electrons(slope: Slope, result: Result, rng: np.random.Generator, **fields: Any) -> list[Measurement]:
+    """Dark current in electrons, where the system gain is known."""
+    known = [m for m in result.find("system_gain") if m.value is not None and "correlated-noise" not in m.flags]
+    if not known:
+        reason = "dark current in electrons needs the system gain, which this session does not tell"
+        return [refused("dark_current", "e-/s", reason, **fields)]
+    gain = known[0]
+    low, high = gain.interval68 or (0.0, 0.0)
+    draws = float(gain.value or 0.0) + 0.5 * (high - low) * rng.standard_normal(DRAWS)
+    return [_current(slope, "e-/s", slope.draws / draws, gain.flags, **fields)]
+
+
+def _doubling(slopes: list[Slope], rng: np.random.Generator, **fields: Any) -> Measurement:
+    """Temperature difference at which the dark current doubles, from all temperatures."""
+    known = [slope for slope in slopes if slope.temperature_c is not None]
+    if len(known) < 2:
+        reason = (
+            "the temperature law of the dark current needs darks of two exposures each at two temperatures, got one"
+        )
+        return refused("dark_doubling_temperature", "K", reason, **fields)
+    warm = np.array([slope.temperature_c for slope in known], float)
+    draws = np.array([slope.draws for slope in known])
+    unseen = [f"{t:.1f}" for t, current in zip(warm, draws, strict=True) if np.quantile(current, 0.025) <= 0]
+    if unseen:
+        reason = f"no dark current is seen at {', '.join(unseen)} degrees Celsius: longer exposures are needed"
+        return refused("dark_doubling_temperature", "K", reason, **fields)
+    log2 = np.log2(np.maximum(draws, 1e-12 * draws.max()))
+    spread = np.hypot(log2.std(axis=1), LAW_SHARE / np.log(2.0))
+    log2 = log2 + LAW_SHARE / np.log(2.0) * rng.standard_normal(log2.shape)
+    weight = (1.0 / spread**2) * (warm - np.average(warm, weights=1.0 / spread**2))
+    rise = weight @ log2 / (weight @ warm)
+    if np.quantile(rise, 0.025) <= 0:
+        reason = f"the dark current does not rise between {warm.min():.1f} and {warm.max():.1f} degrees Celsius"
+        return refused("dark_doubling_temperature", "K", reason, **fields)
+    findings = [finding for slope in known for finding in slope.findings]
+    middle = np.median(log2, axis=1)
+    rest = (
+        middle
+        - np.average(middle, weights=1.0 / spread**2)
+        - np.median(rise) * (warm - np.average(warm, weights=1.0 / spread**2))
+    )
+    if np.any(np.abs(rest) > BENT_ERRORS * spread):
+        findings.append(("model-misfit", "the dark current does not double at equal steps of temperature"))
+    if len(known) == 2:
+        findings.append((None, "from two temperatures: the law itself cannot be checked"))
+    return from_draws("dark_doubling_temperature", "K", 1.0 / rise, flags=flags_of(findings),
+                      notes=tuple(dict.fromkeys(notes_of(findings))), **fields)  # fmt: skip
