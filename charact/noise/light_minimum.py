@@ -16,8 +16,10 @@ Array = NDArray[np.float64]
 
 # The signal-to-noise ratio that defines it.
 LEAST_SNR = 1.0
-# Farther below the dimmest flat, or above the brightest, than by these factors no light is stated.
-FARTHEST_BELOW, FARTHEST_ABOVE = 100.0, 2.0
+# The dark is a level as well, of no light and measured noise: between it and the dimmest flat the law is interpolated
+# as long as a tenth of that flat's light is left. Farther below the dimmest flat, or above the brightest, than by the
+# other factors no light is stated.
+INTERPOLATED_BELOW, FARTHEST_BELOW, FARTHEST_ABOVE = 10.0, 100.0, 2.0
 # Share of the draws that may not reach the ratio at any light.
 NEVER_SHARE = 0.01
 ALTERNATIVE = "the signal does not follow the light: an automatic gain or brightness control was at work"
@@ -122,5 +124,5 @@ def _beyond(amount: Array, levels: Levels, light: Light) -> tuple[str | None, li
         return None, [("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
     if middle < low:
         sentence = f"the dimmest flat has {low:.3g} {light.unit}; below it the response is taken for straight"
-        return None, [("extrapolated", sentence)]
+        return None, [("extrapolated" if middle < low / INTERPOLATED_BELOW else None, sentence)]
     return None, []

@@ -193,7 +193,8 @@ def test_light_without_a_stated_error_is_not_taken_for_exact(pulses, in_memory, 
 @pytest.mark.parametrize(
     ("levels", "changes", "status", "says"),
     [
-        ((5.0,), {}, "suspect", "extrapolated"),
+        ((30.0, 60.0, 90.0), {}, "suspect", "extrapolated"),
+        ((5.0,), {}, "suspect", "too-few-frames"),
         ((0.05, 0.1, 0.2), {}, "refused", "up to the brightest flat"),
         ((0.1, 1.0, 10.0), {"illuminance": False}, "refused", "illuminance_lux or photons_per_px"),
         ((0.1, 1.0, 10.0), {"dark_frames": 0}, "refused", "no dark frames"),
