@@ -81,13 +81,12 @@ def spectrum_at(parameters: Array, column: Array, row: Array) -> Array:
     return parameters[:, :1] * ((1.0 - share) * transfer(parameters, column, row) + share)
 
 
-def leaked(point: Array, summary: Summary) -> Array:
+def leaked(point: Array, column: Array, row: Array, leak_cy2_per_px2: tuple[float, float]) -> Array:
     """Return the power that the modes of faded images have over that of `spectrum_at`, shape (bin,), dimensionless.
 
     Each mode is a mean over frequencies nearby, which to second order is the mean of two on either side.
     """
-    column, row = summary.column_cy_per_px, summary.row_cy_per_px
-    across, down = np.sqrt(summary.leak_cy2_per_px2)
+    across, down = np.sqrt(leak_cy2_per_px2)
     around = [spectrum_at(point[None], column + i * across, row + j * down)[0] for i in (-1, 1) for j in (-1, 1)]
     return np.mean(around, axis=0) / spectrum_at(point[None], column, row)[0]
 
@@ -115,8 +114,8 @@ def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, floa
         bounds=BOUNDS,
     )  # fmt: skip
     posterior = _with_gain(drawn, summary, np.random.default_rng([seed, 1]))
-    model = spectrum_at(peak.point[None], summary.column_cy_per_px, summary.row_cy_per_px)[0]
-    model = model * leaked(peak.point, summary)
+    everywhere = summary.column_cy_per_px, summary.row_cy_per_px
+    model = spectrum_at(peak.point[None], *everywhere)[0] * leaked(peak.point, *everywhere, summary.leak_cy2_per_px2)
     return Fit(posterior=posterior, used=used, model_dn=model, chi2=peak.chi2, freedom=peak.freedom, chance=peak.chance)
 
 
@@ -139,7 +138,7 @@ def _climb(summary: Summary, used: NDArray[np.bool_], exponent: tuple[float, flo
     column, row, power = summary.column_cy_per_px[used], summary.row_cy_per_px[used], summary.power_dn[used]
     point = _start(summary, used, exponent[0])
     for _ in range(2):
-        leak = leaked(point, summary)[used]
+        leak = leaked(point, column, row, summary.leak_cy2_per_px2)
         model = spectrum_at(point[None], column, row)[0] * leak
         own = summary.power_sd_dn[used] * model / np.maximum(power, 0.2 * model)
         log_probability = _log_probability(summary, used, model, leak, own, exponent)
