@@ -21,7 +21,8 @@ PLATE, CAMERA = 1.0, 3.0
 AGREES = 2.5
 
 
-def untired(settings: tuple[Setting, ...], lit: tuple[int, ...], response: Response) -> tuple[Setting, ...]:
+def untired(settings: tuple[Setting, ...], lit: tuple[int, ...], response: Response, *, seed: int
+            ) -> tuple[Setting, ...]:  # fmt: skip
     """Return the settings with their noise carried to small signals, where the response shows how the plate tires.
 
     The pulses of a tired plate are lower, and with them covariance and variance over signal, by the share of gain lost.
@@ -33,7 +34,7 @@ def untired(settings: tuple[Setting, ...], lit: tuple[int, ...], response: Respo
         left = 1.0 - response.lost_per_dn * s.mean_signal_dn
         return replace(
             s,
-            gain_dn=s.gain_dn / float(np.median(left)),
+            gain_dn=s.gain_dn / np.resize(np.random.default_rng(seed).permutation(left), len(s.gain_dn)),
             log_variance=s.log_variance - float(np.log(np.median(left))),
             log_variance_sd=float(np.hypot(s.log_variance_sd, np.std(left) / np.median(left))),
         )
@@ -41,9 +42,9 @@ def untired(settings: tuple[Setting, ...], lit: tuple[int, ...], response: Respo
     return tuple(carried(s) if i in lit else s for i, s in enumerate(settings))
 
 
-def relative_excess(settings: tuple[Setting, ...], pulses_dn: Array, response: Response, reference: int, *, seed: int
-                    ) -> Array:  # fmt: skip
-    """Return draws of F^2 of every setting over that of one of them, shape (draw, setting).
+def relative_excess(settings: tuple[Setting, ...], pulses_dn: Array, response: Response, *, seed: int
+                    ) -> tuple[Array, int]:  # fmt: skip
+    """Return draws of F^2 of every setting over that of the one known best, shape (draw, setting), and which it is.
 
     Parameters
     ----------
@@ -53,8 +54,6 @@ def relative_excess(settings: tuple[Setting, ...], pulses_dn: Array, response: R
         Draws of the pulses' part k F^2 of their covariance gain, carried to small signals, shape (draw, setting).
     response
         Signal over light.
-    reference
-        Index of the setting that the others are set against.
     seed
         Seed of the draws.
 
@@ -68,7 +67,9 @@ def relative_excess(settings: tuple[Setting, ...], pulses_dn: Array, response: R
     carried = np.median(left, axis=0) if response.bendable else 1.0
     seen = (response.settings * left / carried)[order]
     ratio = pulses_dn[np.resize(np.arange(len(pulses_dn)), len(order))] / seen
-    return ratio / ratio[:, reference : reference + 1]
+    away = np.log(ratio) - np.log(ratio).mean(axis=1, keepdims=True)
+    reference = int(np.argmin(np.std(away, axis=0)))
+    return ratio / ratio[:, reference : reference + 1], reference
 
 
 def saturates(response: Response) -> bool:

@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 # Least rise of the law with the knob that passes for a gain that follows it, by the knob's unit: an exponent, none,
 # an exponent, dB per dB.
 FOLLOWS = {"V": 1.0, "count": 0.0, "1": 0.5, "dB": 0.5}
+# What the errors of settings hold already; and what only adds to the scatter of levels, where there are levels.
+ALLOWED = ("quantised",)
+IN_THE_SCATTER = ("drift", "flicker")
 # Errors off the law, counted with a usual departure, beyond which a setting is no chance.
 STRAY_ERRORS = 5.0
 
@@ -90,12 +93,14 @@ def joint_of(sweep: Sweep, *, context: Context) -> Joint:
     if len(lit) > 1:
         of_lit = tuple(sweep.settings[i] for i in lit)
         response = response_of(of_lit, axis.x[list(lit)], seed=context.seed + 1, quick=context.quick)
-        sweep = replace(sweep, settings=untired(sweep.settings, lit, response))
+        sweep = replace(sweep, settings=untired(sweep.settings, lit, response, seed=context.seed))
     gains = _gains(sweep.settings)
     share = _share(sweep, float(gains.covariance.min()), context)
     law = law_of(axis.x, gains, share=share, seed=context.seed, quick=context.quick)
     joint = Joint(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
-    findings = [entry for s in sweep.settings for entry in s.findings] + _law_findings(joint)
+    allowed = ALLOWED if response is None else ALLOWED + IN_THE_SCATTER
+    own = [entry for s in sweep.settings for entry in s.findings]
+    findings = [(None, told) if flag in allowed else (flag, told) for flag, told in own] + _law_findings(joint)
     return replace(joint, findings=(*findings, *((None, sentence) for sentence in sweep.left_out)))
 
 
@@ -185,14 +190,18 @@ def _blurs(joint: Joint) -> list[Finding]:
     """Settings whose blur is not that of the others."""
     if joint.sweep.settings[0].white:
         return []
-    own = np.log([float(np.median(s.blur_factor)) for s in joint.sweep.settings])
-    sd = np.hypot([float(np.std(np.log(np.maximum(s.blur_factor, 1e-6)))) for s in joint.sweep.settings], BLUR)
+    settings = joint.sweep.settings
+    own = np.log([float(np.median(s.blur_factor)) for s in settings])
+    sd = np.array([float(np.std(np.log(np.maximum(s.blur_factor, 1e-6)))) for s in settings])
+    unsure = [s.unsure_dn / np.exp(s.log_variance) for s in settings]
+    sd = np.hypot(np.hypot(sd, unsure), BLUR)
     # At low gain the electrons' white noise adds to the variance.
     electrons = np.median(joint.law.electron_gain_dn[:, None] / joint.law.settings, axis=0)
     left = np.exp(float(np.median(joint.law.posterior["log_blur"])))
-    expected = np.log(left * (1.0 - electrons) + electrons)
+    expected = np.log1p(electrons * (1.0 - left) / left)
+    expected = expected + np.average(own - expected, weights=1.0 / sd**2)
     return [
         ("model-misfit", f"at {joint.sweep.knob.text(s.value)} the blur factor is {np.exp(o):.3g}, not {np.exp(e):.3g}")
-        for s, o, e, error in zip(joint.sweep.settings, own, expected, sd, strict=True)
+        for s, o, e, error in zip(settings, own, expected, sd, strict=True)
         if abs(o - e) > STRAY_ERRORS * error
     ]

@@ -64,6 +64,7 @@ def knee_of(settings: tuple[Setting, ...], law: Law, *, seed: int) -> Knee | str
     floor = _floor(law.settings[:, list(dark.values())], own, rng)
     if np.quantile(floor, 0.025) <= 0:
         return "darks scintillate at every setting: read noise is lost in it, and with it the knee"
+    floor = np.maximum(floor, np.quantile(floor, 0.01).clip(1e-9))
     pulses = _pulses_at(floor, law)
     place = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
     return Knee(read_noise_dn=np.sqrt(floor), gain_dn=pulses + law.electron_gain_dn, place=place, flags=_flags(own))

@@ -7,19 +7,22 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise import standard
-from charact.noise.checks import series_findings
+from charact.noise.checks import QUANTISED_DN2, series_findings
 from charact.noise.findings import Finding
 from charact.noise.gain_knob import KNOBS, Knob, rounded, turned
 from charact.noise.level import Level
 from charact.noise.light import relative_sd_of
 from charact.noise.one_gain import LEAST_BINS, OneGain, one_gain
 from charact.noise.series import longest_series, series_of_one_gain
+from charact.noise.standard import QUANTISATION_DN2
 from charact.noise.verdict import problem
 
 Array = NDArray[np.float64]
 
 # What one level alone cannot tell, and what the sweep fits itself: they speak against no joint quantity.
 OF_ONE_SERIES = ("too-few-frames", "nonlinear")
+# Share of the variance that the digitiser's steps may add unsaid.
+QUANTISED_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +59,9 @@ class Setting:
         Temporal variance of its dark and the standard error; None without a dark of its own.
     dark
         Label of that dark.
+    unsure_dn
+        What the digitiser's steps may have added to variance and covariance over signal, DN: where the noise is no
+        larger than they, darks and flats do not show them alike.
     findings
         What is wrong at this setting.
     """
@@ -78,6 +84,7 @@ class Setting:
     dark_variance_dn2: float | None = None
     dark_variance_sd_dn2: float = 0.0
     dark: str | None = None
+    unsure_dn: float = 0.0
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -89,7 +96,8 @@ class Setting:
     def log_gain(self) -> tuple[float, float]:
         """Logarithm of the gain and its standard error."""
         low, middle, high = np.quantile(np.log(np.maximum(self.gain_dn, 1e-12)), [0.16, 0.5, 0.84])
-        return float(middle), float(high - low) / (2.0 * 0.994458)
+        sd = float(high - low) / (2.0 * 0.994458)
+        return float(middle), float(np.hypot(sd, self.unsure_dn / np.exp(middle)))
 
     @property
     def mean_signal_dn(self) -> float:
@@ -172,7 +180,8 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
     ]
     own = [dark for dark in series.darks if series.reference == "dark" and _own(dark, flats[0], knob)]
     dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
-    return Setting(
+    least = min(level.variance_dn2 for level in (*series.darks, *flats))
+    setting = Setting(
         value=value,
         labels=tuple(flat.label for flat in flats),
         gain_dn=_white_gain(one, context) if white else carried.posterior["covariance_gain"],
@@ -196,6 +205,21 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
         dark_variance_sd_dn2=0.0 if dark is None else dark.variance_sd_dn2,
         dark=None if dark is None else dark.label,
         findings=tuple(_findings(one, flats, value, knob, context)),
+    )
+    return setting if least >= QUANTISED_DN2 else _quantised(setting, least, knob)
+
+
+def _quantised(s: Setting, least_dn2: float, knob: Knob) -> Setting:
+    """Return a setting whose noise is smaller than the digitiser's steps, with what these may have added to it."""
+    unsure = QUANTISATION_DN2 / s.mean_signal_dn
+    share = unsure / float(np.exp(s.log_variance))
+    told = f"noise of {np.sqrt(least_dn2):.2g} DN is less than the digitiser's steps, which add {100 * share:.2g} %"
+    found = (("quantised", f"at {knob.text(s.value)}: {told}"),) if share > QUANTISED_SHARE else ()
+    return replace(
+        s,
+        unsure_dn=unsure,
+        log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
+        findings=(*s.findings, *found),
     )
 
 

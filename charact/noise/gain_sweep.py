@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise import standard
+from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain_evidence import levels_evidence, sweep_evidence
 from charact.noise.gain_excess import bending_findings, not_reached, relative_excess, saturates
@@ -133,7 +134,7 @@ def _saturation(joint: Joint, fields: Fields) -> Measurement:
 
 
 def _excess(joint: Joint, context: Context, fields: Fields) -> list[Measurement]:
-    """Excess noise of every setting over that of the session's own."""
+    """Excess noise of every setting over that of the one known best."""
     if joint.response is None:
         reason = (
             "covariance gain goes as gain times F2, and only light recorded at every setting tells the gain by itself: "
@@ -141,9 +142,8 @@ def _excess(joint: Joint, context: Context, fields: Fields) -> list[Measurement]
         )
         return [refused("relative_excess_noise_factor", "1", reason, **fields)]
     settings, text = joint.lit_settings, joint.sweep.knob.text
-    reference = int(np.argmin([abs(s.value - joint.sweep.main) for s in settings]))
     pulses = joint.law.pulses[:, list(joint.lit)]
-    draws = relative_excess(settings, pulses, joint.response, reference, seed=context.seed)
+    draws, reference = relative_excess(settings, pulses, joint.response, seed=context.seed)
     note = (
         f"F2 over that at {text(settings[reference].value)}, from the noise over the signal per light, the blur being "
         f"that of all settings within {100 * BLUR:g} %; {ABSOLUTE}"
@@ -175,5 +175,7 @@ def _of_setting(joint: Joint, number: int, s: Setting, context: Context, fields:
         out.append(from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **own))
     if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:
         noise = standard.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
+        small = ("quantised",) if s.dark_variance_dn2 < QUANTISED_DN2 else ()
+        own = {**own, "flags": flags_of(s.findings) + small}
         out.append(from_sd("read_noise", "DN", *noise, stack=s.dark, **own))
     return out

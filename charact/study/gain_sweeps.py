@@ -156,7 +156,9 @@ def _held(result: Result, truth: dict[str, float], sweep: Sweep, gain: Array, fa
           ) -> Iterator[tuple[str, bool, str]]:  # fmt: skip
     """Every number of a result against its truth."""
     of_stack = {s.stack: i for i, s in enumerate(sweep.settings)}
-    reference = factor[[s.value for s in sweep.settings].index(sweep.main)]
+    # F^2 is stated over that of the one setting that has none of its own.
+    stated = {m.stack for m in result.find("relative_excess_noise_factor")}
+    reference = next(f for s, f in zip(sweep.settings, factor, strict=True) if s.stack not in stated)
     for m in result.measurements:
         name = f"{m.quantity} {m.unit}"
         true = truth.get(name)

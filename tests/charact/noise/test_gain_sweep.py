@@ -43,7 +43,7 @@ def swept(pulses, in_memory, seed, *, volts=VOLTS, lights=LIGHTS, saturation_dn=
     def frames(volts, light, count):
         gain = GAIN_DN * (volts / 800.0) ** exponent
         made = pulses(gain_dn=gain / (1.0 + gain * light / saturation_dn), transfer=blur, shape=(112, 144),
-                      read_noise_dn=READ_DN, electron_gain_dn=ELECTRON_DN, **camera)  # fmt: skip
+                      electron_gain_dn=ELECTRON_DN, **{"read_noise_dn": READ_DN, **camera})  # fmt: skip
         return made.frames(rng, light, count)
 
     stacks = []
@@ -230,6 +230,18 @@ def test_a_gain_that_something_else_holds_is_flagged(pulses, in_memory, seed):
     assert one(measured(pinned), "gain_exponent").status != "ok"
     told = swept(pulses, in_memory, seed, lights=(10.0,), recorded=lambda v: {"mcp_v": v, "automatic_gain": True})
     assert "agc" in one(measured(told), "gain_exponent").flags
+
+
+def test_steps_of_the_digitiser_larger_than_the_noise_widen_the_gain_and_flag_it(pulses, in_memory, seed):
+    """Read noise of 0.15 DN under steps of 1 DN: variance at the lowest gain is off by what the steps add."""
+    session = swept(pulses, in_memory, seed, read_noise_dn=0.15, lights=(3.0, 10.0))
+    result = measured(session)
+    (lowest,) = [m for m in result.find("responsivity") if m.stack.startswith("flat-600")]
+    assert "quantised" in lowest.flags
+    exponent = one(result, "gain_exponent")
+    assert exponent.status == "ok" and abs(errors(exponent, EXPONENT)) < 4.5
+    for m in result.find("relative_excess_noise_factor"):
+        assert "quantised" in m.flags or abs(errors(m, 1.0)) < 4.5
 
 
 def test_without_recorded_light_excess_noise_stays_in_the_gain(seed):
