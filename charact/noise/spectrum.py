@@ -173,7 +173,7 @@ def modes_of(along: NDArray[np.complex64], parity: int, bins: Bins) -> NDArray[n
 
     if not len(bins.order):
         return np.empty((2, 0), np.float32)
-    modes = np.asarray(fft.fft(along, axis=0, workers=1))
+    modes = np.asarray(fft.fft(along, axis=0, workers=1), np.complex64)
     if parity:
         modes *= np.exp(-1j * np.pi * np.fft.fftfreq(len(modes))).astype(np.complex64)[:, None]
     chosen = modes.ravel()[bins.order]
