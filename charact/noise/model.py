@@ -9,12 +9,13 @@ extrapolated instead with the form that such transfers have, and the extrapolati
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.summary import Summary
-from charact.posterior import laplace, maximum, sample
+from charact.posterior import laplace, maximum, weighed
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -38,6 +39,8 @@ ELECTRON_SHARE = (0.003, 0.01)
 REACHES_CY_PER_PX = (0.25, 0.21, 0.18, 0.15, 0.12, 0.1)
 # Least probability of the residuals by chance for the model to pass.
 LEAST_CHANCE = 0.05
+# Effective number of weighted draws below which a posterior is not trusted.
+LEAST_EFFECTIVE = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +102,7 @@ def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, floa
     summary
         The statistics.
     seed, quick
-        Seed of the draws; without a Markov chain.
+        Seed of the draws; draws from the curvature at the peak.
     exponent
         Mean and standard deviation of the prior of the exponent n.
     """
@@ -109,7 +112,7 @@ def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, floa
         peak = _climb(summary, used, exponent)
         if peak.chance > LEAST_CHANCE or used.sum() < 24:
             break
-    drawn = (laplace if quick else sample)(
+    drawn = (laplace if quick else _weighed)(
         peak.log_probability, names=NAMES, units=UNITS, start=peak.point, covariance=peak.covariance, seed=seed,
         bounds=BOUNDS,
     )  # fmt: skip
@@ -117,6 +120,14 @@ def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, floa
     everywhere = summary.column_cy_per_px, summary.row_cy_per_px
     model = spectrum_at(peak.point[None], *everywhere)[0] * leaked(peak.point, *everywhere, summary.leak_cy2_per_px2)
     return Fit(posterior=posterior, used=used, model_dn=model, chi2=peak.chi2, freedom=peak.freedom, chance=peak.chance)
+
+
+def _weighed(log_probability: Callable[[Array], Array], **of: Any) -> Posterior:
+    """Draw by importance: strength, falls and exponent lie on a curved ridge along which a chain is slow."""
+    drawn = weighed(log_probability, **of)
+    if drawn.effective_sample_size[0] >= LEAST_EFFECTIVE:
+        return drawn
+    return replace(drawn, flags=(*drawn.flags, "not-converged"))
 
 
 @dataclass(frozen=True, kw_only=True)
