@@ -60,6 +60,7 @@ QUANTITIES: dict[str, Quantity] = {
     "noise_tvh": _entry("3-D noise: random", "DN"),
     "quantum_efficiency": _entry("Quantum efficiency", "%"),
     "dark_signal": _entry("Dark signal", "DN", "e-", "e-/s"),
+    "defect_pixels": _entry("Defective pixels", "px"),
     "dark_current": _entry("Dark current", "DN/s", "e-/s"),
     "dark_doubling_temperature": _entry("Warming that doubles the dark current", "K"),
     "saturation": _entry("Saturation level (variance peak)", "DN"),

@@ -6,6 +6,7 @@ from charact.method import Context
 from charact.noise.findings import Finding, flags_of
 from charact.noise.hidden import Effect
 from charact.noise.level import Level
+from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
 from charact.noise.series import CLIPPED_SHARE, Series
 from labdata.conditions import Conditions
 
@@ -45,6 +46,7 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
     found += _light(series)
     found += _codes(series)
     found += _unlike(series)
+    found += processing_findings(series)
     left = int(series.fitted.sum())
     if left < 3:
         word = "level" if left == 1 else "levels"
@@ -86,7 +88,9 @@ def bent(series: Series) -> list[Finding]:
         return []
     flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error else None
     sentence = f"variance over signal goes from {first:.4g} to {first + slope:.4g} DN along the levels"
-    return [(flag, f"{sentence}; the gain is the slope over all of them")]
+    found: list[Finding] = [(flag, f"{sentence}; the gain is the slope over all of them")]
+    own = np.array([series.flats[i].variance_dn2 for i in chosen]) / signal
+    return found + (gamma_of_noise(signal, own, sd) if flag else [])
 
 
 def exposure_findings(exposures: Effect) -> list[Finding]:
@@ -175,6 +179,8 @@ def _light(series: Series) -> list[Finding]:
     span = exposure.max() / exposure.min()
     if span < 1.3:
         return []
+    if gamma := gamma_of_light(exposure, signal):
+        return gamma
     slope = float(np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0])
     if slope < FOLLOWED:
         return [("agc", f"the light changed {span:.3g}-fold and the mean only as its power {slope:.2f}")]

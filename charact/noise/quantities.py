@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise import standard
 from charact.noise.checks import QUANTISED_DN2
+from charact.noise.findings import flags_of
 from charact.noise.hidden import FEW_FRAMES
 from charact.noise.level import Level
 from charact.noise.light import light_of_photons
@@ -30,7 +31,7 @@ def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **field
     noise, sd = standard.noise_of(dark.variance_dn2, dark.variance_sd_dn2)
     small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
     # Said here as well, for darks without a series of flats.
-    flags += cut(dark)
+    flags += cut(dark) + (() if dark.cube is None else flags_of(dark.cube.defects.findings))
     out = []
     if noise > 0:
         note = ("temporal noise of a dark frame: electronics, digitiser and what scintillates in the dark",)

@@ -9,6 +9,7 @@ from charact.method import Context, register
 from charact.noise import standard
 from charact.noise.checks import bent, exposure_flags, hidden_findings, series_findings
 from charact.noise.dark_current import dark_current
+from charact.noise.defect_pixels import defect_pixels
 from charact.noise.evidence import transfer_evidence
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
@@ -43,7 +44,7 @@ def variance(session: Session, *, context: Context) -> Result:
     """
     began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
-    cubes = three_dimensional([*darks, *flats], context=context)
+    cubes = three_dimensional([*darks, *flats], context=context) + defect_pixels([*darks, *flats], context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
