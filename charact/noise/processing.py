@@ -103,8 +103,8 @@ def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
     """Whether variance over signal goes as a power of the signal, shapes (level,).
 
     The dark's variance stays in it: where a gamma curve begins it is steep, and the dark's noise grows beyond that of
-    the flats. Behind v = u^gamma light of variance proportional to u shows a variance proportional to u^(2 gamma - 1), which
-    over v goes as the power 1 - 1/gamma of v.
+    the flats. Behind v = u^gamma light of variance proportional to u shows a variance proportional to
+    u^(2 gamma - 1), which over v goes as the power 1 - 1/gamma of v.
     """
     if len(signal) < LEAST_LEVELS or gain.min() <= 0 or np.any(sd > POWER_ERROR * gain):
         return []
