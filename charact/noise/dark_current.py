@@ -65,7 +65,7 @@ def dark_current(darks: list[Level], result: Result, *, context: Context) -> Res
 
     Notes
     -----
-    The mean of darks is mu_d = mu_d0 + mu_I t (EMVA 1288 Release 4, 7.1) and mu_I doubles every T_d kelvin (7.2).
+    The mean of darks is mu_d = mu_d0 + mu_I t (EMVA 1288 Release 3.1, 3.1) and mu_I doubles every T_d kelvin (3.2).
     Levels that depart from the line by more than their noise widen the interval by Student's law.
     """
     if not darks:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from charact.report import evidence, tables
 from charact.report.corner import corner_svg, varying
 from charact.report.curves import mtf_svgs
+from charact.report.emva import emva_summary
 from charact.report.pictures import aspect_of, representative
 from charact.report.truth import Truth, beside_truth
 from labdata.measurement import Posterior, Result
@@ -78,6 +79,7 @@ def page(
         beside=beside_truth(result, truth or {}),
         mtf_figures=mtf_svgs(session, result, truth),
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
+        emva=emva_summary(result),
         pictures=representative(session, result.measurements),
         validation=_validated(validation, session),
         posteriors=posteriors(result),
