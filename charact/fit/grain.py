@@ -67,7 +67,9 @@ def noises(session: Session, sensor: Sensor, result: Result, levels: tuple[Level
     found += _neighbours(result, volts)
     darks = [level for level in levels if level.illuminance_lux == 0.0]
     if darks and _rounding_is_noise(sensor):
-        found += [_dark(m, darks[0], sensor, reference_v) for m in trusted(result, "read_noise", "DN")]
+        own = {level.label: level for level in darks}
+        reads = trusted(result, "read_noise", "DN")
+        found += [_dark(m, own.get(m.stack or "", darks[0]), sensor, reference_v) for m in reads]
     return [
         _together([one for one in found if one.mcp_v == mcp_v], mcp_v, reference_v)
         for mcp_v in dict.fromkeys(one.mcp_v for one in found)
@@ -143,7 +145,8 @@ def _dark(m: Measurement, dark: Level, sensor: Sensor, reference_v: float) -> _N
 
 def _flat_volts(session: Session, reference_v: float) -> float:
     known = [entry.conditions.mcp_v for entry in session.of_kind("flat") if entry.conditions.mcp_v]
-    return float(np.median(known)) if known else reference_v
+    # Of several voltages the session's own gain is that of the one with most flats.
+    return float(max(dict.fromkeys(known), key=known.count)) if known else reference_v
 
 
 def _volts_of(m: Measurement, session: Session, volts: float) -> float:

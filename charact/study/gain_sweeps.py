@@ -20,6 +20,8 @@ from labdata.measurement import Result
 Array = NDArray[np.float64]
 
 DRAWS = 1000
+# An ok number further from the truth than so many arms of its 95 % interval is a silent failure.
+SILENT = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,8 +140,8 @@ def scene_drawn(rng: np.random.Generator) -> SweepScene:
     return replace(scene, saturation_dn=brightest * float(np.exp(rng.uniform(0.0, 4.0))))
 
 
-def covered(count: int, seed: int, *, lit: bool = True) -> Iterator[tuple[str, bool, str]]:
-    """Draw sweeps and yield for every number its name, whether its interval holds the truth, and its status."""
+def covered(count: int, seed: int, *, lit: bool = True) -> Iterator[tuple[str, float, str]]:
+    """Draw sweeps and yield for every number its name, its error over its 95 % arm on that side, and its status."""
     for index in range(count):
         rng = np.random.default_rng([seed, index])
         scene = scene_drawn(rng)
@@ -153,7 +155,7 @@ def covered(count: int, seed: int, *, lit: bool = True) -> Iterator[tuple[str, b
 
 
 def _held(result: Result, truth: dict[str, float], sweep: Sweep, gain: Array, factor: Array
-          ) -> Iterator[tuple[str, bool, str]]:  # fmt: skip
+          ) -> Iterator[tuple[str, float, str]]:  # fmt: skip
     """Every number of a result against its truth."""
     of_stack = {s.stack: i for i, s in enumerate(sweep.settings)}
     # F^2 is stated over that of the one setting that has none of its own.
@@ -166,25 +168,24 @@ def _held(result: Result, truth: dict[str, float], sweep: Sweep, gain: Array, fa
             true = float(gain[of_stack[m.stack]])
         if m.quantity == "relative_excess_noise_factor" and m.stack is not None:
             true = float(factor[of_stack[m.stack]] / reference)
-        if true is None:
+        if true is None or m.value is None or m.interval95 is None:
             continue
-        held = m.interval95 is not None and m.interval95[0] <= true <= m.interval95[1]
-        yield name, held, m.status
+        arm = m.interval95[1] - m.value if true > m.value else m.value - m.interval95[0]
+        yield name, abs(true - m.value) / max(arm, 1e-300), m.status
 
 
 def main(count: int = 1000) -> None:
     """Print how often intervals hold, with and without recorded light."""
     for lit in (True, False):
-        told: dict[str, list[tuple[bool, str]]] = defaultdict(list)
-        for name, held, status in covered(count, 1, lit=lit):
-            told[name].append((held, status))
+        told: dict[str, list[tuple[float, str]]] = defaultdict(list)
+        for name, off, status in covered(count, 1, lit=lit):
+            told[name].append((off, status))
         print(f"\n{count} sweeps, light {'recorded' if lit else 'unknown'}")
         for name, of in told.items():
-            numbers = [held for held, status in of if status != "refused"]
-            trusted = [held for held, status in of if status == "ok"]
-            share = 100.0 * sum(numbers) / max(1, len(numbers))
-            ok = 100.0 * sum(trusted) / max(1, len(trusted))
-            print(f"{name:36} {len(numbers):5} numbers hold {share:5.1f} %, {len(trusted):5} ok ones {ok:5.1f} %")
+            every, trusted = np.array([off for off, _ in of]), np.array([off for off, status in of if status == "ok"])
+            held, silent = 100.0 * np.mean(trusted <= 1.0), int(np.sum(trusted > SILENT))
+            print(f"{name:32} {len(every):5} numbers hold {100.0 * np.mean(every <= 1.0):5.1f} %, "
+                  f"{len(trusted):5} ok ones {held:5.1f} %, {silent} silent failures")  # fmt: skip
 
 
 if __name__ == "__main__":
