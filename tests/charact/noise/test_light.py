@@ -11,7 +11,7 @@ from charact.method import Context
 from charact.noise.light import Light, response_draws
 from charact.noise.light_area import SIDE_PX
 from charact.noise.light_minimum import Scope, minimum
-from charact.noise.light_model import BEND_SHARE_SD, Levels, noise_law
+from charact.noise.light_model import Levels, noise_law
 from charact.noise.light_snr import snr_against_light
 from charact.noise.series import read_levels
 from labdata.conditions import Conditions
@@ -119,7 +119,7 @@ def exact_case(rng: np.random.Generator):
     read, shot = rng.uniform(2.0, 30.0), rng.uniform(2.0, 20.0)
     least = 0.5 * (shot + np.sqrt(shot**2 + 4.0 * read))
     signal = least * np.geomspace(rng.uniform(0.2, 0.8), rng.uniform(20.0, 60.0), rng.integers(3, 8))
-    bend = BEND_SHARE_SD * rng.standard_normal() * shot / signal[-1]
+    bend = 0.1 * rng.standard_normal() * shot / signal[-1]
     square = 1.0 - bend
     least = (shot + np.sqrt(shot**2 + 4.0 * square * read)) / (2.0 * square)
     scatter, meter, sd = 10.0 ** rng.uniform(-3.0, -1.0), 0.05, 10.0 ** rng.uniform(-3.0, -1.5)
@@ -167,6 +167,17 @@ def test_the_law_has_slopes_one_one_half_and_none():
         around = signal * np.array([0.99, 1.01])
         ratio = np.median(law.snr(around, pattern=pattern), axis=0)
         assert np.diff(np.log(ratio))[0] / np.diff(np.log(around))[0] == pytest.approx(slope, abs=0.01)
+
+
+def test_one_level_leaves_a_tenth_of_shot_noise_open_for_what_bends_it():
+    one = np.ones(1)
+    levels = Levels(
+        signal_dn=100.0 * one, signal_sd_dn=1e-3 * one, variance_dn2=210.0 * one, variance_sd_dn2=1e-3 * one,
+        dark=np.zeros(1, int), dark_variance_dn2=10.0 * one, dark_variance_sd_dn2=1e-3 * one, fitted=one.astype(bool),
+    )  # fmt: skip
+    shot = noise_law(levels, np.random.default_rng(1), reference=0).posterior["shot_gain"]
+    assert np.mean(shot) == pytest.approx(2.0, rel=0.02)
+    assert np.std(shot) / np.mean(shot) == pytest.approx(0.1, rel=0.1)
 
 
 @pytest.mark.parametrize("off", [-2.0, -1.0, 1.0, 2.0])
@@ -223,8 +234,12 @@ def test_a_mean_that_an_automatic_gain_holds_has_no_minimum_illumination(pulses,
     assert found.status == "refused" and "automatic gain" in found.reason
 
 
-def test_a_saturated_flat_has_no_ratio_and_leaves_the_others_theirs(pulses, in_memory, seed):
-    camera = pulses(gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128), full_scale_dn=255.0)
+@pytest.mark.parametrize("full_scale_dn", [255.0, 400.0])
+def test_a_saturated_flat_has_no_ratio_and_leaves_the_others_theirs(pulses, in_memory, seed, full_scale_dn):
+    """Also where only its brightest pixels are cut off, and the variance still rises."""
+    camera = pulses(
+        gain_dn=4.0, transfer=gaussian(0.6), read_noise_dn=3.0, shape=(96, 128), full_scale_dn=full_scale_dn
+    )
     session = light_series(camera, np.random.default_rng(seed), in_memory, (0.2, 2.0, 15.0, 60.0))
     result = measured(session)
     *dim, top = of(result, "snr")

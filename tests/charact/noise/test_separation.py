@@ -125,15 +125,23 @@ def test_photons_of_one_wavelength_part_k_from_f2(pulses, in_memory, seed):
     assert "lux" in one(result, "tube_snr").reason
 
 
-def test_a_white_floor_under_wide_blur_is_k(pulses, in_memory, seed):
-    """K of a fortieth of k F2 stands out where blur of 2 px leaves the pulses nothing at high frequency."""
-    camera = pulses(gain_dn=20.0, electron_gain_dn=1.0, transfer=gaussian(2.0))
+@pytest.mark.parametrize(("sigma_px", "electrons_dn"), [(2.0, 1.0), (1.0, 2.0)])
+def test_a_white_floor_under_wide_blur_is_k(pulses, in_memory, seed, sigma_px, electrons_dn):
+    """K stands out where blur leaves the pulses little at high frequency: at 1 px they have a seventh of it."""
+    camera = pulses(gain_dn=20.0, electron_gain_dn=electrons_dn, transfer=gaussian(sigma_px))
     session = flats(camera, np.random.default_rng(seed), in_memory, lambda level: Conditions())
     result = parted(session)
     floor, gain = one(result, "conversion_gain"), one(result, "pulse_gain")
-    assert floor.status == "ok" and abs(errors(floor, 1.0)) < 4.5, floor
-    assert floor.interval95[1] - floor.interval95[0] < 0.2
+    assert floor.status == "ok" and 0.8 * electrons_dn < floor.value < 1.08 * electrons_dn, floor
+    assert floor.interval95[0] < electrons_dn < floor.interval95[1]
+    # The form of the blur is not believed so far out: half of what it says is in the interval.
+    power = float(np.mean(gaussian(sigma_px)(0.35) ** 2)) * 40.0
+    assert floor.interval95[1] - floor.interval95[0] > 0.5 * power
     assert abs(errors(gain, 40.0)) < 4.5, gain
+    context = Context(seed=1, quick=True)
+    darks, lit, _ = read_levels(session, context=context, spectra=True)
+    whole = one_gain(series_of(lit, darks), context=context, quick=True).posterior["covariance_gain"]
+    assert np.median(whole) - gain.value == pytest.approx(floor.value, rel=0.1)
     for quantity in ("photoelectron_gain", "excess_noise_factor", "tube_snr"):
         assert one(result, quantity).status == "refused"
     reason = one(result, "photoelectron_gain").reason
@@ -151,7 +159,7 @@ def test_where_no_floor_shows_k_f2_is_refused_unless_the_sensor_tells_k(pulses, 
     assert abs(errors(told, 40.0)) < 4.5
 
 
-def found(rng, flux: bool, heights_off: float = 1.0) -> Result:
+def found(rng, flux: bool, heights_off: float = 1.0, flux_sd: float = 0.04) -> Result:
     """What flats and dark frames of a camera with k = 12, p = 0.6, F2 = 2 / p would have given."""
 
     def spread(value, sd):
@@ -164,7 +172,7 @@ def found(rng, flux: bool, heights_off: float = 1.0) -> Result:
                           posterior=posterior_of("height_dn", "DN", heights, 1)))  # fmt: skip
     out.append(from_draws("photoelectron_gain", "DN/pe", 0.8 * heights, method="pulse-law", stack="dark"))
     if flux:
-        gain = spread(12.0, 0.04)
+        gain = spread(12.0, flux_sd)
         out.append(from_draws("photoelectron_gain", "DN/pe", gain, method="covariance-sum",
                               posterior=posterior_of("photoelectron_gain", "DN/pe", gain, 1)))  # fmt: skip
     return Result(measurements=tuple(out))
@@ -190,6 +198,16 @@ def test_single_photoelectrons_part_k_from_f2_with_the_share_that_they_start(see
     width = (gain.interval68[1] - gain.interval68[0]) / gain.value
     assert width == pytest.approx(0.08 if flux else 0.51, rel=0.25)
     assert gain.status == "ok" and gain.method == "covariance-sum + pulse-law"
+
+
+def test_the_tubes_share_narrows_a_poor_light_and_the_other_way_round(seed, dark_and_flat):
+    """p is known to some 8 % from the sheet and k to 20 % from the light."""
+    sensor = load_sensor("pulnix-ag5745ef3")
+    context = Context(seed=2, sensor=sensor)
+    result = with_pulses(found(np.random.default_rng(seed), True, flux_sd=0.2), dark_and_flat, context=context)
+    gain = one(result, "photoelectron_gain")
+    assert gain.interval95[0] < 12.0 < gain.interval95[1]
+    assert 0.5 * (gain.interval68[1] - gain.interval68[0]) / gain.value < 0.12
 
 
 def test_light_and_pulses_that_contradict_each_other_say_so(seed, dark_and_flat):
