@@ -10,11 +10,12 @@ from charact.method import Context
 from charact.noise.calibrated import drawn, photoelectrons_per_lux_s
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.events_evidence import pulse_evidence
-from charact.noise.events_frames import DarkFrames, dark_frames
-from charact.noise.events_pulses import PulseFit, fit_pulses, large_enough, light_lingers
+from charact.noise.events_frames import QUICK_VALUES, DarkFrames, dark_frames, large_enough, pulses_seen
+from charact.noise.events_pulses import PulseFit, fit_pulses
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.provenance import provenance
 from labdata.conditions import Conditions
+from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Result, from_draws, refused
 from labdata.session import StackEntry
 
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 
 METHOD = "pulse-law"
 LEAST_FRAMES = 8
+# Smallest images: what is left inside the filters' reach, px.
+LEAST_INSIDE = 24
 # Response to a mean pulse over the filtered noise below which the law is not looked for, and below which it is doubted.
 LOST, WEAK = 1.2, 3.0
 # Relative standard errors of density or height beyond which nothing, and beyond which little, is known.
@@ -43,36 +46,44 @@ def measure_events(darks: list[StackEntry], *, context: Context) -> Result:
     context.progress("single photoelectrons in the darks", 0.95)
     entry, stack = max(((dark, dark.read()) for dark in darks), key=lambda pair: len(pair[1]))
     fields: dict[str, Any] = {"method": METHOD, "stack": entry.label, "provenance": provenance(context)}
-    frames = dark_frames(stack, context) if len(stack) >= LEAST_FRAMES else None
-    reason = unusable(frames, len(stack))
-    found = None if frames is None or reason else fit_pulses(frames, context)
-    if found is not None:
-        reason = unseen(found)
-    if frames is None or found is None or reason:
-        out = [refused(name, unit, reason or "", **fields)
+    found = _found(stack, entry.conditions, context)
+    if isinstance(found, str):
+        out = [refused(name, unit, found, **fields)
                for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))]  # fmt: skip
         return Result(measurements=_timed(out, began))
-    findings = pulse_findings(found, frames)
+    findings = pulse_findings(found)
     fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
     out = _measurements(found, entry.conditions, context, fields)
     return Result(measurements=_timed(out, began), evidence={"pulse-heights": pulse_evidence(found)})
 
 
-def unusable(frames: DarkFrames | None, count: int) -> str | None:
-    """Why no pulses can be looked for in so many dark frames, or None."""
-    if frames is None:
-        return f"pulses take at least {LEAST_FRAMES} dark frames, got {count}"
-    if not large_enough(frames):
+def _found(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit | str:
+    """The law of the pulses, or why it cannot be had."""
+    if len(stack) < LEAST_FRAMES:
+        return f"pulses take at least {LEAST_FRAMES} dark frames, got {len(stack)}"
+    look = dark_frames(stack, context, QUICK_VALUES)
+    reason = unusable(look)
+    if reason is not None:
+        return reason
+    period_s, open_s = conditions.exposure_s, _open_s(conditions)
+    share = min(1.0, open_s / period_s) if open_s and period_s else 1.0
+    found = fit_pulses(look, dark_frames(stack, context), context, period_s=period_s, open_share=share)
+    return found if isinstance(found, str) else unseen(found) or found
+
+
+def unusable(frames: DarkFrames) -> str | None:
+    """Why no pulses can be looked for in dark frames, or None."""
+    if not large_enough(frames, LEAST_INSIDE):
         rows, cols = frames.changes[0].shape[1:]
         return f"exposures of {rows} x {cols} px leave no room around the filters that find pulses"
     if frames.still > MOST_STILL:
         return (
             f"the noise under the pulses is finer than the digitiser's steps: {100 * frames.still:.0f} % of the values "
-            f"stay the same from frame to frame, at most {100 * MOST_STILL:.0f} % may; take more gain or more bits"
+            f"stay the same from frame to frame, at most {100 * MOST_STILL:.0f} % may; a higher gain of the camera "
+            "or a capture of 10 bits and more would show it"
         )
-    if light_lingers(frames):
-        # The law adds up a glow of one exponential: on a screen's, heights came out 7 % low and the rate 11 % high.
-        return "the screen's light lingers into the next exposure, and the law of pulses does not hold for its decay"
+    if not pulses_seen(frames):
+        return "noise alone explains the darks: filtered pixels are as often far below their mean as above it"
     return None
 
 
@@ -102,9 +113,9 @@ def _relative_sd(posterior: Posterior, name: str) -> float:
     return float(np.std(np.log(posterior[name])))
 
 
-def pulse_findings(found: PulseFit, frames: DarkFrames) -> list[Finding]:
+def pulse_findings(found: PulseFit) -> list[Finding]:
     """What to distrust, and what was seen."""
-    best, out = found.peak.pulses, list[Finding]()
+    best, frames, out = found.peak.pulses, found.frames, list[Finding]()
     out.append((None, f"the share p of the photoelectrons that start a pulse shows in no dark frame: {_HOW_P}"))
     if found.signal_to_noise < WEAK:
         out.append(("low-signal", f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise"))
@@ -154,11 +165,15 @@ def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[A
     return np.minimum(drawn(stated, rng, count), 1.0), f"p is the sensor's, {float(stated):.2g}, within its range"
 
 
+def _open_s(conditions: Conditions) -> float | None:
+    """Time in which photoelectrons come into one exposure, s."""
+    return conditions.exposure_s if conditions.gate_ns is None else conditions.gate_ns * 1e-9
+
+
 def _background(density: Array, conditions: Conditions, context: Context, rng: np.random.Generator,
                 fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
     """Photoelectrons in the dark, per second and pixel, and the light that would make as many."""
-    gate_s = None if conditions.gate_ns is None else conditions.gate_ns * 1e-9
-    open_s = gate_s if gate_s is not None else conditions.exposure_s
+    open_s = _open_s(conditions)
     if not open_s:
         reason = (
             f"{np.median(density):.3g} photoelectrons per pixel and exposure: "

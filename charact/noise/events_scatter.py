@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.events_filters import Filter
-from charact.noise.events_law import Observed, Pulses, both, responses
+from charact.noise.events_law import Observed, Pulses, both, seen
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ HEIGHTS = 20
 STRONG, MORE_THAN_COUNTED = 4.0, 1.4
 
 
-def covariance(pulses: Pulses, observed: Observed) -> Array:
+def scatter(pulses: Pulses, observed: Observed) -> Array:
     """Return the covariance of `Observed.value` for given pulses, shape (2 filter t, 2 filter t).
 
     Notes
@@ -34,17 +34,13 @@ def covariance(pulses: Pulses, observed: Observed) -> Array:
 
 def _by_pulses(pulses: Pulses, observed: Observed) -> Array:
     height, chance = _heights(pulses.relative_variance)
-    moments = len(pulses.light_shares())
-    added = np.zeros((moments, len(height), *observed.frequency.shape), np.complex128)
-    for index, one in enumerate(observed.filters):
-        amplitude, area = responses(one, pulses.spot, pulses.line)
-        for moment in range(moments):
-            share, weight = pulses.shares(one, moment)
-            z = np.multiply.outer(height * pulses.height_dn, np.multiply.outer(share, amplitude))
-            for t, frequency in enumerate(observed.frequency[index]):
-                added[moment, :, index, t] = np.einsum("hsa,s,a->h", np.expm1(1j * frequency * z), weight, area)
-    vector = np.stack([both(one) for one in added.reshape(-1, *observed.frequency.shape)])
-    return pulses.density * (vector.T * np.tile(chance / moments, moments)) @ vector
+    added = np.empty((len(height), *observed.frequency.shape), np.complex128)
+    for index, (one, frequency) in enumerate(zip(observed.filters, observed.frequency, strict=True)):
+        amplitude, area = seen(one, pulses.spot, pulses.line, pulses.screen)
+        z = np.multiply.outer(np.multiply.outer(height * pulses.height_dn, frequency), amplitude)
+        added[:, index] = np.expm1(1j * z) @ area
+    vector = np.stack([both(np.asarray(one)) for one in added])
+    return pulses.density * (vector.T * chance) @ vector
 
 
 def _heights(relative_variance: float) -> tuple[Array, Array]:
@@ -65,6 +61,9 @@ def _by_noise(pulses: Pulses, observed: Observed) -> Array:
     even, odd = np.zeros((2, count, times, count, times))
     for a, one in enumerate(filters):
         for b, other in enumerate(filters):
+            if b < a:
+                even[a, :, b], odd[a, :, b] = even[b, :, a].T, odd[b, :, a].T
+                continue
             shared = _shared(one, other, pulses.line) * pulses.noise_dn2
             x = np.multiply.outer(np.multiply.outer(frequency[a], frequency[b]), shared)
             even[a, :, b] = (np.cosh(x) - 1.0).sum(axis=-1)
@@ -78,7 +77,7 @@ def _by_noise(pulses: Pulses, observed: Observed) -> Array:
 def _shared(one: Filter, other: Filter, line: tuple[float, ...]) -> Array:
     """Covariances of two filters' outputs at all distances, for noise of unit variance."""
     across = np.correlate(np.convolve(one.columns, line), np.convolve(other.columns, line), "full")
-    down = np.correlate(one.rows, other.rows, "full")
+    down = np.correlate(np.ones(one.high), np.ones(other.high), "full")
     time = np.correlate(one.times, other.times, "full")
     return np.multiply.outer(np.multiply.outer(time, down), across).ravel()
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.report import blooms, edges, gains, joint, light, noise
+from charact.report import blooms, edges, gains, joint, light, noise, pulses
 from charact.report.numerals import plain
 from charact.report.style import as_svg, styled
 
@@ -27,6 +27,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "autocorrelation": ("noise", noise.autocorrelation),
     "snr-light": ("noise", light.snr_light),
     "three-dimensional-noise": ("noise", noise.three_dimensional),
+    "pulse-heights": ("noise", pulses.pulse_heights),
 }
 
 

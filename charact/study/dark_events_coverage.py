@@ -62,7 +62,7 @@ class Found:
 def measured(axis: str, position: float, scene: DarkScene, seed: int) -> tuple[Found, ...]:
     """Measure one stack of darks."""
     session = scene.session_drawn(np.random.default_rng(seed))
-    result = measure_events(list(session.stacks), context=Context(seed=seed, quick=True))
+    result = measure_events(list(session.stacks), context=Context(seed=seed, quick=True, interlaced=scene.interlaced))
     (height,) = result.find("detected_photoelectron_gain")
     out = []
     for name in NAMES:
@@ -75,12 +75,23 @@ def measured(axis: str, position: float, scene: DarkScene, seed: int) -> tuple[F
 
 
 def in_scope(rng: np.random.Generator) -> DarkScene:
-    """Draw a scene inside the declared scope: pulses that stand out, in frames neither empty nor crowded."""
+    """Draw a scene inside the declared scope: pulses that stand out, in frames neither empty nor crowded.
+
+    A third of the screens are dark at once, a third fast, a third slow. Half of the frames are interlaced, but for
+    those of a fast screen, whose fields do not show its decay.
+    """
+    screen, interlaced = int(rng.integers(3)), bool(rng.integers(2))
+    interlaced = interlaced and screen != 1
     return DarkScene(
         density=float(np.exp(rng.uniform(np.log(0.003), np.log(0.05)))),
         height_dn=float(np.exp(rng.uniform(np.log(60.0), np.log(300.0)))),
         relative_variance=float(rng.uniform(0.3, 1.2)),
         spot_px=float(rng.uniform(0.4, 1.2)),
+        glow=float(rng.uniform(0.3, 0.6)) if screen == 2 else 0.0,
+        glow_exposures=float(rng.uniform(1.0, 3.0)),
+        fast_exposures=float(rng.uniform(0.02, 0.12)) if screen > 0 else 0.0,
+        interlaced=interlaced,
+        rows=256 if interlaced else 128,
     )
 
 
@@ -105,7 +116,15 @@ AXES: dict[str, tuple[tuple[float, ...], Callable[[float], DarkScene]]] = {
         lambda at: replace(BASE, full_scale_dn=round(BASE.offset_dn + at * BASE.height_dn)),
     ),
     "ion events over events": ((1e-4, 1e-3, 1e-2), lambda at: replace(BASE, ions=at * BASE.density)),
-    "light handed on to the next frame": ((0.02, 0.1, 0.3), lambda at: replace(BASE, glow=at)),
+    "share of slow light, two exposures long": (
+        (0.02, 0.1, 0.3, 0.6),
+        lambda at: replace(BASE, glow=at, fast_exposures=0.06),
+    ),
+    "exposures that all light lasts": ((0.02, 0.1, 0.3, 1.0), lambda at: replace(BASE, fast_exposures=at)),
+    "light of fields that spills over, fields": (
+        (0.02, 0.06, 0.12),
+        lambda at: replace(BASE, fast_exposures=at, interlaced=True),
+    ),
     "flickering pixels": ((1e-4, 1e-3, 1e-2), lambda at: replace(BASE, hot=at)),
 }
 

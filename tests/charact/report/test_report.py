@@ -267,6 +267,11 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "exposure_mean_dn": spread, "row_mean_dn": spread, "column_mean_dn": spread, "exposure_period_s": 0.04,
             "frequency_cy_per_exposure": spread, "power_dn2": spread,
         },
+        "pulse-heights": {
+            "edge_dn": [-1.0, 0.0, 1.0, 2.0], "density_per_dn": [0.1, 0.4, 0.1], "value_dn": [-0.5, 0.5, 1.5],
+            "law_per_dn": [0.1, 0.4, 0.1], "noise_per_dn": [0.1, 0.4, 0.01], "response_to_mean_pulse_dn": 1.0,
+            "values": 1000, "filter_px": [3, 3],
+        },
         "joint-mtf": {"kind": ["edge", "bars"], "target": ["edge", "bars-0.1"], "residuals_sd": [spread, [0.3]]},
         "constancy": {
             "slopes": {"row_px": 0.0}, "row_px": spread, "mtf50_cy_per_px": spread, "sd_cy_per_px": spread,
