@@ -89,14 +89,13 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     total = np.zeros((len(SUMS), len(row_cuts) - 1, len(col_cuts) - 1))
     count = len(order.time)
     level, products, with_mean = np.empty(count), np.zeros((count, count)), np.zeros(count)
-    modes = np.empty((count, 2, len(bins.order)), np.float32)
-    passes = []
+    modes, passes = [], []
     for parity, field in enumerate(fields):
         same = np.flatnonzero(order.parity == parity)
         level[same] = [_mean(image) for image in field]
         found = _Pass(field, level[same], _nearest(order.time[same]), row_cuts, col_cuts, total, bins)
         products[np.ix_(same, same)], with_mean[same] = found.products / (rows * cols), found.with_mean / (rows * cols)
-        modes[same] = found.modes(parity)
+        modes += [modes_of(along, parity, bins) for along in found.along]
         passes.append(found)
     high, wide = np.diff(row_cuts), np.diff(col_cuts)
     beside, below = wide.copy(), high.copy()
@@ -118,7 +117,7 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
         middle=tuple(found.middle for found in passes),
         mean_middle=tuple(found.mean_middle for found in passes),
         pairs=sum(len(found.first) for found in passes),
-        spectra=products_of(modes, bins),
+        spectra=_of_all(products_of(np.array(modes), bins), order.parity),
         **mean,
     )
 
@@ -162,10 +161,23 @@ class _Pass:
         if start < stop:
             self.along[:, start:stop] = along_rows(band[:-1, : stop - start], start, self.bins)
 
-    def modes(self, parity: int) -> NDArray[np.float32]:
-        """Modes of every exposure; those of the last follow from the others."""
-        modes = np.array([modes_of(along, parity, self.bins) for along in self.along])
-        return np.concatenate([modes, -modes.sum(axis=0, keepdims=True)])
+
+def _of_all(products: Array, parity: Whole) -> Array:
+    """Products of the modes of all exposures from those of all but the last of each parity, shape (bin, i, j).
+
+    Centred exposures add up to nothing.
+    """
+    last = [np.flatnonzero(parity == value)[-1] for value in np.unique(parity)]
+    free = np.setdiff1d(np.arange(len(parity)), last)
+    # Exposures come parity by parity.
+    free = free[np.argsort(parity[free], kind="stable")]
+    out = np.zeros((len(products), len(parity), len(parity)))
+    out[:, free[:, None], free] = products
+    for one in last:
+        out[:, one] = -out[:, free[parity[free] == parity[one]]].sum(axis=1)
+    for one in last:
+        out[:, :, one] = -out[:, :, free[parity[free] == parity[one]]].sum(axis=2)
+    return out
 
 
 def _middle(length: int) -> slice:

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from charact.noise.fields import exposures, fluctuations, order_of
 from charact.noise.model import leaked, spectrum_at
+from charact.noise.pixels import pixel_sums
 from charact.noise.spectrum import bins_of, cross_spectra
+from labdata.frames import FrameStack
 
 
 def test_white_noise_has_its_variance_in_every_bin(seed):
@@ -54,3 +57,15 @@ def test_faded_sides_mix_frequencies_as_much_as_their_variance_says(seed):
         error = 1.0 / np.sqrt(200 * bins.efficiency * bins.modes[chosen].sum())
         assert weight @ (power / of_bins)[chosen] == pytest.approx(weight @ expected[chosen], abs=4.5 * error)
     assert expected[(radius > 0.16) & (radius < 0.18)].mean() > 1.03
+
+
+@pytest.mark.parametrize("interlaced", [False, True])
+def test_one_pass_over_bands_of_rows_gives_the_spectra_of_the_whole_fluctuations(seed, interlaced):
+    """The modes of the last exposure of each parity are found from the others' and are its own."""
+    rng = np.random.default_rng(seed)
+    frames = FrameStack(data=rng.poisson(300.0, (5, 144, 200)).astype(np.uint16) + rng.poisson(50.0, (144, 200)))
+    shots = exposures(frames, 0, 5, interlaced=interlaced)
+    bins = bins_of(*shots.image.shape[1:], 1.0 + interlaced)
+    whole = cross_spectra(fluctuations(shots), shots.parity, bins)
+    parts = pixel_sums(frames.data, order_of(np.arange(5), interlaced=interlaced), bins).spectra
+    assert parts == pytest.approx(whole, abs=1e-3 * np.abs(whole).max())
