@@ -33,8 +33,9 @@ FOLLOWS = {"V": 1.0, "count": 0.0, "1": 0.5, "dB": 0.5}
 # What the errors of settings hold already; and what only adds to the scatter of levels, where there are levels.
 ALLOWED = ("quantised",)
 IN_THE_SCATTER = ("drift", "flicker")
-# Errors off the law, counted with a usual departure, beyond which a setting is no chance.
+# Errors off the law, counted with one and a half usual departures, beyond which a setting is no chance.
 STRAY_ERRORS = 5.0
+STRAY = 1.5 * DEPARTURE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,9 +173,9 @@ def _strays(joint: Joint) -> list[Finding]:
     """Settings that lie off the law by more than departures and noise allow."""
     found: list[Finding] = []
     x, own, sd = _own_gains(joint)
-    law = np.polyval(np.polyfit(x, own, 1, w=1.0 / np.hypot(sd, DEPARTURE)), x)
+    law = np.polyval(np.polyfit(x, own, 1, w=1.0 / np.hypot(sd, STRAY)), x)
     for value, off, error in zip(_places(joint), own - law, sd, strict=True):
-        if abs(off) > STRAY_ERRORS * np.hypot(error, DEPARTURE):
+        if abs(off) > STRAY_ERRORS * np.hypot(error, STRAY):
             text = f"the gain at {joint.sweep.knob.text(value)} is {np.exp(off):.2f} times that of the law"
             found.append(("model-misfit", text))
     return found

@@ -15,9 +15,11 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Departure of a setting from the law beyond its noise, a logarithm: half-normal prior of this width, within bounds.
-# Supplies set a plate to a part in a thousand, which its gain's tenth power makes a hundredth.
-DEPARTURE = 0.05
+# Departure of a setting from the law beyond its noise, a logarithm: prior normal in its own logarithm about this with
+# this standard deviation, within bounds. Supplies set a plate to a part in a thousand, which its gain's tenth power
+# makes a hundredth, and lamps repeat to some. Settings that lie on a line by luck must not pass for a law that holds
+# exactly: the prior keeps from zero.
+DEPARTURE, DEPARTURE_SPREAD = 0.04, 0.5
 LOG_DEPARTURE = np.log([1e-4, 0.3])
 # Share of the electrons' own noise in the least covariance gain: half-normal prior of this width where the camera is
 # not described. A photoelectron makes hundreds of electrons at full gain, so that ten are little.
@@ -97,8 +99,8 @@ class Law:
 
 
 def departure_prior(log_departure: Array) -> Array:
-    """Return the logarithm of the half-normal prior of a departure, for its logarithm, shape (point,)."""
-    return log_departure - 0.5 * (np.exp(log_departure) / DEPARTURE) ** 2
+    """Return the logarithm of the prior of a departure, for its logarithm, shape (point,)."""
+    return -0.5 * ((log_departure - np.log(DEPARTURE)) / DEPARTURE_SPREAD) ** 2
 
 
 def drawn_from(log_probability: Callable[[Array], Array], start: Array, bounds: Array, *, names: tuple[str, ...],
