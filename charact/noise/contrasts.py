@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from charact.noise.pixels import dot
 from labdata.frames import FrameStack
 from labdata.opened import OpenStack
 
@@ -102,8 +104,8 @@ class _Pass:
         frames, (height, width) = len(stack), self.first.shape
         self.along = [waves(length).astype(np.float32) for length in (frames, height, width)]
         self.by_row = np.empty((frames, height, len(self.along[2])), np.float32)
-        self.by_col = np.empty((frames, len(self.along[1]), width), np.float32)
-        self.by_pixel = np.zeros((len(self.along[0]), height * width), np.float32)
+        self.by_col = np.zeros((frames, len(self.along[1]), width), np.float32)
+        self.by_pixel = np.zeros((len(self.along[0]), height, width), np.float32)
         self.power = 0.0
         pairs = frames // 2
         self.starts = 2 * np.unique(np.linspace(0, pairs - 1, min(PAIRS, pairs)).round().astype(int))
@@ -112,12 +114,10 @@ class _Pass:
     def take(self, frames: NDArray, first: int) -> None:
         """Add the frames that follow."""
         change = self._from_first(frames[:, self.field])
-        here = np.s_[first : first + len(change)]
-        self.by_row[here] = change @ self.along[2].T
-        self.by_col[here] = self.along[1] @ change
-        flat = change.reshape(len(change), -1)
-        self.by_pixel += self.along[0][:, here] @ flat
-        self.power += float(np.einsum("tvh,tvh->tv", change, change).sum(dtype=np.float64))
+        here = slice(first, first + len(change))
+        in_time = np.ascontiguousarray(self.along[0][:, here].T)
+        self.power += _add(change, in_time, self.along[1], self.along[2], self.by_row[here], self.by_col[here],
+                           self.by_pixel)  # fmt: skip
         for start in self.starts[(self.starts >= first) & (self.starts < first + len(change))] - first:
             self.pairs.append((change[start + 1] - change[start]) / np.float32(np.sqrt(2.0)))
 
@@ -132,6 +132,27 @@ class _Pass:
         frames = len(self.by_row)
         power = self.power - float(np.sum(self.by_pixel[0].astype(np.float64) ** 2))
         fixed_row, fixed_col = self.first @ self.along[2].T, self.along[1] @ self.first
-        by_pixel = self.by_pixel.reshape(-1, *self.first.shape).astype(np.float64)
+        by_pixel = self.by_pixel.astype(np.float64)
         by_pixel[0] += np.sqrt(frames) * self.first
         return self.by_row + fixed_row, self.by_col + fixed_col, by_pixel, power, np.array(self.pairs)
+
+
+@njit(cache=True, fastmath=True)
+def _add(change, in_time, along_rows, along_cols, by_row, by_col, by_pixel):
+    """Add the combinations of some frames, waves along time, rows and columns; return the sum of their squares."""
+    power = 0.0
+    for t in range(change.shape[0]):
+        for row in range(change.shape[1]):
+            line = change[t, row]
+            power += dot(line, line)
+            for wave in range(along_cols.shape[0]):
+                by_row[t, row, wave] = dot(line, along_cols[wave])
+            for wave in range(along_rows.shape[0]):
+                out, share = by_col[t, wave], along_rows[wave, row]
+                for col in range(len(line)):
+                    out[col] += share * line[col]
+            for wave in range(in_time.shape[1]):
+                out, share = by_pixel[wave, row], in_time[t, wave]
+                for col in range(len(line)):
+                    out[col] += share * line[col]
+    return power

@@ -197,8 +197,8 @@ def _mean(image):
 
 
 @njit(cache=True, fastmath=True)
-def _dot(one, two):
-    """Sum of products."""
+def dot(one, two):
+    """Return the sum of products, always added in the same order."""
     total = np.float32(0.0)
     for i in range(len(one)):
         total += one[i] * two[i]
@@ -235,15 +235,15 @@ def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, 
     for row in range(rows):
         while start + row >= row_cuts[high + 1]:
             high += 1
-        mean_square += _dot(mean[row], mean[row])
+        mean_square += dot(mean[row], mean[row])
         for i in range(count):
             line = band[i, row]
-            with_mean[i] += _dot(mean[row], line)
+            with_mean[i] += dot(mean[row], line)
             for j in range(i):
-                square = _dot(line, band[j, row])
+                square = dot(line, band[j, row])
                 products[i, j] += square
                 products[j, i] += square
-            products[i, i] += _dot(line, line)
+            products[i, i] += dot(line, line)
         for wide in range(len(col_cuts) - 1):
             left, right = col_cuts[wide], col_cuts[wide + 1]
             beside = min(right, cols - 1)
@@ -251,11 +251,11 @@ def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, 
             for t in range(count):
                 line = band[t, row]
                 over = band[t, row - 1] if row else above[t]
-                sums[0] += _dot(line[left:right], line[left:right])
-                sums[1] += _dot(line[left:beside], line[left + 1 : beside + 1])
-                sums[2] += _dot(line[left:right], over[left:right])
+                sums[0] += dot(line[left:right], line[left:right])
+                sums[1] += dot(line[left:beside], line[left + 1 : beside + 1])
+                sums[2] += dot(line[left:right], over[left:right])
             for pair in range(len(first)):
-                sums[3] += _dot(band[first[pair], row, left:right], band[second[pair], row, left:right])
+                sums[3] += dot(band[first[pair], row, left:right], band[second[pair], row, left:right])
             for value in mean[row, left:right]:
                 sums[4] += value
     return mean_square
