@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.level import Level
+from charact.noise.light_rounding import rounding_sd
 from charact.noise.series import Series
 from labdata.conditions import Conditions
 
@@ -111,8 +112,9 @@ def light_of_photons(series: Series, photons: Array) -> Light:
 
 
 def signal_sd(flat: Level, dark: Level) -> float:
-    """Return the standard error of the signal, DN, from how the means of frames scatter."""
-    return float(np.hypot(_mean_sd(flat), _mean_sd(dark)))
+    """Return the standard error of the signal, DN, from how the means of frames scatter and from rounding."""
+    steps = [rounding_sd(level.variance_dn2)[0] for level in (flat, dark)]
+    return float(np.linalg.norm([_mean_sd(flat), _mean_sd(dark), *steps]))
 
 
 def _mean_sd(level: Level) -> float:

@@ -7,6 +7,7 @@ from charact.noise.level import Level, Spectrum, rows_lags
 from charact.noise.light import signal_sd
 from charact.noise.light_area import area_variance, shares_of
 from charact.noise.light_model import Levels
+from charact.noise.light_rounding import rounding_sd
 from charact.noise.series import CLIPPED_SHARE, Series
 from charact.noise.summary import Lag
 from charact.noise.temporal import independent
@@ -82,14 +83,16 @@ def _levels(series: Series, known: list[tuple[float, float]], **fields) -> Level
 
 def _pixel(level: Level, lag: Lag) -> tuple[float, float]:
     """Temporal variance of a pixel and its standard error, DN^2."""
+    steps = rounding_sd(level.variance_dn2)[1]
     if not lag.seen:
-        return level.variance_dn2, level.variance_sd_dn2
+        return level.variance_dn2, float(np.hypot(level.variance_sd_dn2, steps))
     correlation = lag.correlation
     same = rows_lags(level.many.lags, level.parity)
     known, plain = (
         independent(level.time, level.parity, lags, correlation, within_parity=True) for lags in (same, same[:1])
     )
-    return level.many.variance_dn2, level.variance_sd_dn2 * float(np.sqrt(max(1.0, plain / known)))
+    stretch = np.sqrt(max(1.0, plain / known))
+    return level.many.variance_dn2, float(np.hypot(level.variance_sd_dn2 * stretch, steps))
 
 
 def _spectrum(level: Level, lag: Lag) -> tuple[Spectrum, float]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
+from scipy.special import ndtr
 
 from charact import noise
 from charact.method import Context
@@ -12,6 +13,7 @@ from charact.noise.light import Light, response_draws
 from charact.noise.light_area import SIDE_PX
 from charact.noise.light_minimum import Scope, minimum
 from charact.noise.light_model import Levels, noise_law
+from charact.noise.light_rounding import rounding_sd
 from charact.noise.light_snr import snr_against_light
 from charact.noise.series import read_levels
 from labdata.conditions import Conditions
@@ -167,6 +169,32 @@ def test_the_law_has_slopes_one_one_half_and_none():
         around = signal * np.array([0.99, 1.01])
         ratio = np.median(law.snr(around, pattern=pattern), axis=0)
         assert np.diff(np.log(ratio))[0] / np.diff(np.log(around))[0] == pytest.approx(slope, abs=0.01)
+
+
+@pytest.mark.parametrize("sd_dn", [0.2, 0.35, 0.5])
+def test_steps_of_the_digitiser_shift_mean_and_variance_by_as_much_as_is_allowed_for(sd_dn):
+    """Noise rounded by summing its normal law over the codes, at every place between two codes."""
+    codes, places = np.arange(-8, 9), np.linspace(0.0, 1.0, 41)[:-1]
+    share = np.diff(ndtr((np.append(codes, 9) - 0.5 - places[:, None]) / sd_dn), axis=1)
+    mean = share @ codes
+    variance = share @ codes**2 - mean**2
+    allowed = rounding_sd(sd_dn**2 + 1.0 / 12.0)
+    assert np.std(mean - places) == pytest.approx(allowed[0], rel=0.1)
+    assert np.std(variance) < 1.4 * allowed[1]
+
+
+def test_noise_finer_than_the_steps_leaves_the_truth_in_the_interval(pulses, in_memory, seed):
+    """Read noise of 0.2 DN under pulses of 4 DN: dim signals are rounded away by some tenths of a DN."""
+    camera = pulses(gain_dn=4.0, transfer=gaussian(0.8), read_noise_dn=0.2, black_dn=12.3, shape=(96, 128))
+    levels = (0.02, 0.1, 1.0, 10.0)
+    result = measured(light_series(camera, np.random.default_rng(seed), in_memory, levels))
+    for one in of(result, "snr"):
+        level = levels[int(one.stack[-1])]
+        if one.value is not None:
+            assert abs(errors(one, level * camera.gain_dn / np.sqrt(pixel_variance(camera, level, 0.8)))) < 4.5
+    (found,) = of(result, "minimum_illumination")
+    truth = LUX_PER_PE * least_level(camera, lambda level: pixel_variance(camera, level, 0.8))
+    assert abs(errors(found, truth)) < 4.5 and found.status == "ok"
 
 
 def test_one_level_leaves_a_tenth_of_shot_noise_open_for_what_bends_it():
