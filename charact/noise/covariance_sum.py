@@ -17,6 +17,7 @@ from charact.noise.checks import (
 )
 from charact.noise.dark_current import dark_current
 from charact.noise.defect_pixels import defect_pixels
+from charact.noise.events import pulses_of_darks
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain_sweep import gain_sweep
@@ -72,6 +73,7 @@ def measured(session: Session, *, context: Context, method: str, estimate: Estim
     result += three_dimensional([*darks, *flats], context=context)
     result += dark_current(darks, result, context=context) + defect_pixels([*darks, *flats], context=context)
     result += gain_sweep(darks, flats, context=context)
+    result += pulses_of_darks(session, darks, context=context)
     return result + snr_against_light(darks, flats, context=context)
 
 

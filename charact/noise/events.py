@@ -1,5 +1,6 @@
 """What single photoelectrons in dark frames tell: background illumination, pulse height and its spread."""
 
+from collections import Counter
 from time import perf_counter
 from typing import Any
 
@@ -10,14 +11,17 @@ from charact.method import Context
 from charact.noise.calibrated import drawn, photoelectrons_per_lux_s
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.events_evidence import pulse_evidence
-from charact.noise.events_frames import QUICK_VALUES, DarkFrames, dark_frames, large_enough, pulses_seen
+from charact.noise.events_frames import MOST_FRAMES, QUICK_VALUES, DarkFrames, dark_frames, large_enough, pulses_seen
 from charact.noise.events_pulses import PulseFit, fit_pulses
 from charact.noise.findings import Finding, flags_of, notes_of
+from charact.noise.level import Level
 from charact.noise.provenance import provenance
+from charact.noise.series import gain_of
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Result, from_draws, refused
-from labdata.session import StackEntry
+from labdata.opened import open_stack
+from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 
@@ -40,21 +44,53 @@ LEAST_CHANCE = 1e-4
 DETECTION = (0.45, 1.0)
 
 
-def measure_events(darks: list[StackEntry], *, context: Context) -> Result:
-    """Measure the law of single photoelectrons in the dark stack of most frames."""
+def pulses_of_darks(session: Session, darks: list[Level], *, context: Context) -> Result:
+    """Measure the law of single photoelectrons in a session's dark frames, if they are an intensified camera's.
+
+    Parameters
+    ----------
+    session, darks
+        The session, and the statistics of its dark stacks.
+    context
+        Sensor, seed, fields and highest code.
+
+    Returns
+    -------
+    Result
+        Of the dark stack at the gain of most flats, or else of most frames; nothing where neither a sensor is named nor
+        a voltage of the plate recorded, for then nobody says that there is an intensifier.
+    """
+    if context.sensor is None and not any(dark.conditions.mcp_v for dark in darks):
+        return Result()
+    gains = Counter(gain_of(entry.conditions) for entry in session.of_kind("flat"))
+    common = max(gains, key=lambda gain: gains[gain], default=None)
+    order = sorted(darks, key=lambda dark: (dark.frames >= LEAST_FRAMES, gain_of(dark.conditions) == common,
+                                            dark.frames, dark.conditions.exposure_s or 0.0))  # fmt: skip
+    return measure_events(session.stack(order[-1].label), context=context) if order else Result()
+
+
+def measure_events(dark: StackEntry, *, context: Context) -> Result:
+    """Measure the law of single photoelectrons in a dark stack."""
     began = perf_counter()
     context.progress("single photoelectrons in the darks", 0.95)
-    entry, stack = max(((dark, dark.read()) for dark in darks), key=lambda pair: len(pair[1]))
-    fields: dict[str, Any] = {"method": METHOD, "stack": entry.label, "provenance": provenance(context)}
-    found = _found(stack, entry.conditions, context)
+    fields: dict[str, Any] = {"method": METHOD, "stack": dark.label, "provenance": provenance(context)}
+    found = _found(_frames(dark), dark.conditions, context)
     if isinstance(found, str):
         out = [refused(name, unit, found, **fields)
                for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))]  # fmt: skip
         return Result(measurements=_timed(out, began))
     findings = pulse_findings(found)
     fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
-    out = _measurements(found, entry.conditions, context, fields)
+    out = _measurements(found, dark.conditions, context, fields)
     return Result(measurements=_timed(out, began), evidence={"pulse-heights": pulse_evidence(found)})
+
+
+def _frames(dark: StackEntry) -> FrameStack:
+    """As many frames as are used, of a stack that may be larger than memory."""
+    stack = open_stack(dark)
+    count = min(len(stack), MOST_FRAMES)
+    return FrameStack(data=stack.frames(0, count), frame_number=stack.frame_number[:count],
+                      full_scale_dn=stack.full_scale_dn)  # fmt: skip
 
 
 def _found(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit | str:
@@ -135,7 +171,9 @@ def pulse_findings(found: PulseFit) -> list[Finding]:
         out.append(("model-misfit", f"{100 * found.spoilt:.0f} % of the values lie beside ion events"))
     if len(found.ion_height_dn):
         size = float(np.mean(found.ion_height_dn)) / best.height_dn
-        out.append((None, f"{len(found.ion_height_dn)} ion events of {size:.0f} mean pulses each were left out"))
+        rate = len(found.ion_height_dn) / sum(change.size for change in frames.changes)
+        apart = f"{len(found.ion_height_dn)} ion events, {rate:.2g} per pixel and exposure"
+        out.append((None, f"{apart}, of {size:.0f} mean pulses each are counted apart"))
     return out + [(flag, "see the posterior") for flag in found.posterior.flags]
 
 

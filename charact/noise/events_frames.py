@@ -22,7 +22,7 @@ SEEN = 2.5
 # Third moment of filtered pixels, in standard errors, below which noise alone explains it.
 SKEWED = 3.0
 # Values that tell a spread.
-SAMPLE = 200_000
+SAMPLE = 60_000
 # Side of the blocks whose scatter gives standard errors, px.
 BLOCK_PX = 16
 

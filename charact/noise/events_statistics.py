@@ -18,7 +18,7 @@ BIN, BINS = 0.1, 640
 # Side of the blocks whose scatter gives the covariance, px, their exposures where those are not independent, and about
 # how many blocks there are at most.
 BLOCK_PX, DEPTH, MOST_BLOCKS = 24, 4, 3000
-SAMPLE = 200_000
+SAMPLE = 60_000
 
 
 def observe(changes: tuple[Images, ...], usable: list[NDArray[np.bool_]], filters: tuple[Filter, ...]) -> Observed:

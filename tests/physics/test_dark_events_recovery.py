@@ -22,7 +22,7 @@ def darks(sensor, seed: int, frames: int = 64):
     held = LabBench(sensor).expose("dark", Target(), SETTINGS, frames=frames, seed=seed)
     entry = HeldStack(label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held)
     context = Context(seed=1, quick=True, sensor=SHEET, interlaced=True, full_scale_dn=2.0**sensor.video.bit_depth - 1)
-    return measure_events([entry], context=context)
+    return measure_events(entry, context=context)
 
 
 def finer(bits: int):

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.events import measure_events
+from charact.noise.events import measure_events, pulses_of_darks
 from charact.noise.events_filters import Filter, boxes
 from charact.noise.events_law import Glow, Pulses, height_transform
 from charact.noise.events_scatter import blended
+from charact.noise.series import read_levels
 from charact.study.dark_events import DarkScene
+from labdata.conditions import Conditions
 
 QUICK = Context(seed=1, quick=True)
 # What a scene of these holds can be told to a few percent; cheap enough for a test run.
@@ -21,7 +23,7 @@ BRIGHT = DarkScene(height_dn=150.0)
 
 def measured(scene: DarkScene, seed: int):
     session = scene.session_drawn(np.random.default_rng(seed))
-    return measure_events(list(session.stacks), context=replace(QUICK, interlaced=scene.interlaced))
+    return measure_events(session.stacks[0], context=replace(QUICK, interlaced=scene.interlaced))
 
 
 def one(result, quantity: str, unit: str | None = None) -> Any:
@@ -164,3 +166,19 @@ def test_scatter_counted_and_computed_alike_blends_to_itself(seed):
     both = root @ root.T + 6.0 * np.eye(6)
     unit = np.sqrt(np.diag(both))
     assert np.linalg.eigvalsh(blended(both, both) / np.outer(unit, unit)).min() > 0.0
+
+
+def test_darks_are_asked_where_an_intensifier_is_known_of_and_at_the_gain_of_the_flats(seed):
+    session = replace(BRIGHT, density=0.0, frames=8, rows=64, cols=72).session_drawn(np.random.default_rng(seed))
+    (dark,) = session.stacks
+    names = {"dark": 800.0, "other": 700.0, "flat": 700.0}
+    stacks = tuple(
+        replace(dark, label=label, kind="flat" if label == "flat" else "dark", conditions=Conditions(mcp_v=volt))
+        for label, volt in names.items()
+    )
+    asked = replace(session, stacks=stacks)
+    darks, *_ = read_levels(asked, context=QUICK, spectra=False, cubes=False)
+    found = pulses_of_darks(asked, darks, context=QUICK).measurements
+    assert {one.stack for one in found} == {"other"} and len(found) == 2
+    plain = [replace(dark, conditions=Conditions()) for dark in darks]
+    assert pulses_of_darks(asked, plain, context=QUICK).measurements == ()
