@@ -38,10 +38,10 @@ def covariance_window(session: Session, *, context: Context) -> Result:
     lags is short by n/N of its sum, which is put back.
     """
 
-    def estimate(series: Series, _: Summary) -> tuple[float, float]:
+    def estimate(series: Series, summary: Summary) -> tuple[float, float]:
         size = _size(series, context)
         reaches = [lag for lag in LAGS_PX if (2 * lag + 1) ** 2 <= LARGEST_SHARE * np.prod(size)]
-        values, covariance = pooled(session, series, lambda change: windowed(change, reaches), context=context)
+        values, covariance = pooled(session, series, summary, lambda change: windowed(change, reaches), context=context)
         short = np.array([1.0 - (2 * lag + 1) ** 2 / np.prod(size) for lag in reaches])
         return settled(values / short, covariance / np.outer(short, short))
 
@@ -64,10 +64,10 @@ def binning(session: Session, *, context: Context) -> Result:
     lies outside: 2 V(2b) - V(b) leaves that out, V(b) the variance over b^2.
     """
 
-    def estimate(series: Series, _: Summary) -> tuple[float, float]:
+    def estimate(series: Series, summary: Summary) -> tuple[float, float]:
         size = _size(series, context)
         sides = [side for side in SIDES_PX if side**2 <= LARGEST_SHARE * np.prod(size)]
-        values, covariance = pooled(session, series, lambda change: binned(change, sides), context=context)
+        values, covariance = pooled(session, series, summary, lambda change: binned(change, sides), context=context)
         short = np.array([1.0 - side**2 / np.prod(size) for side in sides])
         twice = 2.0 * np.eye(len(sides))[1:] - np.eye(len(sides))[:-1]
         linear = twice / short

@@ -1,5 +1,7 @@
 """Covariance gains without a model of the blur: complete where the blur is compact, honest where it has wings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,15 @@ def test_compact_blur_leaves_the_gain_whole(method, compact):
     assert gain.status == "ok"
     assert gain.value is not None and abs(gain.value - truth) < 4.5 * 0.5 * (high - low)
     assert gain.value == pytest.approx(truth, rel=0.12)
+
+
+def test_light_that_frames_share_is_not_lost_with_their_mean(seed):
+    """A share of .4 a frame late: the mean of 16 frames takes nearly two frames' worth of noise with it, not one."""
+    session = replace(scene(blur_px=0.4), lag=0.4, frames=16).session_drawn(np.random.default_rng(seed))
+    gain = gain_by("covariance-window", session)
+    low, high = gain.interval68 or (0.0, 0.0)
+    assert abs((gain.value or 0.0) - scene().truth_covariance_gain) < 4.5 * 0.5 * (high - low)
+    assert gain.value == pytest.approx(scene().truth_covariance_gain, rel=0.06)
 
 
 @pytest.mark.parametrize("method", METHODS)
