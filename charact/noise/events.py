@@ -35,8 +35,8 @@ LOST, WEAK = 1.2, 3.0
 UNKNOWN, VAGUE = 0.4, 0.2
 FEW_EVENTS = 200
 LEAST_GAIN = 40
-# Share of values that stay the same from frame to frame: that of rounded noise of 0.4 DN.
-MOST_STILL = 0.6
+# Share of values that stay the same from frame to frame: that of rounded noise of 0.5 DN.
+MOST_STILL = 0.53
 # Shares of pixels that flicker, of bright values at the highest code, of values beside ion events.
 DEFECT_SHARE, FULL_SHARE, SPOILT_SHARE = 0.01, 0.02, 0.5
 LEAST_CHANCE = 1e-4
@@ -103,7 +103,12 @@ def _found(stack: FrameStack, conditions: Conditions, context: Context) -> Pulse
         return reason
     period_s, open_s = conditions.exposure_s, _open_s(conditions)
     share = min(1.0, open_s / period_s) if open_s and period_s else 1.0
-    found = fit_pulses(look, dark_frames(stack, context), context, period_s=period_s, open_share=share)
+    try:
+        found = fit_pulses(look, dark_frames(stack, context), context, period_s=period_s, open_share=share)
+    except np.linalg.LinAlgError:
+        return (
+            "no law of pulses comes near the darks: what brightens their pixels is not single photoelectrons"
+        )
     return found if isinstance(found, str) else unseen(found) or found
 
 

@@ -19,8 +19,9 @@ MOST_FRAMES, MOST_VALUES, QUICK_VALUES = 64, 4_000_000, 600_000
 BRIGHT, CHANCE = 6.0, 1e-3
 # Correlation of exposures that is beyond so many standard errors is light that stays.
 SEEN = 2.5
-# Third moment of filtered pixels, in standard errors, below which noise alone explains it.
-SKEWED = 3.0
+# Third moment of filtered pixels, in standard errors, below which noise alone explains it, unless more than this share
+# of them is so many times the noise.
+SKEWED, OUTSTANDING, OUT = 3.0, 2e-5, 6.0
 # Values that tell a spread.
 SAMPLE = 60_000
 # Side of the blocks whose scatter gives standard errors, px.
@@ -133,15 +134,18 @@ def middles(frames: DarkFrames) -> list[Array]:
 
 def pulses_seen(frames: DarkFrames) -> bool:
     """Tell whether filtered pixels are skewed towards the bright side, as pulses make them."""
-    parts = []
+    parts, out = [], []
     for value in middles(frames):
-        limit = 20.0 * spread(value)
+        noise = spread(value)
+        out.append(float(np.mean(value > OUT * noise)))
+        limit = 20.0 * noise
         cubes = np.clip(value, -limit, limit) ** 3
         rows, cols = (size // BLOCK_PX * BLOCK_PX for size in cubes.shape[1:])
         blocks = cubes[:, :rows, :cols].reshape(len(cubes), rows // BLOCK_PX, BLOCK_PX, cols // BLOCK_PX, BLOCK_PX)
         parts.append(blocks.sum(axis=(2, 4)).ravel())
     total = np.concatenate(parts)
-    return float(total.mean()) > SKEWED * float(total.std()) / np.sqrt(len(total))
+    # The sides of bright pulses are dark, and few bright ones make no skewness.
+    return max(out) > OUTSTANDING or float(total.mean()) > SKEWED * float(total.std()) / np.sqrt(len(total))
 
 
 @dataclass(frozen=True, kw_only=True)

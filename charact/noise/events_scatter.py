@@ -88,7 +88,8 @@ def blended(computed: Array, counted: Array) -> Array:
     Rare bright pulses lie in the few strongest directions, and noise under pulses, which the computation leaves out,
     in the weak ones.
     """
-    unit = np.sqrt(np.diag(computed))
+    # Where pulses add nothing, weights of both signs may leave less than nothing.
+    unit = np.sqrt(np.maximum(np.diag(computed), 1e-6 * np.diag(counted)))
     power, direction = np.linalg.eigh(computed / np.outer(unit, unit))
     strong = direction[:, power > STRONG]
     weak = np.eye(len(unit)) - strong @ strong.T
