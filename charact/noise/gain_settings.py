@@ -179,6 +179,7 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
         for i, flat, gain, signal in zip(chosen, flats, covariance, series.signal_dn[chosen], strict=True)
     ]
     own = [dark for dark in series.darks if series.reference == "dark" and _own(dark, flats[0], knob)]
+    own = [dark for dark in own if dark.variance_dn2 > 0]
     dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
     least = min(level.variance_dn2 for level in (*series.darks, *flats))
     setting = Setting(

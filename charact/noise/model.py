@@ -201,7 +201,10 @@ def _log_probability(summary: Summary, used: NDArray[np.bool_], model: Array, le
     """Gaussian likelihood of the spectrum; the bins share the error that pulse heights give them all."""
     column, row, power = summary.column_cy_per_px[used], summary.row_cy_per_px[used], summary.power_dn[used]
     shared = model * summary.height_sd
-    root = np.linalg.cholesky(np.linalg.inv(np.diag(own**2) + np.outer(shared, shared)))
+    # The inverse root of diag(own^2) + shared shared^T, whatever the ratio of the two.
+    scaled = shared / own
+    size = max(float(scaled @ scaled), 1e-12)
+    root = (np.eye(len(own)) - (1.0 - 1.0 / np.sqrt(1.0 + size)) / size * np.outer(scaled, scaled)) / own[:, None]
 
     def log_probability(points: Array) -> Array:
         inside = np.all((points >= BOUNDS[:, 0]) & (points <= BOUNDS[:, 1]), axis=1)

@@ -36,7 +36,8 @@ def blur(f):
 
 
 def swept(pulses, in_memory, seed, *, volts=VOLTS, lights=LIGHTS, saturation_dn=np.inf, exponent=EXPONENT,
-          recorded=lambda v: {"mcp_v": v}, dark_volts=None, seen=lambda light: light, **camera):  # fmt: skip
+          recorded=lambda v: {"mcp_v": v}, dark_volts=None, seen=lambda light: light, dark_pe=DARK_PE,
+          **camera):  # fmt: skip
     """Frames of a tube at several voltages: counted pulses of exponential heights, tired by their own current."""
     rng = np.random.default_rng(seed)
 
@@ -49,10 +50,10 @@ def swept(pulses, in_memory, seed, *, volts=VOLTS, lights=LIGHTS, saturation_dn=
     stacks = []
     for v in volts:
         if dark_volts is None or v in dark_volts:
-            stacks.append((f"dark-{v}", "dark", frames(v, DARK_PE, 12), Conditions(**recorded(v))))
+            stacks.append((f"dark-{v}", "dark", frames(v, dark_pe, 12), Conditions(**recorded(v))))
         for light in lights:
             conditions = Conditions(illuminance_lux=light, **recorded(v))
-            stacks.append((f"flat-{v}-{light}", "flat", frames(v, seen(light) + DARK_PE, 6), conditions))
+            stacks.append((f"flat-{v}-{light}", "flat", frames(v, seen(light) + dark_pe, 6), conditions))
     return in_memory(stacks)
 
 
@@ -248,3 +249,11 @@ def test_without_recorded_light_excess_noise_stays_in_the_gain(seed):
     result = told_by(SweepScene().drawn(np.random.default_rng(seed), lit=False)[0])
     (excess,) = result.find("relative_excess_noise_factor")
     assert excess.status == "refused" and "photons_per_px" in excess.reason
+
+
+def test_dark_frames_that_do_not_change_tell_no_read_noise(pulses, in_memory, seed):
+    """Without read noise and light in the dark every dark frame is one code: the knee is refused, the law is not."""
+    session = swept(pulses, in_memory, seed, read_noise_dn=0.0, lights=(10.0, 30.0), dark_pe=0.0)
+    result = measured(session)
+    assert all("read noise is not known" in m.reason for m in result.find("gain_knee"))
+    assert abs(errors(one(result, "gain_exponent"), EXPONENT)) < 4.5
