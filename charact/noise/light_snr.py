@@ -29,6 +29,10 @@ Array = NDArray[np.float64]
 METHOD = "light-transfer"
 # A square must fit so many times into a side of the image for the spectrum to hold it.
 SQUARES = 6
+# Signal below which a shift by the steps of the digitiser, a third of one at most, is more than some percent, DN.
+COARSE_DN = 4.0
+# Variance of a dark below which rare pulses may be all of it but for noise much finer than a step.
+COARSE_DN2 = 1.0
 PIXEL = "of a pixel: temporal noise of one exposure"
 AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, noise that they share included"
 AXES = "noise of whole rows, columns and frames is left out of the area: too few frames to see it"
@@ -139,5 +143,12 @@ def _ratios(series: Series, scope: Scope, findings: list[Finding], fields: dict[
             out.append(refused(name, "1", reason, **told))
         else:
             value, sd = float(scope.levels.snr[index]), float(scope.levels.snr_sd[index])
-            out.append(from_sd(name, "1", value, sd, **told, **own))
+            flags = own["flags"] + _rounded(series, index)
+            out.append(from_sd(name, "1", value, sd, **told, **{**own, "flags": flags}))
     return out
+
+
+def _rounded(series: Series, index: int) -> tuple[str, ...]:
+    """The flag of a few DN above a dark whose variance may be that of rare pulses, while the steps hide the rest."""
+    coarse = series.darks[index].variance_dn2 < COARSE_DN2 and series.signal_dn[index] < COARSE_DN
+    return ("quantised",) if coarse else ()
