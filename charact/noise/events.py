@@ -40,6 +40,8 @@ MOST_STILL = 0.53
 # Shares of pixels that flicker, of bright values at the highest code, of values beside ion events.
 DEFECT_SHARE, FULL_SHARE, SPOILT_SHARE = 0.01, 0.02, 0.5
 LEAST_CHANCE = 1e-4
+# Squared residuals per degree of freedom beyond which the law says nothing.
+WORST_MISFIT = 8.0
 # Share of the photoelectrons that start a pulse, where no sensor states it: open area, film and recovery.
 DETECTION = (0.45, 1.0)
 
@@ -106,9 +108,7 @@ def _found(stack: FrameStack, conditions: Conditions, context: Context) -> Pulse
     try:
         found = fit_pulses(look, dark_frames(stack, context), context, period_s=period_s, open_share=share)
     except np.linalg.LinAlgError:
-        return (
-            "no law of pulses comes near the darks: what brightens their pixels is not single photoelectrons"
-        )
+        return "no law of pulses comes near the darks: what brightens their pixels is not single photoelectrons"
     return found if isinstance(found, str) else unseen(found) or found
 
 
@@ -143,6 +143,11 @@ def unseen(found: PulseFit) -> str | None:
         return (
             f"pulses do not stand out of the noise: a mean one is {found.signal_to_noise:.2g} times the noise of a "
             f"filter that suits it, and {LOST:g} are needed"
+        )
+    if found.peak.chi2 > WORST_MISFIT * found.peak.freedom:
+        return (
+            "no law of pulses comes near the darks: chi2 per degree of freedom is "
+            f"{found.peak.chi2 / found.peak.freedom:.0f}, at most {WORST_MISFIT:g} may be left"
         )
     error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
     if error > UNKNOWN:
