@@ -12,6 +12,8 @@ Array = NDArray[np.float64]
 
 # Places of a pulse: steps within a pixel, and how far a spot reaches around the filter, px on both sides together.
 STEPS, SPOT_PX = 4, 18
+# Logarithm of the highest transfer.
+SHARPEST = 3.0
 # Frequency at which the strength of the wings is stated, cycles per pixel.
 REFERENCE_CY_PER_PX = 0.1
 # Amplitudes from zero to the largest by which many are represented.
@@ -46,7 +48,8 @@ def _transfer(spot: Spot, sides: tuple[int, int]) -> Array:
     """Transfer from a pulse to the light on a pixel, at the frequencies of the places."""
     squares, distance, pixel = _plane(spot.row_pitch, sides)
     gauss = spot.column_px**2 * squares[1] + spot.row_px**2 * squares[0]
-    return np.exp(-2.0 * np.pi**2 * gauss - spot.wings * distance**spot.exponent) * pixel
+    # Wings of less than nothing, which a fit may try, must not overflow.
+    return np.exp(np.minimum(-2.0 * np.pi**2 * gauss - spot.wings * distance**spot.exponent, SHARPEST)) * pixel
 
 
 @lru_cache(maxsize=8)
