@@ -1,7 +1,7 @@
 """Acquisition: a plan becomes a session, step by step, and the tube is safe whichever way it ends."""
 
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -58,7 +58,8 @@ def acquire(
     judge
         Looks at each finished stack; its complaint becomes a note of the stack.
     resume
-        Go on with a run that was broken off: finished stacks are not repeated, a broken one is filled up.
+        Go on with a run that was broken off: finished stacks are not repeated, a broken one is filled up, or taken
+        anew where the bench failed while it was taken.
     progress
         Told the step and the share done (0..1).
 
@@ -113,14 +114,23 @@ class _Run:
     def take(self, step: Step) -> None:
         """Take one stack: settings, light, the frames that it still lacks, and what is to be said of it."""
         self._tell(step, 0)
+        anew = self._put_aside(step)
         conditions = self._set(step)
         with self._begin(step, conditions) as stack:
             there = len(stack)
             lost = self._fill(step, stack) if there < step.frames else 0
-            # No target moves before an open gate.
-            self._bench.set_conditions(replace(step.conditions, gate_ns=None))
-            stack.finish(lost_frames=lost, notes=tuple(self._notes(step, there, conditions)))
+            with _doubting(stack):
+                # No target moves before an open gate.
+                self._bench.set_conditions(replace(step.conditions, gate_ns=None))
+            stack.finish(lost_frames=lost, notes=(*anew, *self._notes(step, there, conditions)))
         self._done += step.frames
+
+    def _put_aside(self, step: Step) -> tuple[str, ...]:
+        """Put the frames of an earlier run aside that may not show what their stack says, and say so."""
+        why = self._writer.doubtful.get(step.label)
+        if why is None:
+            return ()
+        return (f"taken anew, the frames before are in {self._writer.put_aside(step.label).name}: {why}",)
 
     def _set(self, step: Step) -> Conditions:
         """Set what a step asks in the order that spares the tube, and return what was read back.
@@ -150,7 +160,8 @@ class _Run:
         with self._camera.capture(frames=step.frames - len(stack), discard=DISCARDED_FRAMES) as capture:
             try:
                 for frame in capture:
-                    self._bench.check()
+                    with _doubting(stack):
+                        self._bench.check()
                     stack.append(frame.pixels, frame.time_s, frame.number)
                     self._tell(step, len(stack))
             except BaseException as error:
@@ -171,6 +182,16 @@ class _Run:
 
     def _tell(self, step: Step, frames: int) -> None:
         self._progress(f"{step.label}: {frames} of {step.frames} frames", (self._done + frames) / self._frames)
+
+
+@contextmanager
+def _doubting(stack: StackWriter) -> Iterator[None]:
+    """Where the bench fails, doubt the frames so far: the gate may have been shut before it was told."""
+    try:
+        yield
+    except BenchError as error:
+        stack.doubt(f"the bench failed while they were taken, and the last may be dark: {error}")
+        raise
 
 
 def _make_safe(bench: Bench, error: BaseException) -> None:

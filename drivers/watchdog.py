@@ -17,7 +17,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-from drivers.errors import BenchError
+from drivers.errors import BenchError, WatchdogLost
 from drivers.line import OwnedLine
 from drivers.line_worker import LineWorker, described
 from drivers.lines import open_gate_line, open_supply_line
@@ -139,6 +139,8 @@ class Watchdog:
                     return "the client leaves", message["id"]
                 self._obey(message)
             if reason := self._danger():
+                # Before the gate is shut, so that a client that lives after all takes no dark frame for one of light.
+                self._client.send({"event": "fault", "error": described(WatchdogLost(f"the watchdog ends: {reason}"))})
                 return reason, None
             self._look_after_lines()
 

@@ -38,6 +38,8 @@ class StackForm(Conditions):
         False while the stack is being taken, or where its taking was broken off.
     lost_frames
         Frames that the camera numbered and that never arrived.
+    doubt
+        Why its frames may not show what it says, such as a bench that was made safe while they were taken.
     notes
         Remarks.
     """
@@ -49,6 +51,7 @@ class StackForm(Conditions):
     target: Target = field(default_factory=Target)
     finished: bool | None = None
     lost_frames: int | None = None
+    doubt: str | None = None
     notes: tuple[str, ...] = ()
 
 

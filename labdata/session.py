@@ -252,7 +252,7 @@ def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
         target=stack.target,
         finished=stack.finished is not False,
         lost_frames=stack.lost_frames or 0,
-        notes=stack.notes,
+        notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
         bit_depth=form.bit_depth,
         folder=folder,
     )

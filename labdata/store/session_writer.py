@@ -4,6 +4,7 @@ import fcntl
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,12 @@ class StackWriter:
         self._entry = replace(entry, finished=None, lost_frames=lost_frames or None, notes=(*entry.notes, *notes))
         self._enter(self._entry)
         self.close()
+
+    def doubt(self, why: str) -> None:
+        """Say why the frames so far may not show what the stack says: it is not gone on with, but taken anew."""
+        if len(self._array):
+            self._entry = replace(self._entry, doubt=why)
+            self._enter(self._entry)
 
     def close(self) -> None:
         """Close the stack as it is; the frames so far are safe."""
@@ -210,11 +217,30 @@ class SessionWriter:
             shutil.rmtree(path)
         return StackWriter(ArrayWriter(path, shape, dtype), entry, self._enter)
 
+    @property
+    def doubtful(self) -> dict[str, str]:
+        """Labels of the stacks whose frames may not show what they say, with why."""
+        return {entry.label: entry.doubt for entry in self._form.stack if entry.doubt is not None}
+
+    def put_aside(self, label: str) -> Path:
+        """Take a stack that was broken off out of the session, so that it can be taken anew; its frames are kept.
+
+        Returns
+        -------
+        Path
+            Where its frames are now.
+        """
+        path = self._path(label)
+        aside = next(
+            other for number in count(1) if not (other := path.with_name(f"{label}.aside-{number}.zarr")).exists()
+        )
+        self._forget(label)
+        path.rename(aside)
+        return aside
+
     def discard_stack(self, label: str) -> None:
         """Forget a stack that was broken off, with its frames, so that it can be taken anew."""
-        if label in self.finished:
-            raise BadInput(f"only a stack that was broken off can be discarded, got the complete {label!r}")
-        self._save(replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label)))
+        self._forget(label)
         shutil.rmtree(self._path(label), ignore_errors=True)
 
     def add_note(self, note: str) -> None:
@@ -228,6 +254,11 @@ class SessionWriter:
     def close(self) -> None:
         """Let another process write to the session."""
         self._lock.close()
+
+    def _forget(self, label: str) -> None:
+        if label in self.finished:
+            raise BadInput(f"only a stack that was broken off can leave its session, got the complete {label!r}")
+        self._save(replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label)))
 
     def _enter(self, entry: StackForm) -> None:
         stacks = {one.label: one for one in self._form.stack}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.acquire import acquire
+from drivers.errors import InstrumentTripped
 from drivers.interface import CameraError
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -130,6 +131,34 @@ def test_a_resumed_run_repeats_nothing_and_fills_up_what_was_broken_off(tmp_path
     for old, entry in zip(before, session.stacks, strict=False):
         assert np.array_equal(entry.read().data[: len(old)], old)
     assert any("broken off after 2 frames" in note for note in session.stack("low").notes)
+
+
+def test_what_was_taken_while_the_bench_failed_is_put_aside_and_taken_anew(tmp_path):
+    """The gate is shut some frames before anybody is told: they are dark, and no light is measured in them."""
+    checks = iter(range(1, 100))
+    trip = InstrumentTripped("high-voltage supply tripped")
+    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and next(checks) == 7 else None)
+    with pytest.raises(InstrumentTripped):
+        take(rig, tmp_path / "s")
+    broken = open_session(tmp_path / "s").stack("low")
+    assert len(broken.read()) == 2
+    assert any("may be dark" in note for note in broken.notes)
+    rig = FakeRig()
+    session = take(rig, tmp_path / "s", resume=True)
+    assert rig.diary.count("frame") == 8
+    assert session.stack("low").read().frame_number.tolist() == [1, 2, 3, 4]
+    assert any("taken anew" in note and "low.aside-1.zarr" in note for note in session.stack("low").notes)
+    assert (tmp_path / "s" / "frames" / "low.aside-1.zarr").is_dir()
+
+
+def test_a_stack_that_is_full_when_the_bench_fails_is_doubted_as_well(tmp_path):
+    sets = iter(range(1, 100))
+    trip = InstrumentTripped("high-voltage supply tripped")
+    rig = FakeRig(fail=lambda event: trip if event == "conditions set" and next(sets) == 4 else None)
+    with pytest.raises(InstrumentTripped):
+        take(rig, tmp_path / "s")
+    assert len(open_session(tmp_path / "s").stack("low").read()) == 4
+    assert any("taken anew" in note for note in take(FakeRig(), tmp_path / "s", resume=True).stack("low").notes)
 
 
 def test_resuming_a_complete_run_switches_nothing_on(tmp_path):
