@@ -20,7 +20,7 @@ def rows() -> Iterator[Row]:
     """A series of 100 pairs of 12 bits and a pair of darks: statistics alone, with spectra, and the whole verb."""
     from charact import noise
     from charact.measuring import context_of
-    from charact.noise.series import read_levels
+    from charact.noise.gain.series import read_levels
     from labdata.session import open_session
 
     with tempfile.TemporaryDirectory() as folder:

@@ -12,7 +12,7 @@ from charact.fit.gather import observations
 from charact.fit.levels import levels_of
 from charact.fit.model import Model, doubted, model_of, most_probable, posterior_of
 from charact.fit.product import shared_out
-from charact.noise.light import UNSTATED_ILLUMINANCE_SD
+from charact.noise.light.stated import UNSTATED_ILLUMINANCE_SD
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
 from labdata.parameter import Parameter

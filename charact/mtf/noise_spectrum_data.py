@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.noise_spectrum_stack import Stack, low_weights, smear, stack_spectra
-from charact.noise.series import CLIPPED_SHARE, longest_series, read_levels, series_of
-from charact.noise.spectrum import Bins
+from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
+from charact.noise.stack.spectrum import Bins
 from labdata.frames import FrameStack
 from labdata.session import Session
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.fields import exposures, fluctuations, runs_of
-from charact.noise.spectrum import Bins, bins_of, cross_spectra
-from charact.noise.temporal import autocovariance, independent, usable_lags
+from charact.noise.stack.fields import exposures, fluctuations, runs_of
+from charact.noise.stack.spectrum import Bins, bins_of, cross_spectra
+from charact.noise.stack.temporal import autocovariance, independent, usable_lags
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 

@@ -1,8 +1,8 @@
 """Noise against gain, from dark and evenly lit frames."""
 
 from charact.method import Context, choose
-from charact.noise import covariance_sum, lag_window, near_zero, variance
-from charact.noise.separation_pulses import with_pulses
+from charact.noise.gain import covariance_sum, lag_window, near_zero, variance
+from charact.noise.light.separation_pulses import with_pulses
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session

@@ -4,10 +4,10 @@ import numpy as np
 
 from charact.method import Context
 from charact.noise.findings import Finding, flags_of
+from charact.noise.gain.series import CLIPPED_SHARE, Series
 from charact.noise.hidden import Effect
-from charact.noise.level import Level
 from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
-from charact.noise.series import CLIPPED_SHARE, Series
+from charact.noise.stack.level import Level
 from labdata.conditions import Conditions
 
 # A check speaks up when the effect is both beyond its noise and large enough to move a number.

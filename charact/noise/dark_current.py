@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.checks import QUANTISED_DN2, unsteadiness
 from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.level import Level
+from charact.noise.gain.standard import QUANTISATION_DN2
 from charact.noise.provenance import provenance
 from charact.noise.quantities import CUT_SHARE
-from charact.noise.standard import QUANTISATION_DN2
+from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, Result, from_draws, refused
 
 Array = NDArray[np.float64]

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context
-from charact.noise.defects import FAR, RESTLESS, Defects
-from charact.noise.level import Level
+from charact.noise.gain.series import CLIPPED_SHARE
 from charact.noise.provenance import provenance
-from charact.noise.series import CLIPPED_SHARE
+from charact.noise.stack.defects import FAR, RESTLESS, Defects
+from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, Result, measured, refused
 
 METHOD = "outlying-pixels"

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from charact.noise.model import Fit
-from charact.noise.series import Series
-from charact.noise.summary import Summary
+from charact.noise.gain.model import Fit
+from charact.noise.gain.series import Series
+from charact.noise.gain.summary import Summary
 
 
 def transfer_evidence(series: Series, *, gain: float | None = None, **more: Any) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.level import Level
-from charact.noise.series import Series
+from charact.noise.gain.series import Series
+from charact.noise.stack.level import Level
 
 Array = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
+from charact.noise.gain.series import Series
 from charact.noise.hidden import FEW_FRAMES
-from charact.noise.level import Level
-from charact.noise.series import Series
+from charact.noise.stack.level import Level
 
 Array = NDArray[np.float64]
 

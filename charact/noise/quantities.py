@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise import standard
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import flags_of
+from charact.noise.gain import standard
+from charact.noise.gain.series import Series
 from charact.noise.hidden import FEW_FRAMES
-from charact.noise.level import Level
-from charact.noise.light import light_of_photons
-from charact.noise.series import Series
+from charact.noise.light.stated import light_of_photons
+from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, from_draws, from_sd, refused
 
 Array = NDArray[np.float64]

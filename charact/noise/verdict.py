@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from charact.noise.level import Level
+from charact.noise.gain.series import Series
 from charact.noise.quantities import dark_quantities
-from charact.noise.series import Series
+from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, refused
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from charact.method import Context
-from charact.noise.events import measure_events
+from charact.noise.events.events import measure_events
 from charact.study.dark_events import DarkScene
 from labdata.measurement import intervals_of
 

@@ -128,7 +128,7 @@ def _with_wings(pulses: NDArray[np.floating], frequency_cy_per_px: float) -> NDA
 
     rows, cols = pulses.shape[1:]
     radius = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None, :])
-    return irfft2(rfft2(pulses) * np.exp(-((radius / frequency_cy_per_px) ** 1.2)), s=(rows, cols))
+    return np.asarray(irfft2(rfft2(pulses) * np.exp(-((radius / frequency_cy_per_px) ** 1.2)), s=(rows, cols)))
 
 
 def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> NDArray[np.floating]:

@@ -25,8 +25,8 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.model import REFERENCE_CY_PER_PX
-from charact.noise.spectrum import bins_of
+from charact.noise.gain.model import REFERENCE_CY_PER_PX
+from charact.noise.stack.spectrum import bins_of
 from charact.study.pulse_frames import PulseScene
 
 Array = NDArray[np.float64]

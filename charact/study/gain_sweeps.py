@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.gain_knob import KNOBS
-from charact.noise.gain_settings import Setting, Sweep
-from charact.noise.gain_sweep import of_sweep
+from charact.noise.sweep.knob import KNOBS
+from charact.noise.sweep.settings import Setting, Sweep
+from charact.noise.sweep.sweep import of_sweep
 from labdata.measurement import Result
 
 Array = NDArray[np.float64]

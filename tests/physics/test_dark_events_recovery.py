@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from charact.method import Context
-from charact.noise.events import measure_events
+from charact.noise.events.events import measure_events
 from charact.study.flats import HeldStack
 from labdata.conditions import Conditions
 from labdata.parameter import Parameter

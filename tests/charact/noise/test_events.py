@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.events import measure_events, pulses_of_darks
-from charact.noise.events_filters import Filter, boxes
-from charact.noise.events_law import Glow, Pulses, height_transform
-from charact.noise.events_scatter import blended
-from charact.noise.series import read_levels
+from charact.noise.events.events import measure_events, pulses_of_darks
+from charact.noise.events.filters import Filter, boxes
+from charact.noise.events.law import Glow, Pulses, height_transform
+from charact.noise.events.scatter import blended
+from charact.noise.gain.series import read_levels
 from charact.study.dark_events import DarkScene
 from labdata.conditions import Conditions
 

@@ -7,8 +7,8 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.lag_window import binned, windowed
-from charact.noise.reach import settled
+from charact.noise.gain.lag_window import binned, windowed
+from charact.noise.gain.reach import settled
 from charact.study.flats import FlatScene
 
 METHODS = ("covariance-window", "binning", "spectrum-plateau", "spectrum-parabola")

@@ -8,9 +8,9 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.gain_knob import KNOBS
-from charact.noise.gain_settings import Sweep
-from charact.noise.gain_sweep import of_sweep
+from charact.noise.sweep.knob import KNOBS
+from charact.noise.sweep.settings import Sweep
+from charact.noise.sweep.sweep import of_sweep
 from charact.study.gain_sweeps import SweepScene, covered
 from labdata.conditions import Conditions
 

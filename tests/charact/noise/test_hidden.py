@@ -5,10 +5,10 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.fields import order_of
 from charact.noise.hidden import Effect
-from charact.noise.pixels import below, beside, pixel_sums, successors
-from charact.noise.spectrum import NO_BINS
+from charact.noise.stack.fields import order_of
+from charact.noise.stack.pixels import below, beside, pixel_sums, successors
+from charact.noise.stack.spectrum import NO_BINS
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 

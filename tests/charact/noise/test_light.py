@@ -9,13 +9,13 @@ from scipy.special import ndtr
 
 from charact import noise
 from charact.method import Context
-from charact.noise.light import Light, response_draws
-from charact.noise.light_area import SIDE_PX
-from charact.noise.light_minimum import Scope, minimum
-from charact.noise.light_model import Levels, noise_law
-from charact.noise.light_rounding import rounding_sd
-from charact.noise.light_snr import snr_against_light
-from charact.noise.series import read_levels
+from charact.noise.gain.series import read_levels
+from charact.noise.light.area import SIDE_PX
+from charact.noise.light.minimum import Scope, minimum
+from charact.noise.light.model import Levels, noise_law
+from charact.noise.light.rounding import rounding_sd
+from charact.noise.light.snr import snr_against_light
+from charact.noise.light.stated import Light, response_draws
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 

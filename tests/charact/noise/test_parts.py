@@ -9,8 +9,8 @@ import pytest
 
 from charact.measuring import context_of
 from charact.method.cluster import spread_over
-from charact.noise import parts
-from charact.noise.series import read_levels
+from charact.noise.gain.series import read_levels
+from charact.noise.stack import parts
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import open_session

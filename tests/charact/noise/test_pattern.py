@@ -5,10 +5,10 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.fields import order_of
-from charact.noise.pattern import fixed_pattern
-from charact.noise.pixels import pixel_sums
-from charact.noise.spectrum import NO_BINS
+from charact.noise.stack.fields import order_of
+from charact.noise.stack.pattern import fixed_pattern
+from charact.noise.stack.pixels import pixel_sums
+from charact.noise.stack.spectrum import NO_BINS
 
 QUICK = Context(seed=1, quick=True)
 

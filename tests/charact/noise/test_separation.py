@@ -7,12 +7,12 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.calibrated import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
-from charact.noise.one_gain import one_gain
-from charact.noise.separation import posterior_of, separated
-from charact.noise.separation_pulses import with_pulses
-from charact.noise.series import read_levels, series_of
-from charact.noise.tube_snr import specified_snr
+from charact.noise.gain.one_gain import one_gain
+from charact.noise.gain.series import read_levels, series_of
+from charact.noise.light.calibrated import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
+from charact.noise.light.separation import posterior_of, separated
+from charact.noise.light.separation_pulses import with_pulses
+from charact.noise.light.tube_snr import specified_snr
 from labdata.conditions import Conditions
 from labdata.measurement import Result, from_draws
 from labdata.sensors import load_sensor

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from charact.noise.fields import exposures, fluctuations, order_of
-from charact.noise.model import leaked, spectrum_at
-from charact.noise.pixels import pixel_sums
-from charact.noise.spectrum import bins_of, cross_spectra
+from charact.noise.gain.model import leaked, spectrum_at
+from charact.noise.stack.fields import exposures, fluctuations, order_of
+from charact.noise.stack.pixels import pixel_sums
+from charact.noise.stack.spectrum import bins_of, cross_spectra
 from labdata.frames import FrameStack
 
 

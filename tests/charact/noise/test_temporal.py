@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.noise.temporal import autocovariance, centring, independent, usable_lags
+from charact.noise.stack.temporal import autocovariance, centring, independent, usable_lags
 
 LAGS = np.arange(4)
 TRUTH = np.array([1.0, 0.5, 0.2, 0.1])

@@ -77,7 +77,7 @@ def test_the_bound_falls_with_the_root_of_the_frames_and_rises_with_blur_and_noi
 
 def test_the_bound_of_white_noise_of_known_form_is_that_of_its_modes():
     """Where only the power is free its relative variance is one over the number of modes."""
-    from charact.noise.spectrum import bins_of
+    from charact.noise.stack.spectrum import bins_of
     from charact.study.gain_bound import _information
 
     bins = bins_of(128, 128, 1.0)

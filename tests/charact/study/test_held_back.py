@@ -36,7 +36,7 @@ def test_the_committed_study_keeps_it_too(quantity, kind, within):
 
 def test_auto_takes_a_quicker_gain_estimator_where_its_error_is_within_the_tolerance():
     """Five estimators on one chart; asked for more than any gives, the most accurate is taken."""
-    rows = {row["method"]: row for row in chart_table(charact.noise.covariance_sum.QUANTITIES[0])}
+    rows = {row["method"]: row for row in chart_table(charact.noise.gain.covariance_sum.QUANTITIES[0])}
     assert len(rows) >= 5
     best = min(rows, key=lambda name: rows[name]["error_percent"])
     assert choose("flats", within_percent=2.0).name == best == "covariance-sum"

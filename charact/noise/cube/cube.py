@@ -1,0 +1,84 @@
+"""One stack as a cube of frames, rows and columns: its seven components of noise, and what spoils them."""
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.cube.components import Component, components
+from charact.noise.cube.contrasts import contrasts
+from charact.noise.cube.irregular import alternating_rows, few_pixels, uneven
+from charact.noise.findings import Finding
+from charact.noise.stack.defects import Defects, defects_of
+from charact.noise.stack.frame_means import FrameMeans, frame_means
+from labdata.opened import OpenStack
+
+Array = NDArray[np.float64]
+
+# Fewer frames tell too little of what changes in time; smaller fields have no slow waves to speak of.
+LEAST_FRAMES = 8
+LEAST_PIXELS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cube:
+    """3-D noise of one stack.
+
+    Parameters
+    ----------
+    components
+        Variance of each component, by its axes: "t" to "tvh".
+    findings
+        What spoils a component, by its axes: flag and sentence.
+    means
+        Means of the exposures.
+    row_mean_dn, column_mean_dn
+        Mean of each row, shape (row,), and of each column, shape (col,), DN.
+    fields
+        Cubes that the frames were taken apart into: 2 for interlaced ones.
+    defects
+        Defective pixels.
+    seconds
+        Time it took, s.
+    """
+
+    components: dict[str, Component]
+    findings: dict[str, tuple[Finding, ...]]
+    means: FrameMeans
+    row_mean_dn: Array
+    column_mean_dn: Array
+    fields: int
+    defects: Defects
+    seconds: float
+
+
+def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
+    """Return the 3-D noise of a stack; None where it is too short or too small to tell it."""
+    frames, rows, cols = stack.shape
+    if frames < LEAST_FRAMES or min(rows // (2 if context.interlaced else 1), cols) < LEAST_PIXELS:
+        return None
+    began = perf_counter()
+    found = contrasts(stack, interlaced=context.interlaced)
+    parts = components(found)
+    shaded = tuple(uneven(found))
+    split = context.interlaced
+    defects = defects_of(found, parts["tvh"].variance_dn2)
+    findings = {
+        "v": shaded + (() if split else tuple(alternating_rows(found, fixed=True))),
+        "h": shaded,
+        "vh": shaded + tuple(few_pixels(found, parts["vh"].variance_dn2)),
+        "tv": () if split else tuple(alternating_rows(found, fixed=False)),
+        "tvh": tuple(defects.findings),
+    }
+    return Cube(
+        components=parts,
+        findings=findings,
+        means=frame_means(found.frame_mean_dn, stack.time_s),
+        row_mean_dn=(found.by_row[..., 0].mean(axis=1) / np.sqrt(found.size[2])).T.ravel(),
+        column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
+        fields=len(found.by_row),
+        defects=defects,
+        seconds=perf_counter() - began,
+    )

@@ -1,0 +1,53 @@
+"""Patterns that are no noise of rows, columns and pixels: uneven light, fields not taken apart, some hot pixels."""
+
+import numpy as np
+
+from charact.noise.cube.contrasts import Contrasts
+from charact.noise.cube.mean_squares import COL, ROW, TIME, centred, shading
+from charact.noise.findings import Finding
+
+# Rows that alternate are seen where the power at their frequency is so many times that of the others, of one mean
+# and, with a square root for the frames, of many.
+ALTERNATING = 30.0
+ALTERNATING_ERRORS = 8.0
+# Pixels so many robust standard deviations off, that hold this share of the pattern.
+FAR = 8.0
+HELD_BY_FEW = 0.1
+
+
+def uneven(found: Contrasts) -> list[Finding]:
+    """Say how uneven the light is that was taken away as smooth shading."""
+    image = found.by_pixel[:, 0] / np.sqrt(found.size[0])
+    rows, cols = (np.column_stack([np.full(n, n**-0.5), shading(n)]) for n in found.size[1:])
+    smooth = rows.T @ image @ cols
+    smooth[:, 0, 0] = 0.0
+    rms = float(np.sqrt(np.sum(smooth**2) / image.size))
+    return [(None, f"smooth shading up to fourth order along rows and columns, {rms:.3g} DN rms, is not in it")]
+
+
+def alternating_rows(found: Contrasts, *, fixed: bool) -> list[Finding]:
+    """Find even and odd rows that differ: fields that were not taken apart."""
+    rows = centred(found.by_row[..., :1], (TIME, ROW), fixed=False)
+    if fixed:
+        rows = centred(found.by_row[..., :1].mean(axis=1, keepdims=True), (ROW,), fixed=True)
+    sign = (-1.0) ** np.arange(rows.shape[2]) / np.sqrt(rows.shape[2])
+    alternating = np.einsum("ftvx,v->ft", rows, sign)
+    power = float(np.mean(alternating**2) / np.mean(rows**2)) if np.any(rows) else 0.0
+    limit = ALTERNATING if fixed else 1.0 + ALTERNATING_ERRORS * np.sqrt(2.0 / (found.size[0] - 1))
+    if power <= limit:
+        return []
+    rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / found.size[2]))
+    sentence = f"even and odd rows differ by {2.0 * rms:.3g} DN: fields of interlaced frames, not taken apart?"
+    return [("interlace-motion", sentence)]
+
+
+def few_pixels(found: Contrasts, variance_dn2: float) -> list[Finding]:
+    """Find a fixed pattern that a few pixels hold."""
+    rest = centred(found.by_pixel[:, :1], (ROW, COL), fixed=True) / np.sqrt(found.size[0])
+    size = np.abs(rest)
+    far = size > FAR * 1.4826 * float(np.median(size))
+    held = float(np.sum(rest[far] ** 2)) / rest.size
+    if held <= HELD_BY_FEW * variance_dn2 or variance_dn2 <= 0:
+        return []
+    share = 100 * min(held / variance_dn2, 1.0)
+    return [("defects", f"{int(far.sum())} pixels hold {share:.0f} % of the pattern's variance")]

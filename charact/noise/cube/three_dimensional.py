@@ -1,0 +1,168 @@
+"""3-D noise of every dark and flat: what differs from frame to frame, row to row, column to column, and jointly."""
+
+from time import perf_counter
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.checks import QUANTISED_DN2
+from charact.noise.cube.components import OWN, Component
+from charact.noise.cube.cube import LEAST_FRAMES, LEAST_PIXELS, Cube
+from charact.noise.cube.mean_squares import TIME
+from charact.noise.findings import Finding, flags_of, notes_of
+from charact.noise.provenance import provenance
+from charact.noise.quantities import CUT_SHARE
+from charact.noise.stack.frame_means import FrameMeans
+from charact.noise.stack.level import Level
+from labdata.measurement import Measurement, Result, intervals_of, measured, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "three-dimensional"
+NAMES = (*OWN, "tvh")
+DRAWS = 4000
+# A component counts as seen where chance would show it in so small a share of cubes without it; where it is not, its
+# lower bound is none, for the root of a variance that chance made positive lies far from zero.
+CHANCE = 1e-3
+# Noise that falls by more than this share from waves of one period to those of two cannot be extended to their mean,
+# which matters from this share of the interval's half width on.
+STEEP = 0.3
+MATTERS = 0.25
+
+
+def three_dimensional(levels: list[Level], *, context: Context) -> Result:
+    """Return the seven components of 3-D noise of every dark and flat with enough frames.
+
+    Parameters
+    ----------
+    levels
+        Darks and flats, read with their cubes.
+    context
+        Seed; fields of interlaced frames are taken apart, and the variances of both averaged.
+
+    Returns
+    -------
+    Result
+        `noise_t` to `noise_tvh` of each stack, DN, the digitiser's steps included; as evidence the means of its
+        frames with their spectrum, and of rows and columns. Without any such stack, seven refusals.
+    """
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    result = Result()
+    for level in levels:
+        if level.cube is not None:
+            result += _of_level(level, level.cube, context, {**fields, "stack": level.label})
+    return result if result.measurements else Result(measurements=_all_refused(_too_few(levels), fields))
+
+
+def _too_few(levels: list[Level]) -> str:
+    most = max((level.frames for level in levels), default=1)
+    return (
+        f"3-D noise needs a stack of at least {LEAST_FRAMES} frames, and {LEAST_PIXELS} rows and columns in each "
+        f"field; the longest stack has {most} {'frame' if most == 1 else 'frames'}"
+    )
+
+
+def _all_refused(reason: str, fields: dict[str, Any]) -> tuple[Measurement, ...]:
+    return tuple(refused(f"noise_{name}", "DN", reason, **fields) for name in NAMES)
+
+
+def _of_level(level: Level, cube: Cube, context: Context, fields: dict[str, Any]) -> Result:
+    """The seven components of one stack."""
+    began = perf_counter()
+    parts = cube.components
+    if parts["tvh"].variance_dn2 <= 0:
+        reason = f"no pixel of {level.label} changes for itself from frame to frame"
+        return Result(measurements=_all_refused(reason, fields))
+    rng = np.random.default_rng([context.seed, 7, crc32(level.label.encode())])
+    draws = {name: part.draws(rng, DRAWS) for name, part in parts.items()}
+    findings = {name: [*_slopes(name, parts[name], draws[name]), *cube.findings.get(name, ())] for name in NAMES}
+    findings["t"] += _unsteady(cube.means)
+    common = _of_all(level, cube, draws["tvh"])
+    out = [_measurement(name, parts[name], draws[name], common + findings[name], fields) for name in NAMES]
+    seconds = cube.seconds + perf_counter() - began
+    return Result(
+        measurements=tuple(m.with_(seconds=seconds) for m in out),
+        evidence={f"three-dimensional-noise:{level.label}": _evidence(level, cube)},
+    )
+
+
+def _measurement(name: str, part: Component, draws: Array, findings: list[Finding], fields: dict[str, Any]
+                 ) -> Measurement:  # fmt: skip
+    """The standard deviation of a component; where none is seen, how much there may be."""
+    value = float(np.sqrt(max(part.variance_dn2, 0.0)))
+    # An estimate below zero is chance: it must not lower the limit below that of an estimate of zero.
+    possible = draws - min(part.variance_dn2, 0.0)
+    _, interval68, (low, high) = intervals_of(np.sqrt(np.maximum(possible, 0.0)))
+    notes = notes_of(findings)
+    if np.quantile(draws, CHANCE) <= 0:
+        low = 0.0
+        seen = f"no {name} noise is seen (unbiased variance {part.variance_dn2:.2g} DN2)"
+        notes = (*notes, f"{seen}: at most {high:.3g} DN")
+    around = [(min(one, value), max(two, value)) for one, two in (interval68, (low, high))]
+    return measured(f"noise_{name}", "DN", value, *around, flags=flags_of(findings), notes=notes, **fields)
+
+
+def _of_all(level: Level, cube: Cube, draws: Array) -> list[Finding]:
+    """What is wrong with every component of the stack."""
+    out: list[Finding] = []
+    if cube.fields > 1:
+        out.append((None, "even and odd rows are cubes of their own; the variances of both are averaged"))
+    variance, half = cube.components["tvh"].variance_dn2, _half(draws)
+    for share, which in ((level.low_share, "0"), (level.high_share, "the highest")):
+        # Values cut off a normal law at a code take about twice their share of its variance away.
+        if share > CUT_SHARE or 2.0 * share * variance > 0.5 * half:
+            out.append(("clipped", f"{100 * share:.2g} % of the values are at code {which}"))
+    if variance < QUANTISED_DN2:
+        out.append(("quantised", f"the random noise of {variance:.2g} DN2 is below the digitiser's steps"))
+    return out
+
+
+def _slopes(name: str, part: Component, draws: Array) -> list[Finding]:
+    """Correlation of the noise that is too long for the stack or the image to tell its mean."""
+    out: list[Finding] = []
+    for axis, slope in part.slopes.items():
+        if slope.steep > STEEP and abs(slope.expected_dn2) > MATTERS * _half(draws):
+            flag, along = ("lag", "frames") if axis == TIME else ("correlated-noise", "pixels")
+            out.append((flag, f"noise is shared over so many {along} that little tells it from {name}"))
+    return out
+
+
+def _half(draws: Array) -> float:
+    """Half of the 95 % interval."""
+    return 0.5 * float(np.ptp(np.quantile(draws, [0.025, 0.975])))
+
+
+def _unsteady(means: FrameMeans) -> list[Finding]:
+    """Drift, and a line in the spectrum of the frames' means."""
+    out: list[Finding] = []
+    if means.drift_seen:
+        out.append(("drift", f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame"))
+    if means.line is not None:
+        place = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"
+        if means.line_hz is not None:
+            place = f"{means.line_hz:.3g} Hz, or above half the exposures' rate and seen there"
+        out.append(("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {place}"))
+    return out
+
+
+def _evidence(level: Level, cube: Cube) -> dict[str, Any]:
+    """What the report draws: frames, rows and columns, each by its mean."""
+    means = cube.means
+    return {
+        "figure": "three-dimensional-noise",
+        **{f"{name}_dn2": part.variance_dn2 for name, part in cube.components.items()},
+        "fields": cube.fields,
+        "frames": level.frames,
+        "exposure_mean_dn": means.mean_dn.tolist(),
+        "exposure_period_s": means.exposure_period_s,
+        "frequency_cy_per_exposure": means.frequency_cy_per_exposure.tolist(),
+        "power_dn2": means.power_dn2.tolist(),
+        "drift_dn": means.drift_dn,
+        "flicker_rms_dn": means.line_rms_dn,
+        "flicker_hz": means.line_hz,
+        "row_mean_dn": cube.row_mean_dn.tolist(),
+        "column_mean_dn": cube.column_mean_dn.tolist(),
+    }

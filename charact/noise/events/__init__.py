@@ -1,0 +1,1 @@
+"""Single photoelectrons in dark frames."""

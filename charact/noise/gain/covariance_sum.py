@@ -1,0 +1,212 @@
+"""Gain of a camera that blurs after its gain: from the covariance summed over pixels and exposures."""
+
+from dataclasses import replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from charact.method import Context, register
+from charact.noise.checks import (
+    QUANTISED_DN2,
+    bent,
+    exposure_flags,
+    hidden_findings,
+    series_findings,
+)
+from charact.noise.cube.three_dimensional import three_dimensional
+from charact.noise.dark_current import dark_current
+from charact.noise.defect_pixels import defect_pixels
+from charact.noise.events.events import pulses_of_darks
+from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
+from charact.noise.findings import flags_of, notes_of
+from charact.noise.gain import model, standard
+from charact.noise.gain.one_gain import LEAST_BINS, Estimate, OneGain, blur_exponent, one_gain
+from charact.noise.gain.series import Series, read_levels, series_of
+from charact.noise.gain.summary import summarise
+from charact.noise.light.separation import separated
+from charact.noise.light.snr import snr_against_light
+from charact.noise.provenance import provenance
+from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.stack.level import Level
+from charact.noise.sweep.sweep import gain_sweep
+from charact.noise.verdict import problem, timed, without_flats
+from labdata.measurement import Measurement, Result, from_draws, refused
+from labdata.session import Session
+
+METHOD = "covariance-sum"
+QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain")
+
+
+@register(
+    "flats",
+    METHOD,
+    quantities=QUANTITIES,
+    preferred=True,
+    scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more. "
+    "Where noise is white the gains are slopes over all levels: a response that bends by up to 2 % goes unflagged.",
+)
+def covariance_sum(session: Session, *, context: Context) -> Result:
+    """Measure covariance gain, blur factor and all that follows from darks and flats.
+
+    Parameters
+    ----------
+    session
+        Session with dark and flat stacks.
+    context
+        Seed and settings; the sensor, where known, gives pitches and priors.
+
+    Notes
+    -----
+    Covariance gain is K + k F^2, the power of the noise at frequency 0 over the signal, summed over the lags of the
+    phosphor. See `charact.noise.gain.model`.
+    """
+    return measured(session, context=context, method=METHOD)
+
+
+def measured(session: Session, *, context: Context, method: str, estimate: Estimate | None = None) -> Result:
+    """Return all that darks and flats tell, the covariance gain by an estimate of one's own; None: by the model."""
+    began = perf_counter()
+    darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
+    fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
+    result = _of_levels(darks, flats, single, context, fields, estimate, began)
+    result += three_dimensional([*darks, *flats], context=context)
+    result += dark_current(darks, result, context=context) + defect_pixels([*darks, *flats], context=context)
+    result += gain_sweep(darks, flats, context=context)
+    result += pulses_of_darks(session, darks, context=context)
+    return result + snr_against_light(darks, flats, context=context)
+
+
+def _of_levels(darks: list[Level], flats: list[Level], single: list[str], context: Context, fields: dict[str, Any],
+               estimate: Estimate | None, began: float) -> Result:  # fmt: skip
+    """Gains and all that follows from them, or why there are none."""
+    small = too_small([*darks, *flats])
+    if small is not None:
+        out = [refused(name, unit, small, **fields) for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))]
+        out += dark_quantities(tuple(darks), flags=(), **fields) if darks else []
+        return Result(measurements=timed(out, began))
+    series = series_of(flats, darks, single) if flats else None
+    if series is None or problem(series) is not None:
+        out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
+        # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
+        alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
+        return Result(measurements=timed([*out, *alone.measurements], began), evidence=alone.evidence)
+    return _of_series(series, context, fields, estimate, began)
+
+
+def too_small(levels: list[Level]) -> str | None:
+    """Why images hold too few low frequencies to sum a covariance, or None."""
+    least = min(levels, key=lambda level: len(level.bins.modes), default=None)
+    if least is None or len(least.bins.modes) >= LEAST_BINS:
+        return None
+    return (
+        f"images of {least.pixels} px hold too few low spatial frequencies for a covariance sum, some 100 x 100 px "
+        "are needed at least; the method variance works on any size"
+    )
+
+
+def _of_series(series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None, began: float
+               ) -> Result:  # fmt: skip
+    """All quantities of a series of flats."""
+    context.progress("posterior of the covariance gain", 0.9)
+    pooled = one_gain(series, context=context, quick=context.quick, estimate=estimate)
+    white = pooled.white
+    if not white:
+        pooled = pooled.at_low_signal(context)
+    fit = pooled.fit
+    common = series_findings(series, context=context)
+    findings = common + pooled.findings() + (bent(series) if white else []) + pooled.departures()
+    flags, notes = flags_of(findings), notes_of(findings)
+    own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
+    out = [
+        from_draws("covariance_gain", "DN", fit.posterior["covariance_gain"], **own),
+        from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
+    ]
+    plain = flags_of(common)
+    hidden = flags_of(bent(series) + hidden_findings(pooled.neighbours, pooled.exposures))
+    allowance = float(np.hypot(pooled.neighbours.allowance, pooled.exposures.allowance))
+    gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
+    out += (
+        _white_quantities(series, gain, context, plain + hidden, fields)
+        if gain is not None
+        else _intensified_quantities(series, fit, context, plain, flags, fields)
+    )
+    out.append(saturation(series, flags=plain, **fields))
+    out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
+    out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=hidden,
+                              pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
+    evidence = _evidence(pooled, gain)
+    return Result(measurements=timed(out, began), evidence=evidence)
+
+
+def _evidence(pooled: OneGain, gain: standard.Line | None) -> dict[str, Any]:
+    """What the report draws."""
+    series, summary, fit = pooled.series, pooled.summary, pooled.fit
+    spectra = "many" if summary.lag.seen else "few"
+    return {
+        "photon-transfer": transfer_evidence(
+            series,
+            gain=None if gain is None else float(np.median(gain.slope)),
+            # Frames that share light vary less about their own mean: the variance with that undone.
+            variance_dn2=[getattr(flat, spectra).variance_dn2 for flat in series.flats],
+            dark_variance_dn2=[getattr(dark, spectra).variance_dn2 for dark in series.darks],
+            covariance_dn2=(pooled.levels_dn * series.signal_dn).tolist(),
+            covariance_sd_dn2=(pooled.levels_sd_dn * series.signal_dn).tolist(),
+            covariance_gain_dn=float(np.median(fit.posterior["covariance_gain"])),
+            blur_factor=float(np.median(fit.posterior["blur_factor"])),
+            lag_factor=float(np.median(fit.posterior["lag_factor"])),
+        ),
+        "noise-spectrum": spectrum_evidence(summary, fit),
+        "autocorrelation": correlation_evidence(series, summary),
+    }
+
+
+def _white_quantities(series: Series, gain: standard.Line, context: Context, flags: tuple[str, ...],
+                      fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Gain in DN per electron and what follows from it, where noise is white."""
+    own = flags + gain.posterior.flags
+    first = from_draws("system_gain", "DN/e-", gain.slope, flags=own, posterior=gain.posterior, **fields)
+    return [first, *white_quantities(series, gain, context=context, flags=own, **fields)]
+
+
+def _intensified_quantities(
+    series: Series,
+    fit: model.Fit,
+    context: Context,
+    flags: tuple[str, ...],
+    covariance_flags: tuple[str, ...],
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """The gain per photoelectron where the light is known; the gain per electron is refused."""
+    blur = float(np.median(fit.posterior["blur_factor"]))
+    reason = (
+        f"neighbouring pixels share noise (blur factor {blur:.3g}): the variance over the signal is no gain "
+        "per electron; see covariance_gain"
+    )
+    apart = separated(series, fit.posterior, context=context, flags=flags, covariance_flags=covariance_flags, **fields)
+    return [refused("system_gain", "DN/e-", reason, **fields), *apart]
+
+
+def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any]) -> Result:
+    """Blur factor of the noise of darks alone."""
+    dark = max(darks, key=lambda level: (level.frames, -(level.conditions.exposure_s or 0.0)))
+    if dark.variance_dn2 <= 0:
+        return Result(measurements=(refused("blur_factor", "1", f"{dark.label} does not change", **fields),))
+    nothing = replace(dark, label="nothing", variance_dn2=0.0, variance_sd_dn2=0.0, few=_zero(dark.few),
+                      many=_zero(dark.many))  # fmt: skip
+    one = np.ones(1)
+    series = Series(flats=(dark,), darks=(nothing,), all_darks=(dark,), signal_dn=one,
+                    variance_dn2=one * dark.variance_dn2, variance_sd_dn2=one * dark.variance_sd_dn2,
+                    fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
+    summary = summarise(series)
+    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=blur_exponent(context))
+    flags = ("model-misfit",) if fit.chance < 1e-4 else ()
+    flags += cut(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
+    note = ("from the darks alone: the electronics' white noise is in it",)
+    found = from_draws("blur_factor", "1", fit.posterior["blur_factor"], flags=flags + fit.posterior.flags,
+                       notes=note, posterior=fit.posterior, **fields)  # fmt: skip
+    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_evidence(summary, fit)})
+
+
+def _zero(spectrum):
+    return replace(spectrum, power_dn2=0.0 * spectrum.power_dn2, variance_dn2=0.0)

@@ -1,0 +1,206 @@
+"""The covariance gain of the flats of one gain: pooled noise, the blur fitted to it, and what is wrong with either."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.checks import exposure_findings
+from charact.noise.findings import Finding
+from charact.noise.gain import model, standard
+from charact.noise.gain.reach import with_power
+from charact.noise.gain.series import Series
+from charact.noise.gain.summary import Summary, summarise
+from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
+from charact.noise.verdict import lit
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Levels whose covariance over signal departs by more than this share and this many standard errors lie on no line.
+LEVEL_SHARE = 0.06
+LEVEL_ERRORS = 5.0
+# Relative standard error beyond which the posterior is too skewed for its interval to hold what it promises.
+WIDEST_SHARE = 0.35
+# Bins of spatial frequency that the blur's five parameters need.
+LEAST_BINS = 24
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneGain:
+    """Noise of the flats of one gain.
+
+    Parameters
+    ----------
+    series
+        The flats with their darks.
+    summary
+        Their noise per DN of signal.
+    fit
+        Blur and covariance gain fitted to it; `posterior` holds what few frames cannot exclude of lag.
+    levels_dn, levels_sd_dn
+        Covariance over signal of every flat under the common blur, and its standard error, shape (flat,), DN.
+    neighbours, exposures
+        Noise shared by neighbouring pixels and by successive exposures.
+    """
+
+    series: Series
+    summary: Summary
+    fit: model.Fit
+    levels_dn: Array
+    levels_sd_dn: Array
+    neighbours: Effect
+    exposures: Effect
+
+    @property
+    def white(self) -> bool:
+        """Whether no noise is seen to be shared by neighbours."""
+        return not self.neighbours.seen
+
+    @property
+    def posterior(self) -> Posterior:
+        """Draws of covariance gain, blur factor and lag factor, and of the blur."""
+        return self.fit.posterior
+
+    def at_low_signal(self, context: Context) -> "OneGain":
+        """Return the same with the covariance gain carried to small signals."""
+        posterior = _at_low_signal(self.posterior, self.series, self.levels_dn, self.levels_sd_dn, context)
+        return replace(self, fit=replace(self.fit, posterior=posterior))
+
+    def findings(self) -> list[Finding]:
+        """What spectrum and lag say against or about the covariance gain."""
+        return _model_findings(self.summary, self.fit) + _lag_findings(self.summary, self.exposures)
+
+    def departures(self) -> list[Finding]:
+        """Levels whose covariance over signal is far from that of the others."""
+        return _departures(self.series, self.levels_dn, self.levels_sd_dn)
+
+
+# From a series and its noise per DN of signal to the covariance over signal of one exposure and its standard error, DN.
+Estimate = Callable[[Series, Summary], tuple[float, float]]
+
+
+def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimate | None = None) -> OneGain:
+    """Fit blur and covariance gain to a series.
+
+    Parameters
+    ----------
+    series
+        The flats of one gain.
+    context
+        Seed, and the sensor for the prior of the blur.
+    quick
+        Without a Markov chain.
+    estimate
+        How the covariance gain is estimated; None: as the model of the spectrum has it.
+    """
+    summary = summarise(series)
+    quick = quick or estimate is not None
+    fit = model.fit(summary, seed=context.seed, quick=quick, exponent=blur_exponent(context))
+    if estimate is not None:
+        fit = with_power(fit, summary, *estimate(series, summary), seed=context.seed)
+    levels, spread = _level_gains(series, summary, fit)
+    exposures = shared_by_exposures(series)
+    if not summary.lag.tested and exposures.allowance:
+        fit = replace(fit, posterior=_allowing(fit.posterior, exposures, context))
+    return OneGain(series=series, summary=summary, fit=fit, levels_dn=levels, levels_sd_dn=spread,
+                   neighbours=shared_by_neighbours(lit(series)), exposures=exposures)  # fmt: skip
+
+
+def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context: Context) -> Posterior:
+    """Return the posterior with the covariance gain carried to small signals.
+
+    A microchannel plate tires as its current rises and takes gain and covariance gain along; both are stated for
+    small signals. The share lost per DN of signal is the slope of the levels' covariance over signal.
+    """
+    chosen = series.fitted
+    if chosen.sum() < 3:
+        return posterior
+    signal, weight = series.signal_dn[chosen], 1.0 / spread[chosen] ** 2
+    design = np.stack([np.ones_like(signal), signal / signal.max()])
+    covariance = np.linalg.inv(design * weight @ design.T)
+    first, slope = covariance @ (design * weight @ levels[chosen])
+    excess = float(weight @ (levels[chosen] - first - slope * design[1]) ** 2) / max(1, chosen.sum() - 2)
+    pooled = float(weight @ levels[chosen] / weight.sum())
+    rest_sd = np.sqrt(max(1.0, excess) * max(covariance[0, 0] - 1.0 / weight.sum(), 0.0)) / pooled
+    rng = np.random.default_rng([context.seed, 4])
+    factor = first / pooled + rest_sd * rng.standard_normal(len(posterior.draws))
+    draws = posterior.draws.copy()
+    draws[:, posterior.names.index("covariance_gain")] *= factor
+    return replace(posterior, draws=draws)
+
+
+def blur_exponent(context: Context) -> tuple[float, float]:
+    """Return the prior of the exponent of the blur: the sensor's own where it is known."""
+    if context.sensor is None:
+        return model.EXPONENT
+    known = context.sensor.tube.mtf_exponent
+    spread = 0.0 if known.low is None or known.high is None else (known.high - known.low) / 3.92
+    return float(known), max(spread, 0.05)
+
+
+def _level_gains(series: Series, summary: Summary, fit: model.Fit):
+    """Return the covariance over signal of every flat under the common blur, and its standard error, DN."""
+    shape = fit.model_dn / float(np.median(fit.posterior["power"]))
+    name = "many" if summary.lag.seen else "few"
+    use = fit.used
+    gains, errors = [], []
+    for flat, dark, signal in zip(series.flats, series.darks, series.signal_dn, strict=True):
+        power = getattr(flat, name).power_dn2[use, 0] - getattr(dark, name).power_dn2[use, 0]
+        modes = flat.bins.modes[use] * flat.bins.efficiency
+        weight = modes / modes.sum()
+        scaled = power / shape[use] / signal
+        gains.append(float(weight @ scaled))
+        own = np.sqrt(weight**2 @ (scaled - gains[-1]) ** 2)
+        errors.append(float(np.hypot(own, gains[-1] * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12))))
+    return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor
+
+
+def _allowing(posterior: Posterior, exposures: Effect, context: Context) -> Posterior:
+    """Return the posterior with what too few frames cannot exclude of lag."""
+    rng = np.random.default_rng([context.seed, 6])
+    return standard.widened(posterior, "covariance_gain", exposures.allowance, rng)
+
+
+def _lag_findings(summary: Summary, exposures: Effect) -> list[Finding]:
+    """Light of earlier exposures that is there and was not summed to its end."""
+    if summary.lag.seen and summary.lag.open:
+        return [("lag", f"earlier exposures still glow after {summary.lag.lag[-1]} more, where the sum over lags ends")]
+    if summary.lag.seen:
+        return []
+    return exposure_findings(exposures)
+
+
+def _model_findings(summary: Summary, fit: model.Fit) -> list[Finding]:
+    """What the fit itself says against or about its numbers."""
+    found: list[Finding] = []
+    if fit.chance < 1e-4:
+        found.append(("model-misfit", f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"))
+    blur = float(np.median(fit.posterior["blur_factor"]))
+    if blur < 0.9:
+        found.append((None, f"noise is correlated between pixels (blur factor {blur:.3g}) and was treated as such"))
+    if summary.lag.seen:
+        found.append((None, f"earlier exposures glow on (lag factor {summary.lag.factor:.3g}); all lags were summed"))
+    low, middle, high = np.quantile(fit.posterior["covariance_gain"], [0.16, 0.5, 0.84])
+    if 0.5 * (high - low) > WIDEST_SHARE * middle:
+        found.append(
+            ("too-few-frames", "the power at frequency 0 is known to worse than a third: more frames or pixels")
+        )
+    found += [(flag, "see the posterior") for flag in fit.posterior.flags]
+    return found
+
+
+def _departures(series: Series, levels, spread) -> list[Finding]:
+    """Levels whose covariance over signal is far from that of the others."""
+    chosen = np.flatnonzero(series.fitted)
+    middle = float(np.median(levels[chosen]))
+    return [
+        (
+            "model-misfit",
+            f"covariance over signal of {series.flats[i].label} is {levels[i]:.3g} DN, not {middle:.3g} DN",
+        )
+        for i in chosen
+        if abs(levels[i] - middle) > max(LEVEL_SHARE * middle, LEVEL_ERRORS * spread[i])
+    ]

@@ -1,0 +1,149 @@
+"""The quantities of EMVA 1288 Release 4 (linear model) of a camera whose noise is white: gain, efficiency, range.
+
+Mean and variance of the grey value are mu = mu_dark + K eta p and s^2 = s_dark^2 + K (mu - mu_dark) for p photons on
+a pixel; K is the slope of the photon transfer curve and R = K eta that of the responsivity, both fitted over 0-70 % of
+saturation, the level where the temporal variance peaks.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.gain.series import Series
+from charact.posterior import laplace, maximum, sample
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Stacks whose levels differ by less than this share show the same level.
+SAME_LEVEL = 0.01
+# Variance of a digitiser's rounding, DN^2.
+QUANTISATION_DN2 = 1.0 / 12.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A straight line through the origin with its posterior.
+
+    Parameters
+    ----------
+    posterior
+        Draws of the slope and of the departure of the levels from the line beyond their noise.
+    slope
+        Draws of the slope, shape (draw,).
+    residual
+        Departure of each stack from the best line, shape (stack,).
+    """
+
+    posterior: Posterior
+    slope: Array
+    residual: Array
+
+
+def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[str, str], seed: int,
+         quick: bool) -> Line:  # fmt: skip
+    """Fit y = a x where the levels depart from the line by an unknown amount of equal size besides their noise.
+
+    Parameters
+    ----------
+    x, y, sd
+        Levels and standard errors of y, shape (level,).
+    names, units
+        Of the slope and of the departure.
+
+    Notes
+    -----
+    No camera is exactly linear. Where the departure outweighs the noise this is the unweighted fit of the standard,
+    with an interval from the residuals; where it does not, the weighted fit. Prior of the departure: flat in its
+    logarithm over the ten-thousandfold range below the largest y.
+    """
+    given = x, y
+    x, y, sd = one_per_level(x, y, sd)
+    scale = float(np.abs(y).max())
+    first = float((x @ y) / (x @ x))
+    rest = y - first * x
+    floor, ceiling = np.log(1e-5 * scale), np.log(scale)
+    start = np.array([first, np.clip(np.log(max(float(np.sqrt(np.mean(rest**2))), 1e-4 * scale)), floor, ceiling)])
+    bounds = np.array([[-np.inf, np.inf], [floor, ceiling]])
+
+    def log_probability(points: Array) -> Array:
+        variance = sd**2 + np.exp(2.0 * points[:, 1:2])
+        value = -0.5 * ((y - points[:, :1] * x) ** 2 / variance + np.log(variance)).sum(axis=1)
+        return np.where((points[:, 1] >= floor) & (points[:, 1] <= ceiling), value, -np.inf)
+
+    point, covariance = maximum(log_probability, start, bounds)
+    drawn = (laplace if quick else sample)(
+        log_probability, names=(names[0], f"log_{names[1]}"), units=units, start=point, covariance=covariance,
+        seed=seed, bounds=bounds,
+    )  # fmt: skip
+    # That the departure is too small to be seen leans on its lower bound and harms nothing.
+    kept = tuple(flag for flag in drawn.flags if flag != "prior-bound")
+    posterior = replace(drawn, flags=kept)
+    slope = posterior[names[0]]
+    return Line(posterior=posterior, slope=slope, residual=given[1] - float(np.median(slope)) * given[0])
+
+
+def one_per_level(x: Array, y: Array, sd: Array) -> tuple[Array, Array, Array]:
+    """Return the mean of the stacks at each level: those of equal x share what departs from the line there."""
+    order = np.argsort(x)
+    level = np.concatenate([[0], np.cumsum(np.diff(x[order]) > SAME_LEVEL * x[order][1:])])
+    weight = 1.0 / np.maximum(sd[order], 1e-12) ** 2
+    total = np.bincount(level, weight)
+    return (np.bincount(level, weight * x[order]) / total, np.bincount(level, weight * y[order]) / total,
+            1.0 / np.sqrt(total))  # fmt: skip
+
+
+def gain_line(series: Series, *, context: Context, allowance: float = 0.0) -> Line:
+    """Return the photon transfer curve's slope: variance over signal, DN per electron where noise is white.
+
+    `allowance` is the relative standard deviation of what may be hidden from the variance.
+    """
+    chosen = series.fitted
+    found = line(series.signal_dn[chosen], series.variance_dn2[chosen], series.variance_sd_dn2[chosen],
+                 names=("system_gain", "departure"), units=("DN/e-", "log DN2"), seed=context.seed,
+                 quick=context.quick)  # fmt: skip
+    if not allowance:
+        return found
+    posterior = widened(found.posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5]))
+    return replace(found, posterior=posterior, slope=posterior["system_gain"])
+
+
+def widened(posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator) -> Posterior:
+    """Return the posterior with one more independent error on a parameter, of a relative standard deviation."""
+    draws = posterior.draws.copy()
+    draws[:, posterior.names.index(name)] *= np.exp(relative_sd * rng.standard_normal(len(draws)))
+    return replace(posterior, draws=draws)
+
+
+def photons_of(series: Series) -> Array | None:
+    """Photons on a pixel of every flat, or None where one is unknown."""
+    photons = [flat.conditions.photons_per_px for flat in series.flats]
+    return None if any(value is None for value in photons) else np.array(photons, float)
+
+
+def responsivity_line(series: Series, photons: Array, *, context: Context) -> Line:
+    """Return the slope of signal over photons on a pixel, DN per photon."""
+    chosen = series.fitted
+    error = [np.sqrt(flat.variance_dn2 / (flat.pixels * flat.frames)) for flat in series.flats]
+    return line(photons[chosen], series.signal_dn[chosen], np.array(error)[chosen],
+                names=("responsivity", "departure"), units=("DN", "log DN"), seed=context.seed + 1,
+                quick=context.quick)  # fmt: skip
+
+
+def dark_noise_dn(series: Series) -> tuple[float, float]:
+    """Temporal noise of the dark of the shortest exposure and its standard error, DN."""
+    dark = min(series.all_darks, key=lambda level: level.conditions.exposure_s or 0.0)
+    return noise_of(dark.variance_dn2, dark.variance_sd_dn2)
+
+
+def noise_of(variance_dn2: float, sd_dn2: float) -> tuple[float, float]:
+    """Standard deviation and its standard error from a variance and its own."""
+    noise = float(np.sqrt(max(variance_dn2, 0.0)))
+    return noise, sd_dn2 / (2.0 * noise) if noise > 0 else 0.0
+
+
+def sensitivity_photons(efficiency: Array, dark_e2: Array, gain: Array) -> Array:
+    """Photons at which signal equals noise (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + 1/4) + 1/2) / eta."""
+    return (np.sqrt(dark_e2 + QUANTISATION_DN2 / gain**2 + 0.25) + 0.5) / efficiency

@@ -1,0 +1,230 @@
+"""All flats of one gain brought to one noise spectrum per DN of signal, with its sampling error and its lag."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.gain.series import Series
+from charact.noise.stack.level import Level, rows_lags
+from charact.noise.stack.spectrum import Bins
+from charact.noise.stack.temporal import independent
+
+Array = NDArray[np.float64]
+
+# Exposures of opposite rows are compared below this frequency only, cycles per row of the exposure: beyond it the
+# rows alias, and the aliases of odd and even rows have opposite signs.
+ODD_LAG_CY_PER_ROW = 0.08
+SEEN = 4.0
+# Mean correlation at the last lags above which the lag does not end with them.
+OPEN = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lag:
+    """How much of the light of earlier exposures is in the present one.
+
+    Parameters
+    ----------
+    lag
+        Exposures apart, shape (lag,), from 1.
+    correlation, correlation_sd
+        Correlation of the modes at those lags and standard errors, shape (lag,).
+    seen
+        Whether any is there beyond its noise.
+    factor, factor_sd
+        Sum of the correlation over all lags, earlier and later, and its standard error: 1 without lag.
+    tested
+        Whether there were frames enough to look for it.
+    open
+        Whether it goes on beyond the last lag, so that its sum is too small.
+    """
+
+    lag: NDArray[np.int64]
+    correlation: Array
+    correlation_sd: Array
+    seen: bool
+    factor: float
+    factor_sd: float
+    tested: bool
+    open: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """Noise per DN of signal.
+
+    Parameters
+    ----------
+    column_cy_per_px, row_cy_per_px
+        Frequencies of the bins, cycles per column pitch, shape (bin,).
+    leak_cy2_per_px2
+        Variance of the frequencies mixed into one mode, along rows and along columns.
+    modes
+        Independent modes behind each bin, exposures counted, shape (bin,).
+    power_dn, power_sd_dn
+        Power of the fluctuations over the signal, both above the dark's, shape (bin,), DN.
+    variance_dn, variance_sd_dn
+        Variance of a pixel over the signal, DN.
+    height_sd
+        Relative standard error that few pulses of unequal heights give to the power of all bins in common.
+    lag
+        Correlation in time.
+    """
+
+    column_cy_per_px: Array
+    row_cy_per_px: Array
+    leak_cy2_per_px2: tuple[float, float]
+    modes: Array
+    power_dn: Array
+    power_sd_dn: Array
+    variance_dn: float
+    variance_sd_dn: float
+    height_sd: float
+    lag: Lag
+
+
+def summarise(series: Series) -> Summary:
+    """Pool the fitted flats of a series, each by what it knows."""
+    chosen, weight = pooling(series)
+    pairs = [(series.flats[i], series.darks[i]) for i in chosen]
+    exposures = np.array([_exposures(flat) for flat, _ in pairs])
+    bins = pairs[0][0].bins
+    dark = weight @ np.array([d.many.power_dn2[:, 0] for _, d in pairs])
+    fields = len(np.unique(pairs[0][0].parity))
+    lag = _lag(*_power(pairs, weight, "many"), dark, bins, interlaced=fields > 1)
+    name = "many" if lag.seen else "few"
+    power, _ = _power(pairs, weight, name)
+    variance = np.array([getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs])
+    by_heights = np.array([_by_heights(flat, count) for (flat, _), count in zip(pairs, exposures, strict=True)])
+    known = np.array([_independent(flat, name, lag) for flat, _ in pairs])
+    return Summary(
+        column_cy_per_px=bins.column_cy_per_px,
+        row_cy_per_px=bins.row_cy_per_px,
+        leak_cy2_per_px2=bins.leak_cy2_per_px2,
+        modes=bins.modes * bins.efficiency * known[:, 0].sum(),
+        power_dn=power[:, 0],
+        power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag),
+        variance_dn=float(weight @ variance),
+        variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
+        height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
+        lag=lag,
+    )
+
+
+def pooling(series: Series) -> tuple[NDArray[np.int64], Array]:
+    """Return the flats to pool and the weight of what each has above its dark, shape (flat,), 1/DN.
+
+    Weighted sums of variances are variances over signal.
+    """
+    chosen = np.flatnonzero(series.fitted)
+    signal, flats = series.signal_dn[chosen], [series.flats[i] for i in chosen]
+    weight = np.array([_exposures(flat) / flat.variance_dn2**2 for flat in flats]) * signal
+    return chosen, weight / (weight @ signal)
+
+
+def _exposures(level: Level) -> float:
+    """Independent exposures of a level."""
+    return float(level.runs * (len(level.time) - len(np.unique(level.parity))))
+
+
+def _by_heights(flat: Level, exposures: float) -> float:
+    """Square of the standard error of a level's variance beyond that of normal modes of the same spectrum, DN^4.
+
+    A variance v of N pixels is the mean power of N modes, known to 2 sum P^2 / (N v)^2 from one exposure. Modes beyond
+    the band share what power is left to them.
+    """
+    pixels, power, modes = flat.pixels / len(np.unique(flat.parity)), flat.few.power_dn2[:, 0], 2.0 * flat.bins.modes
+    beyond = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (pixels - modes.sum())
+    normal = 2.0 * (float(modes @ power**2) + beyond) / pixels**2 / exposures
+    return max(flat.variance_sd_dn2**2 - normal, 0.0)
+
+
+def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
+    """Pooled spectrum above the dark's, shape (bin, lag), and its lags."""
+    lags = min((getattr(level, name).lags for pair in pairs for level in pair), key=len)
+    above = [getattr(f, name).power_dn2[:, : len(lags)] - getattr(d, name).power_dn2[:, : len(lags)] for f, d in pairs]
+    return np.tensordot(weight, np.array(above), 1), lags
+
+
+def _independent(level: Level, name: str, lag: Lag) -> tuple[float, float]:
+    """Independent exposures behind the spectrum and behind the variance of a level."""
+    lags = getattr(level, name).lags
+    correlation = lag.correlation if lag.seen else np.empty(0)
+    spectrum = independent(level.time, level.parity, lags, correlation)
+    same = rows_lags(lags, level.parity)
+    variance = independent(level.time, level.parity, same, correlation, within_parity=True)
+    return level.runs * spectrum, level.runs * variance
+
+
+def _power_sd(pairs, weight: Array, name: str, known: Array, lag: Lag) -> Array:
+    """Standard error of the pooled spectrum; stacks that share a dark share its error."""
+    bins = pairs[0][0].bins
+    modes = bins.modes * bins.efficiency
+    square = sum(
+        (w * getattr(f, name).power_dn2[:, 0]) ** 2 / (modes * count)
+        for w, (f, _), count in zip(weight, pairs, known, strict=True)
+    )
+    for dark in {d.label: d for _, d in pairs}.values():
+        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
+        square = square + (shared * getattr(dark, name).power_dn2[:, 0]) ** 2 / (
+            modes * _independent(dark, name, lag)[0]
+        )
+    return np.sqrt(square)
+
+
+def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
+    """Standard error of the pooled variance over signal; `inflation` is the price of the lags allowed for."""
+    square = sum((w * f.variance_sd_dn2) ** 2 * more for w, (f, _), more in zip(weight, pairs, inflation, strict=True))
+    for dark in {d.label: d for _, d in pairs}.values():
+        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
+        square += (shared * dark.variance_sd_dn2) ** 2
+    return float(np.sqrt(square))
+
+
+def _lag(power: Array, lags: NDArray[np.int64], dark: Array, bins: Bins, *, interlaced: bool) -> Lag:
+    """Correlation in time, pooled over the bins by what the dark's power lets them know; errors from their scatter."""
+    if len(lags) < 2:
+        none = np.empty(0)
+        return Lag(lag=lags[1:], correlation=none, correlation_sd=none, seen=False, factor=1.0, factor_sd=0.0,
+                   tested=False, open=False)  # fmt: skip
+    radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
+    smooth = smoothed(power[:, 0], radius, bins.modes)
+    ratio = power[:, 1:] / smooth[:, None]
+    known = bins.modes * (smooth / (smooth + 2.0 * np.maximum(dark, 0.0))) ** 2
+    low = (bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW) if interlaced else np.ones_like(radius, bool)
+    pooled = [_pooled(ratio[:, i], known * (low if lag % 2 else 1.0)) for i, lag in enumerate(lags[1:])]
+    value, sd = np.array(pooled).T
+    seen = bool((value[:3] > SEEN * sd[:3]).any())
+    reach = len(value) if seen else min(2, len(value))
+    parts = [
+        _pooled(ratio[:, :reach][:, chosen].sum(axis=1), known * mask)
+        for chosen, mask in ((lags[1 : reach + 1] % 2 == 0, np.ones_like(radius)), (lags[1 : reach + 1] % 2 == 1, low))
+        if chosen.any()
+    ]
+    left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
+    return Lag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen,
+               factor=float(1.0 + 2.0 * sum(part[0] for part in parts)),
+               factor_sd=float(2.0 * np.hypot(np.hypot.reduce([part[1] for part in parts]), left)),
+               tested=True, open=seen and left > OPEN)  # fmt: skip
+
+
+def _pooled(values: Array, weight: Array) -> tuple[float, float]:
+    """Weighted mean and its standard error from the scatter."""
+    mean = float(np.average(values, weights=weight))
+    share = weight / weight.sum()
+    return mean, float(np.sqrt(np.sum(share**2 * (values - mean) ** 2) * 1.1))
+
+
+def smoothed(power: Array, radius: Array, modes: Array) -> Array:
+    """Power as a smooth function of radius: a parabola in the logarithm of ring means."""
+    ring = np.round(radius * 100).astype(int)
+    where = np.unique(ring, return_inverse=True)[1]
+    count = np.bincount(where, modes)
+    mean = np.bincount(where, modes * power) / count
+    centre = np.bincount(where, modes * radius) / count
+    good = mean > 0
+    if good.sum() < 4:
+        return np.full_like(power, max(float(np.average(power, weights=modes)), 1e-12))
+    fit = np.polynomial.Polynomial.fit(centre[good], np.log(mean[good]), 3, w=np.sqrt(count[good]))
+    return np.exp(fit(radius))

@@ -1,0 +1,69 @@
+"""The plain way: gain from the variance of pixels, as for a camera whose noise is white (EMVA 1288 Release 4)."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from charact.method import Context, register
+from charact.noise.checks import bent, exposure_flags, hidden_findings, series_findings
+from charact.noise.cube.three_dimensional import three_dimensional
+from charact.noise.dark_current import dark_current
+from charact.noise.defect_pixels import defect_pixels
+from charact.noise.evidence import transfer_evidence
+from charact.noise.findings import flags_of, notes_of
+from charact.noise.gain import standard
+from charact.noise.gain.series import read_levels, series_of
+from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
+from charact.noise.provenance import provenance
+from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.verdict import lit, problem, timed, without_flats
+from labdata.measurement import Result, from_draws
+from labdata.session import Session
+
+METHOD = "variance"
+CORRELATED = "neighbouring pixels share noise: the variance is smaller than the covariance gain by the blur factor"
+
+
+@register(
+    "flats",
+    METHOD,
+    quantities=("system_gain", "read_noise", "quantum_efficiency", "saturation", "snr_max", "dynamic_range"),
+    scope="Cameras whose noise is white; blur after the gain stage makes it read low by the blur factor. A response "
+    "that bends by up to 2 % over the levels makes it read low by up to 6 % without a flag, as it does the standard.",
+)
+def variance(session: Session, *, context: Context) -> Result:
+    """Measure gain, efficiency, noise and range from the variance and mean of darks and flats.
+
+    Parameters
+    ----------
+    session
+        Session with dark and flat stacks of at least two frames each.
+    context
+        Seed and settings.
+    """
+    began = perf_counter()
+    darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
+    cubes = three_dimensional([*darks, *flats], context=context) + defect_pixels([*darks, *flats], context=context)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    series = series_of(flats, darks, single) if flats else None
+    if series is None or problem(series) is not None:
+        result = Result(measurements=timed(without_flats(darks, series, single, **fields), began)) + cubes
+        return result + dark_current(darks, result, context=context)
+    neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
+    findings = series_findings(series, context=context)
+    flags = flags_of(findings)
+    findings += bent(series) + hidden_findings(neighbours, exposures)
+    allowance = float(np.hypot(neighbours.allowance, exposures.allowance))
+    gain = standard.gain_line(series, context=context, allowance=allowance)
+    own = flags_of(findings) + gain.posterior.flags
+    notes = notes_of(findings) + ((CORRELATED,) if neighbours.seen else ())
+    out = [from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes, posterior=gain.posterior, **fields)]
+    out += dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
+    out.append(saturation(series, flags=flags, **fields))
+    out += white_quantities(series, gain, context=context, flags=own, **fields)
+    out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
+                              **fields)  # fmt: skip
+    evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}
+    result = Result(measurements=timed(out, began), evidence=evidence) + cubes
+    return result + dark_current(darks, result, context=context)

@@ -1,0 +1,154 @@
+"""Signal-to-noise ratio against the light, for every gain of a session, and the light at which it is one."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.checks import exposure_findings, series_findings
+from charact.noise.findings import Finding, flags_of, notes_of
+from charact.noise.gain.series import GAINS, Series, gain_of, series_of
+from charact.noise.gain.summary import summarise
+from charact.noise.hidden import shared_by_exposures
+from charact.noise.light.area import SIDE_PX
+from charact.noise.light.evidence import gain_evidence, light_evidence
+from charact.noise.light.levels import NO_LAG, area_levels, pixel_levels, usable
+from charact.noise.light.minimum import Scope, minimum, scope_of
+from charact.noise.light.model import DRAWS, LIT, Levels
+from charact.noise.light.stated import Light, gathering_s, light_of_series, response_draws
+from charact.noise.provenance import provenance
+from charact.noise.stack.level import Level
+from charact.noise.verdict import problem, timed
+from labdata.conditions import Conditions
+from labdata.measurement import Measurement, Result, from_sd, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "light-transfer"
+# A square must fit so many times into a side of the image for the spectrum to hold it.
+SQUARES = 6
+# Signal below which a shift by the steps of the digitiser, a third of one at most, is more than some percent, DN.
+COARSE_DN = 4.0
+# Variance of a dark below which rare pulses may be all of it but for noise much finer than a step.
+COARSE_DN2 = 1.0
+PIXEL = "of a pixel: temporal noise of one exposure"
+AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, noise that they share included"
+AXES = "noise of whole rows, columns and frames is left out of the area: too few frames to see it"
+
+
+def snr_against_light(darks: list[Level], flats: list[Level], *, context: Context) -> Result:
+    """Return signal-to-noise ratios of a pixel and of an area at every level, and the minimum illumination of each.
+
+    Parameters
+    ----------
+    darks, flats
+        Stacks read with their spectra.
+    context
+        Seed.
+
+    Returns
+    -------
+    Result
+        `snr` and `snr_area` of every flat, `minimum_illumination` and `minimum_illumination_area` of every gain, the
+        light at which the ratio is `charact.noise.light.minimum.LEAST_SNR`; as evidence all of it with the law fitted.
+
+    Notes
+    -----
+    Noise is that of one exposure from which a mean dark is taken away. The minimum illumination also counts unequal
+    pixels, and its interval the uncertainty of the light, common to the session; see `charact.noise.light.stated`.
+    """
+    began = perf_counter()
+    groups: dict[tuple, list[Level]] = {}
+    for flat in flats:
+        groups.setdefault(gain_of(flat.conditions), []).append(flat)
+    parts = [_of_gain(series_of(group, darks), len(groups) > 1, context) for group in groups.values()]
+    measurements = timed([one for found, _ in parts for one in found], began)
+    gains = [evidence for _, evidence in parts if evidence is not None]
+    return Result(measurements=measurements, evidence={"snr-light": light_evidence(gains)} if gains else {})
+
+
+def gain_in_words(conditions: Conditions) -> str:
+    """What the gain was set to."""
+    known = [(name, getattr(conditions, name)) for name in GAINS if getattr(conditions, name) is not None]
+    words = {"mcp_v": "plate at {:g} V", "gain_control": "gain control at {:g}", "em_gain": "multiplication of {:g}",
+             "camera_gain_db": "camera gain of {:g} dB"}  # fmt: skip
+    return ", ".join(words[name].format(value) for name, value in known) or "gain not stated"
+
+
+def _of_gain(series: Series, several: bool, context: Context) -> tuple[list[Measurement], dict[str, Any] | None]:
+    """Quantities and evidence of the flats of one gain."""
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    reason = problem(series) if series.reference == "dark" else "there are no dark frames: the signal is unknown"
+    if reason is not None or not len(series.flats):
+        return [refused("minimum_illumination", "lux", reason or "there are no flats", **fields)], None
+    small = _too_small(series)
+    lag = NO_LAG if small else summarise(series).lag
+    findings = series_findings(series, context=context)
+    findings += exposure_findings(shared_by_exposures(series)) if not lag.seen else []
+    findings += [("lag", "earlier exposures still glow where the sum over lags ends")] if lag.open else []
+    words = gain_in_words(series.flats[0].conditions)
+    findings += [(None, words)] if several else []
+    light = light_of_series(series)
+    pixel = pixel_levels(series, lag)
+    response = None if isinstance(light, str) else _response(pixel, light, context)
+    scopes = [scope_of("", PIXEL, pixel, _reference(series), context)]
+    if small is None:
+        area = area_levels(series, lag)
+        scopes.append(scope_of("_area", _area_words(series), area, _reference(series), context))
+    out = [one for scope in scopes for one in _ratios(series, scope, findings, fields)]
+    out += [minimum(scope, light, response, findings, seed=context.seed, **fields) for scope in scopes]
+    out += [] if small is None else [refused("snr_area", "1", small, **fields)]
+    return out, gain_evidence(series, words, light, response, scopes, out)
+
+
+def _area_words(series: Series) -> str:
+    whole = all(level.cube is not None for level in (*series.flats, *series.darks))
+    return AREA if whole else f"{AREA}; {AXES}"
+
+
+def _too_small(series: Series) -> str | None:
+    """Why the spectrum holds no area, or None."""
+    rows, cols = series.flats[0].bins.window.shape
+    if min(rows, cols) >= SQUARES * SIDE_PX:
+        return None
+    return f"exposures of {rows} x {cols} px are too small for the noise of {SIDE_PX} x {SIDE_PX} px: {SQUARES} a side"
+
+
+def _reference(series: Series) -> int:
+    """The flat whose dark the law's read noise is: the dimmest of the longest time, for which light is stated."""
+    times = [gathering_s(flat.conditions) or 0.0 for flat in series.flats]
+    return int(np.argmax(times))
+
+
+def _response(levels: Levels, light: Light, context: Context) -> Array:
+    """Draws of the signal per light as recorded."""
+    chosen = levels.fitted & levels.lit
+    rng = np.random.default_rng([context.seed, 22])
+    return response_draws(light.amount[chosen], levels.signal_dn[chosen], levels.signal_sd_dn[chosen], rng, DRAWS)
+
+
+def _ratios(series: Series, scope: Scope, findings: list[Finding], fields: dict[str, Any]) -> list[Measurement]:
+    """The ratio at every level."""
+    whole, out = usable(series), []
+    own = {"flags": flags_of(findings), "notes": (scope.sentence, *notes_of(findings))}
+    for index, flat in enumerate(series.flats):
+        name, told = f"snr{scope.suffix}", {**fields, "stack": flat.label}
+        if not whole[index]:
+            reason = f"{flat.label} is saturated: what is cut off at the top takes noise away"
+            out.append(refused(name, "1", reason, **told))
+        elif not scope.levels.lit[index]:
+            reason = f"{flat.label} is not brighter than its dark by {LIT:g} standard errors"
+            out.append(refused(name, "1", reason, **told))
+        else:
+            value, sd = float(scope.levels.snr[index]), float(scope.levels.snr_sd[index])
+            flags = own["flags"] + _rounded(series, index)
+            out.append(from_sd(name, "1", value, sd, **told, **{**own, "flags": flags}))
+    return out
+
+
+def _rounded(series: Series, index: int) -> tuple[str, ...]:
+    """The flag of a few DN above a dark whose variance may be that of rare pulses, while the steps hide the rest."""
+    coarse = series.darks[index].variance_dn2 < COARSE_DN2 and series.signal_dn[index] < COARSE_DN
+    return ("quantised",) if coarse else ()

@@ -1,0 +1,1 @@
+"""What one stack of dark or evenly lit frames tells."""

@@ -1,0 +1,319 @@
+"""Statistics of pixels and their neighbours in one pass over the exposures, with errors from blocks of the image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.noise.stack.fields import Order, fields_of
+from charact.noise.stack.spectrum import Bins, along_rows, modes_of, products_of, smooth_length
+
+Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+# Blocks of the image (rows, columns) whose scatter gives the uncertainty of its variance.
+BLOCKS = (6, 8)
+# What is summed in each block, in this order.
+SUMS = ("power", "beside", "below", "near", "level")
+# Exposures, and side of the middle of the image, px, whose spectra tell how far the noise of pixels is independent.
+SPECTRA = 8
+SIDE = 128
+# Pixels of all exposures that are in work at a time: they stay in the processor's cache.
+BAND_PIXELS = 2**17
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelSums:
+    """Products of the fluctuations of pixels: what changes in time, see `charact.noise.stack.fields.fluctuations`.
+
+    Parameters
+    ----------
+    size
+        Rows and columns of an exposure.
+    mean_dn
+        Mean of each exposure, shape (exposure,), DN.
+    products
+        Mean product of exposures of equal parity, shape (exposure, exposure), DN^2; 0 across parities.
+    with_mean
+        Mean product of each exposure's fluctuations with the mean image of its parity, shape (exposure,), DN^2.
+    mean_square
+        Variance over the image of that mean image, shape (parity,), DN^2.
+    middle, mean_middle
+        For each parity the middle of the fluctuations of some exposures, shape (exposure, row, col), and of the mean
+        image, shape (row, col), DN.
+    power, beside, below
+        Mean over a block of the sum over exposures of the square, and of the product with the next pixel of the row
+        and with the one below, shape (block,), DN^2; not a number for a block without such pairs.
+    near, pairs
+        Mean over a block of the sum over pairs of exposures nearest in time of their product, shape (block,), DN^2,
+        and the number of these pairs.
+    level
+        Mean of the pixels of a block, shape (block,), DN.
+    spectra
+        Mean product of the modes of exposures, see `charact.noise.stack.spectrum.cross_spectra`.
+    """
+
+    size: tuple[int, int]
+    mean_dn: Array
+    products: Array
+    with_mean: Array
+    mean_square: Array
+    middle: tuple[NDArray[np.float32], ...]
+    mean_middle: tuple[NDArray[np.float32], ...]
+    power: Array
+    beside: Array
+    below: Array
+    near: Array
+    pairs: int
+    level: Array
+    spectra: Array
+
+
+def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
+    """Return the sums over the pixels of frames.
+
+    Parameters
+    ----------
+    data
+        Pixels, shape (frame, row, col), DN.
+    order
+        Order of their exposures.
+    bins
+        Bins of the spectra; `NO_BINS` for none.
+    """
+    fields = fields_of(data, order.row_step)
+    rows, cols = fields[0].shape[1:]
+    row_cuts = np.linspace(0, rows, min(BLOCKS[0], rows) + 1).astype(np.int64)
+    col_cuts = np.linspace(0, cols, min(BLOCKS[1], cols) + 1).astype(np.int64)
+    total = np.zeros((len(SUMS), len(row_cuts) - 1, len(col_cuts) - 1))
+    count = len(order.time)
+    level, products, with_mean = np.empty(count), np.zeros((count, count)), np.zeros(count)
+    modes, passes = [], []
+    for parity, field in enumerate(fields):
+        same = np.flatnonzero(order.parity == parity)
+        level[same] = [_mean(image) for image in field]
+        found = _Pass(field, level[same], _nearest(order.time[same]), row_cuts, col_cuts, total, bins)
+        products[np.ix_(same, same)], with_mean[same] = found.products / (rows * cols), found.with_mean / (rows * cols)
+        modes += [modes_of(along, parity, bins) for along in found.along]
+        passes.append(found)
+    high, wide = np.diff(row_cuts), np.diff(col_cuts)
+    beside, below = wide.copy(), high.copy()
+    beside[-1] -= 1
+    below[0] -= 1
+    plain = np.outer(high, wide)
+    number = (plain, np.outer(high, beside), np.outer(below, wide), plain, plain * len(fields))
+    mean = {
+        name: np.where(n > 0, part / np.maximum(n, 1), np.nan).ravel()
+        for name, part, n in zip(SUMS, total, number, strict=True)
+    }
+    mean["level"] += level.mean()
+    return PixelSums(
+        size=(rows, cols),
+        mean_dn=level,
+        products=products,
+        with_mean=with_mean,
+        mean_square=np.array([found.mean_square for found in passes]) / (rows * cols),
+        middle=tuple(found.middle for found in passes),
+        mean_middle=tuple(found.mean_middle for found in passes),
+        pairs=sum(len(found.first) for found in passes),
+        spectra=_of_all(products_of(np.array(modes), bins), order.parity),
+        **mean,
+    )
+
+
+class _Pass:
+    """One pass over the exposures of the same rows, band of rows after band."""
+
+    def __init__(self, field: NDArray, level: Array, near: tuple[Whole, Whole], row_cuts: Whole, col_cuts: Whole,
+                 total: Array, bins: Bins) -> None:  # fmt: skip
+        count, rows, cols = field.shape
+        self.first, self.second = near
+        self.bins = bins
+        self.products, self.with_mean, self.mean_square = np.zeros((count, count)), np.zeros(count), 0.0
+        # Centred exposures add up to nothing: all but one are independent.
+        self.some = np.linspace(0, count - 2, min(count - 1, SPECTRA)).round().astype(int)
+        self.rows, self.cols = (_middle(length) for length in (rows, cols))
+        side = (self.rows.stop - self.rows.start, self.cols.stop - self.cols.start)
+        self.middle = np.empty((len(self.some), *side), np.float32)
+        self.mean_middle = np.empty(side, np.float32)
+        self.along = np.empty((count - 1, bins.window.shape[0], bins.columns), np.complex64)
+        above = np.zeros((count, cols), np.float32)
+        # White noise loses the share 1/N with the mean of N pixels; it is put back.
+        back = np.float32(np.sqrt(rows * cols / max(rows * cols - 1, 1)))
+        step = max(1, BAND_PIXELS // (count * cols))
+        for start in range(0, rows, step):
+            band = field[:, start : start + step].astype(np.float32)
+            mean = _centre(band, level, back)
+            self.mean_square += _add(band, mean, above, start, row_cuts, col_cuts, *near, self.products,
+                                     self.with_mean, total)  # fmt: skip
+            above = band[:, -1].copy()
+            self._keep(band, mean, start)
+
+    def _keep(self, band: NDArray[np.float32], mean: NDArray[np.float32], start: int) -> None:
+        """Keep what spectra are made of."""
+        low, high = max(start, self.rows.start), min(start + len(mean), self.rows.stop)
+        if low < high:
+            here, there = np.s_[low - start : high - start], np.s_[low - self.rows.start : high - self.rows.start]
+            self.middle[:, there] = band[self.some, here, self.cols]
+            self.mean_middle[there] = mean[here, self.cols]
+        stop = min(start + len(mean), self.along.shape[1])
+        if start < stop:
+            self.along[:, start:stop] = along_rows(band[:-1, : stop - start], start, self.bins)
+
+
+def _of_all(products: Array, parity: Whole) -> Array:
+    """Products of the modes of all exposures from those of all but the last of each parity, shape (bin, i, j).
+
+    Centred exposures add up to nothing.
+    """
+    last = [np.flatnonzero(parity == value)[-1] for value in np.unique(parity)]
+    free = np.setdiff1d(np.arange(len(parity)), last)
+    # Exposures come parity by parity.
+    free = free[np.argsort(parity[free], kind="stable")]
+    out = np.zeros((len(products), len(parity), len(parity)))
+    out[:, free[:, None], free] = products
+    for one in last:
+        out[:, one] = -out[:, free[parity[free] == parity[one]]].sum(axis=1)
+    for one in last:
+        out[:, :, one] = -out[:, :, free[parity[free] == parity[one]]].sum(axis=2)
+    return out
+
+
+def _middle(length: int) -> slice:
+    """The middle of an axis, of a length that transforms quickly."""
+    side = smooth_length(min(length, SIDE))
+    return slice((length - side) // 2, (length - side) // 2 + side)
+
+
+@njit(cache=True, fastmath=True)
+def _mean(image):
+    """Mean of an image in double precision."""
+    total = 0.0
+    for row in range(image.shape[0]):
+        for col in range(image.shape[1]):
+            total += image[row, col]
+    return total / image.size
+
+
+@njit(cache=True, fastmath=True)
+def dot(one, two):
+    """Return the sum of products, always added in the same order."""
+    total = np.float32(0.0)
+    for i in range(len(one)):
+        total += one[i] * two[i]
+    return total
+
+
+@njit(cache=True, fastmath=True)
+def _centre(band, level, back):
+    """Turn a band of exposures into its fluctuations, and return its mean over the exposures."""
+    count, rows, cols = band.shape
+    mean = np.zeros((rows, cols), np.float32)
+    share = np.float32(1.0 / count)
+    for row in range(rows):
+        middle = mean[row]
+        for t in range(count):
+            line, own = band[t, row], np.float32(level[t])
+            for col in range(cols):
+                line[col] -= own
+                middle[col] += line[col]
+        for col in range(cols):
+            middle[col] *= share
+        for t in range(count):
+            line = band[t, row]
+            for col in range(cols):
+                line[col] = (line[col] - middle[col]) * back
+    return mean
+
+
+@njit(cache=True, fastmath=True)
+def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, with_mean, total):
+    """Add the products of a band that begins at row `start`, under the row `above`; return those of its mean."""
+    count, rows, cols = band.shape
+    mean_square, high = 0.0, 0
+    for row in range(rows):
+        while start + row >= row_cuts[high + 1]:
+            high += 1
+        mean_square += dot(mean[row], mean[row])
+        for i in range(count):
+            line = band[i, row]
+            with_mean[i] += dot(mean[row], line)
+            for j in range(i):
+                square = dot(line, band[j, row])
+                products[i, j] += square
+                products[j, i] += square
+            products[i, i] += dot(line, line)
+        for wide in range(len(col_cuts) - 1):
+            left, right = col_cuts[wide], col_cuts[wide + 1]
+            beside = min(right, cols - 1)
+            sums = total[:, high, wide]
+            for t in range(count):
+                line = band[t, row]
+                over = band[t, row - 1] if row else above[t]
+                sums[0] += dot(line[left:right], line[left:right])
+                sums[1] += dot(line[left:beside], line[left + 1 : beside + 1])
+                sums[2] += dot(line[left:right], over[left:right])
+            for pair in range(len(first)):
+                sums[3] += dot(band[first[pair], row, left:right], band[second[pair], row, left:right])
+            for value in mean[row, left:right]:
+                sums[4] += value
+    return mean_square
+
+
+def variance_error(sums: PixelSums, variance: float) -> float:
+    """Return the standard error of the mean variance, from blocks of the image, each at the level of the whole."""
+    # A block that is darker is also quieter.
+    bright = sums.level.min() > 0.5 * sums.level.mean()
+    even = sums.power * (sums.level.mean() / sums.level if bright else 1.0)
+    if even.size < 2:
+        return variance
+    return float(variance * even.std(ddof=1) / max(float(even.mean()), 1e-12) / np.sqrt(even.size))
+
+
+def beside(sums: PixelSums) -> tuple[float, float]:
+    """Return the correlation of pixels next to each other in a row, and its standard error.
+
+    Nothing, and known to be nothing, where a row has a single pixel.
+    """
+    return _correlation(sums, sums.beside) if sums.size[1] > 1 else (0.0, 0.0)
+
+
+def below(sums: PixelSums) -> tuple[float, float]:
+    """Return the same of pixels next to each other in a column of one exposure."""
+    return _correlation(sums, sums.below) if sums.size[0] > 1 else (0.0, 0.0)
+
+
+def _correlation(sums: PixelSums, products: Array) -> tuple[float, float]:
+    """Products over squares, and the standard error from the scatter of blocks."""
+    there = np.isfinite(products)
+    products, power = products[there], sums.power[there]
+    ratio = products / np.maximum(power, 1e-12)
+    error = ratio.std(ddof=1) / np.sqrt(ratio.size) if ratio.size > 1 else 1.0
+    # Taking the mean of N pixels away makes white noise anticorrelated by 1/(N - 1).
+    own = 1.0 / max(sums.size[0] * sums.size[1] - 1, 1)
+    return float(products.mean() / max(float(power.mean()), 1e-12)) + own, float(error)
+
+
+def successors(sums: PixelSums, parity: Whole) -> tuple[float, float]:
+    """Return by how much exposures nearest in time correlate beyond the others, and its standard error.
+
+    Centred exposures add up to nothing, so that what all pairs share follows from the variance: the contrast of near
+    and far pairs needs the near ones alone, and neither centring nor the fixed pattern has a part in it. Two exposures
+    of the same rows have no contrast; their error is infinite.
+    """
+    count = np.bincount(parity)
+    others = int((count * (count - 1) // 2).sum()) - sums.pairs
+    freedom = len(parity) - np.count_nonzero(count)
+    if not others or sums.power.mean() <= 0 or sums.power.size < 2:
+        return 0.0, np.inf
+    contrast = (sums.near / sums.pairs + (0.5 * sums.power + sums.near) / others) * freedom / sums.power.mean()
+    return float(contrast.mean()), float(contrast.std(ddof=1) / np.sqrt(contrast.size))
+
+
+def _nearest(time: Whole) -> tuple[Whole, Whole]:
+    """Indices of the pairs that lie the least time apart."""
+    distance = np.abs(time[:, None] - time)
+    upper = np.triu(np.ones_like(distance, bool), 1)
+    first, second = np.nonzero(upper & (distance == distance[upper].min(initial=np.iinfo(np.int64).max)))
+    return first, second

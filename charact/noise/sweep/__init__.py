@@ -1,0 +1,1 @@
+"""Noise against gain: the flats and darks of all settings together."""

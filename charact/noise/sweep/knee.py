@@ -1,0 +1,113 @@
+"""The knee of noise against gain: below it reading makes the noise, above it scintillation.
+
+Light makes a pixel vary by B C S at a signal S under the covariance gain C and the blur factor B. At a signal of
+n = S/C photoelectrons, counted as their noise counts them (n of unequal pulses count as n/F^2), that is B C^2 n: it
+goes with the gain while read noise stays, and both are equal at C = r / sqrt(B n).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.checks import QUANTISED_DN2
+from charact.noise.sweep.law import Law
+from charact.noise.sweep.settings import Setting
+
+Array = NDArray[np.float64]
+
+# The signal at which the knee is stated, photoelectrons on a pixel in one exposure as noise counts them.
+STATED_PE = 1.0
+# How well the dark's variance follows its law, as a share.
+MODEL = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knee:
+    """Where read noise gives way to scintillation.
+
+    Parameters
+    ----------
+    read_noise_dn
+        Draws of the read noise without what scintillates in the dark, shape (draw,), DN.
+    gain_dn
+        Draws of the covariance gain at the knee, shape (draw,), DN.
+    place
+        Draws of its place along the axis of the sweep, within -1/2 and 1/2 where the sweep holds it, shape (draw,).
+    flags
+        What speaks against the read noise.
+    """
+
+    read_noise_dn: Array
+    gain_dn: Array
+    place: Array
+    flags: tuple[str, ...] = ()
+
+
+def knee_of(settings: tuple[Setting, ...], law: Law, *, seed: int) -> Knee | str:
+    """Return the knee of a sweep, or why there is none.
+
+    Parameters
+    ----------
+    settings
+        Settings, of which some have darks of their own.
+    law
+        Law of the covariance gain.
+    seed
+        Seed of the draws.
+    """
+    rng = np.random.default_rng([seed, 9])
+    dark = {s.dark: i for i, s in enumerate(settings) if s.dark_variance_dn2 is not None}
+    if not dark:
+        return "the knee takes darks at one setting at least: read noise is not known"
+    own = [settings[i] for i in dark.values()]
+    floor = _floor(law.settings[:, list(dark.values())], own, rng)
+    if np.quantile(floor, 0.025) <= 0:
+        return "darks scintillate at every setting: read noise is lost in it, and with it the knee"
+    floor = np.maximum(floor, np.quantile(floor, 0.01).clip(1e-9))
+    pulses = _pulses_at(floor, law)
+    place = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
+    return Knee(read_noise_dn=np.sqrt(floor), gain_dn=pulses + law.electron_gain_dn, place=place, flags=_flags(own))
+
+
+def missed(knee: Knee) -> str | None:
+    """Return on which side of the sweep the knee lies, or None where it lies inside."""
+    middle = float(np.median(knee.place))
+    if abs(middle) <= 0.5:
+        return None
+    low, high = np.quantile(knee.gain_dn, [0.025, 0.975])
+    side, ruler = ("below", "scintillation outweighs") if middle < 0 else ("above", "read noise outweighs")
+    other = "read noise" if middle < 0 else "scintillation"
+    return (
+        f"not reached in the sweep: {ruler} {other} at every setting at {STATED_PE:g} photoelectron a pixel; the knee "
+        f"is where the covariance gain is {low:.3g} to {high:.3g} DN, {side} the sweep"
+    )
+
+
+def _pulses_at(floor_dn2: Array, law: Law) -> Array:
+    """Draws of the pulses' gain P, DN, at which (K + S P)(K + P) n is the read noise squared, K the electrons' gain."""
+    left = np.exp(law.posterior["log_blur"]) if "log_blur" in law.posterior.names else np.ones(len(floor_dn2))
+    half, electrons = 0.5 * (1.0 + left) * law.electron_gain_dn, law.electron_gain_dn
+    root = np.sqrt(np.maximum(half**2 - left * (electrons**2 - floor_dn2 / STATED_PE), half**2))
+    return np.maximum(root - half, 1e-6 * root) / left
+
+
+def _floor(gain: Array, settings: list[Setting], rng: np.random.Generator) -> Array:
+    """Draws of the darks' variance without gain, shape (draw,), DN^2: D = r^2 + c C^2, c for scintillation."""
+    variance = np.array([s.dark_variance_dn2 for s in settings], float)
+    sd = np.hypot([s.dark_variance_sd_dn2 for s in settings], MODEL * variance)
+    drawn = variance + sd * rng.standard_normal(gain.shape)
+    weight, square = 1.0 / sd**2, gain**2
+    total, mean = weight.sum(), (drawn @ weight) / weight.sum()
+    if len(settings) < 2:
+        return mean
+    away = square - (square @ weight)[:, None] / total
+    slope = ((drawn * away) @ weight) / ((away**2) @ weight)
+    return np.where(slope > 0, mean - slope * (square @ weight) / total, mean)
+
+
+def _flags(dark: list[Setting]) -> tuple[str, ...]:
+    """One dark does not tell what of its noise goes with the gain; small noise is that of the digitiser's steps."""
+    flags = ("unlike-conditions",) if len(dark) < 2 else ()
+    least = min(s.dark_variance_dn2 or 0.0 for s in dark)
+    return flags + (("quantised",) if least < QUANTISED_DN2 else ())

@@ -1,0 +1,262 @@
+"""The settings of a gain sweep: what was turned, and what the flats and darks of each setting tell by themselves."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.checks import QUANTISED_DN2, series_findings
+from charact.noise.findings import Finding
+from charact.noise.gain import standard
+from charact.noise.gain.one_gain import LEAST_BINS, OneGain, one_gain
+from charact.noise.gain.series import longest_series, series_of_one_gain
+from charact.noise.gain.standard import QUANTISATION_DN2
+from charact.noise.light.stated import relative_sd_of
+from charact.noise.stack.level import Level
+from charact.noise.sweep.knob import KNOBS, Knob, rounded, turned
+from charact.noise.verdict import problem
+
+Array = NDArray[np.float64]
+
+# What one level alone cannot tell, and what the sweep fits itself: they speak against no joint quantity.
+OF_ONE_SERIES = ("too-few-frames", "nonlinear")
+# Share of the variance that the digitiser's steps may add unsaid.
+QUANTISED_SHARE = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What the flats and darks of one setting tell.
+
+    Parameters
+    ----------
+    value
+        Of the knob, in its unit.
+    labels
+        Its flats inside the linear range, in order of rising level.
+    gain_dn
+        Draws of the covariance gain, or where noise is white of the system gain, shape (draw,), DN.
+    log_variance, log_variance_sd
+        Logarithm of a pixel's variance over the signal in DN, and its standard error.
+    blur_factor
+        Draws of variance over covariance sum, shape (draw,).
+    white
+        Whether neighbouring pixels share no noise.
+    light
+        Light on a pixel in each exposure, shape (level,), in `light_unit`; None where it is unknown.
+    light_unit
+        "photon", "lx s" or "lx".
+    light_relative_sd
+        Uncertainty common to all light.
+    signal_dn, signal_sd_dn
+        Mean above the dark and its standard error, shape (level,).
+    levels_dn, levels_sd_dn
+        Covariance over signal of each level and its standard error, shape (level,).
+    variance_dn2
+        Temporal variance of each level above the dark's, shape (level,).
+    dark_variance_dn2, dark_variance_sd_dn2
+        Temporal variance of its dark and the standard error; None without a dark of its own.
+    dark
+        Label of that dark.
+    unsure_dn
+        What the digitiser's steps may have added to variance and covariance over signal, DN: where the noise is no
+        larger than they, darks and flats do not show them alike.
+    findings
+        What is wrong at this setting.
+    """
+
+    value: float
+    labels: tuple[str, ...]
+    gain_dn: Array
+    log_variance: float
+    log_variance_sd: float
+    blur_factor: Array
+    white: bool
+    light: Array | None
+    light_unit: str
+    light_relative_sd: float
+    signal_dn: Array
+    signal_sd_dn: Array
+    levels_dn: Array
+    levels_sd_dn: Array
+    variance_dn2: Array
+    dark_variance_dn2: float | None = None
+    dark_variance_sd_dn2: float = 0.0
+    dark: str | None = None
+    unsure_dn: float = 0.0
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def stack(self) -> str:
+        """The brightest of its flats, which stands for the setting."""
+        return self.labels[-1]
+
+    @property
+    def log_gain(self) -> tuple[float, float]:
+        """Logarithm of the gain and its standard error."""
+        low, middle, high = np.quantile(np.log(np.maximum(self.gain_dn, 1e-12)), [0.16, 0.5, 0.84])
+        sd = float(high - low) / (2.0 * 0.994458)
+        return float(middle), float(np.hypot(sd, self.unsure_dn / np.exp(middle)))
+
+    @property
+    def mean_signal_dn(self) -> float:
+        """Signal that its covariance gain was measured at: the levels' mean, each by what it knows."""
+        weight = 1.0 / np.maximum(self.levels_sd_dn, 1e-12) ** 2
+        return float(weight @ self.signal_dn / weight.sum())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweep:
+    """Flats at several settings of one knob.
+
+    Parameters
+    ----------
+    knob
+        What was turned.
+    settings
+        In order of rising value.
+    main
+        Value of the setting that the session's own gain is measured at.
+    left_out
+        Sentences on settings and stacks that take no part.
+    """
+
+    knob: Knob
+    settings: tuple[Setting, ...]
+    main: float
+    left_out: tuple[str, ...] = field(default=())
+
+
+def sweep_of(darks: list[Level], flats: list[Level], *, context: Context) -> Sweep | None:
+    """Return the sweep in a session's flats; None where no knob was turned, or images are too small for any gain.
+
+    Parameters
+    ----------
+    darks, flats
+        Levels with their spectra.
+    context
+        Seed and sensor.
+    """
+    found = [(knob, turned(flats, knob)) for knob in KNOBS]
+    knob, groups = max(found, key=lambda entry: len(entry[1]))
+    if len(groups) < 2 or min(len(level.bins.modes) for level in (*darks, *flats)) < LEAST_BINS:
+        return None
+    gains, sentences = [], _not_of(groups, flats, knob)
+    for value, own in groups:
+        series = series_of_one_gain(sorted(own, key=lambda level: level.mean_dn), darks)
+        reason = problem(series)
+        if reason is not None:
+            sentences.append(f"at {knob.text(value)}: {reason}")
+            continue
+        context.progress(f"noise at {knob.text(value)}", 0.9)
+        gains.append((value, one_gain(series, context=context, quick=True)))
+    # Where read noise outweighs it, shared noise goes unseen at the lowest gains.
+    white = all(one.white for _, one in gains)
+    settings = [_setting(value, one, white, knob, context) for value, one in gains]
+    main = getattr(longest_series(flats)[0].conditions, knob.name)
+    return Sweep(knob=knob, settings=tuple(settings), main=float(main or 0.0), left_out=tuple(sentences))
+
+
+def _not_of(groups: list[tuple[float, list[Level]]], flats: list[Level], knob: Knob) -> list[str]:
+    """Which flats belong to no setting of the sweep."""
+    here = {flat.label for _, own in groups for flat in own}
+    rest = [flat.label for flat in flats if flat.label not in here]
+    return [f"no part of the sweep of the {knob.words}: {', '.join(rest)}"] if rest else []
+
+
+def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Context) -> Setting:
+    """Statistics of one setting."""
+    series = one.series
+    chosen = np.flatnonzero(series.fitted)
+    flats = [series.flats[i] for i in chosen]
+    light, unit = _light(flats) if series.reference == "dark" else (None, "")
+    carried = one.at_low_signal(context) if light is None and not white else one
+    log_carried = np.log(carried.posterior["covariance_gain"] / one.posterior["covariance_gain"])
+    covariance = one.levels_dn[chosen]
+    signal_sd = [
+        np.sqrt(max(gain * signal, 0.0) + 2.0 * series.darks[i].variance_dn2) / np.sqrt(flat.pixels * flat.frames)
+        for i, flat, gain, signal in zip(chosen, flats, covariance, series.signal_dn[chosen], strict=True)
+    ]
+    own = [dark for dark in series.darks if series.reference == "dark" and _own(dark, flats[0], knob)]
+    own = [dark for dark in own if dark.variance_dn2 > 0]
+    dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
+    least = min(level.variance_dn2 for level in (*series.darks, *flats))
+    setting = Setting(
+        value=value,
+        labels=tuple(flat.label for flat in flats),
+        gain_dn=_white_gain(one, context) if white else carried.posterior["covariance_gain"],
+        log_variance=float(np.log(max(one.summary.variance_dn, 1e-12)) + np.median(log_carried)),
+        log_variance_sd=float(
+            np.hypot(one.summary.variance_sd_dn / max(one.summary.variance_dn, 1e-12), np.std(log_carried))
+        ),
+        blur_factor=np.ones(1000) if white else one.posterior["blur_factor"],
+        white=white,
+        light=light,
+        light_unit=unit,
+        light_relative_sd=relative_sd_of(
+            [flat.conditions for flat in flats], "photons/px" if unit == "photon" else "lux"
+        )[0],
+        signal_dn=series.signal_dn[chosen],
+        signal_sd_dn=np.array(signal_sd),
+        levels_dn=covariance,
+        levels_sd_dn=one.levels_sd_dn[chosen],
+        variance_dn2=series.variance_dn2[chosen],
+        dark_variance_dn2=None if dark is None else dark.variance_dn2,
+        dark_variance_sd_dn2=0.0 if dark is None else dark.variance_sd_dn2,
+        dark=None if dark is None else dark.label,
+        findings=tuple(_findings(one, flats, value, knob, context)),
+    )
+    return setting if least >= QUANTISED_DN2 else _quantised(setting, least, knob)
+
+
+def _quantised(s: Setting, least_dn2: float, knob: Knob) -> Setting:
+    """Return a setting whose noise is smaller than the digitiser's steps, with what these may have added to it."""
+    unsure = QUANTISATION_DN2 / s.mean_signal_dn
+    share = unsure / float(np.exp(s.log_variance))
+    told = f"noise of {np.sqrt(least_dn2):.2g} DN is less than the digitiser's steps, which add {100 * share:.2g} %"
+    found = (("quantised", f"at {knob.text(s.value)}: {told}"),) if share > QUANTISED_SHARE else ()
+    return replace(
+        s,
+        unsure_dn=unsure,
+        log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
+        findings=(*s.findings, *found),
+    )
+
+
+def _own(dark: Level, flat: Level, knob: Knob) -> bool:
+    """Whether a dark was taken at a flat's setting, as far as is known."""
+    value = getattr(dark.conditions, knob.name)
+    return value is None or rounded(dark.conditions, knob.name) == rounded(flat.conditions, knob.name)
+
+
+def _white_gain(one: OneGain, context: Context) -> Array:
+    """Draws of the photon transfer curve's slope."""
+    allowance = float(np.hypot(one.neighbours.allowance, one.exposures.allowance))
+    return standard.gain_line(one.series, context=replace(context, quick=True), allowance=allowance).slope
+
+
+def _findings(one: OneGain, flats: list[Level], value: float, knob: Knob, context: Context) -> list[Finding]:
+    """What speaks against a setting, with the setting named; remarks that flag nothing stay with its own gain."""
+    found = [entry for entry in series_findings(one.series, context=context) if entry[0] not in OF_ONE_SERIES]
+    found += one.findings()
+    if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in flats):
+        found.append(("agc", "an automatic gain or brightness control was on"))
+    return [(flag, f"at {knob.text(value)}: {sentence}") for flag, sentence in found if flag is not None]
+
+
+def _light(flats: list[Level]) -> tuple[Array | None, str]:
+    """Light of every flat in one unit, or None where one is unknown."""
+    known = [flat.conditions for flat in flats]
+    photons = [c.photons_per_px for c in known]
+    if all(photons):
+        return np.array(photons, float), "photon"
+    lux = [c.illuminance_lux for c in known]
+    if not all(lux):
+        return None, ""
+    for name, scale in (("gate_ns", 1e-9), ("exposure_s", 1.0)):
+        time = [getattr(c, name) for c in known]
+        if all(time):
+            return np.array(lux, float) * np.array(time, float) * scale, "lx s"
+    untimed = all(c.gate_ns is None and c.exposure_s is None for c in known)
+    return (np.array(lux, float), "lx") if untimed else (None, "")
