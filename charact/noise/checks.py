@@ -148,7 +148,7 @@ def unsteadiness(level: Level) -> tuple[float, float]:
     rms = float(np.sqrt(rest @ rest / (len(means) - 2)))
     significant = rms > noise * (1 + SIGNIFICANT / np.sqrt(2 * len(means)))
     drift = slope if abs(slope) > SIGNIFICANT * max(slope_sd, rms / np.sqrt(time @ time)) else 0.0
-    return drift, rms if significant else 0.0
+    return drift, float(np.sqrt(rms**2 - noise**2)) if significant else 0.0
 
 
 def _low_power(level: Level) -> float:

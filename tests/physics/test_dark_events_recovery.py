@@ -45,7 +45,7 @@ def test_pulses_of_the_simulated_camera_are_found_within_a_tenth_at_twelve_bits(
         found = next(m for m in result.find(name) if m.unit == units)
         assert found.value is not None and found.interval95 is not None, found.reason
         low, high = found.interval95
-        # Heights come out some percent low and rates high here, and not in darks drawn in continuous space: not explained.
+        # Heights come out some percent low and rates high here, not in darks drawn in continuous space: unexplained.
         assert abs(found.value - truth[name]) < 0.1 * truth[name] + 0.5 * (high - low), found
 
 
