@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map gain-grid events-study docs frontier peers lock clean
+.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map gain-map gain-grid events-study docs frontier peers lock clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -57,6 +57,11 @@ events-study: $(READY)
 edge-map: $(READY)
 	$(BIN)/python -m charact.study.edge_map
 	$(BIN)/python -m charact.study.edge_map_figure
+
+# Where gains break: 3,000 simulated cameras; half an hour on two cores.
+gain-map: $(READY)
+	$(BIN)/python -m charact.study.gain_map
+	$(BIN)/python -m charact.study.gain_map_figure
 
 # Edge methods beside other programs and the Cramer-Rao bound, on the edge that those were measured on: table and chart.
 mtf-peers: $(READY)

@@ -1,15 +1,13 @@
 """Figure of the map of edges: what became of the drawings along everything that breaks them."""
 
-import argparse
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from charact.study.cell_map_figure import draw_fates
-from charact.study.draw import _pyplot, plain_numbers
+from charact.study import cell_map_figure
+from charact.study.draw import plain_numbers
 from charact.study.edge_map import BREAKING, TABLE, cell_of
 
 FIGURE = Path("docs/mtf/edge-map.png")
@@ -30,45 +28,14 @@ LABELS = {
 
 
 def draw_map(found: Mapping[str, Any], path: Path) -> Path:
-    """Draw the quick part of the table of `charact.study.edge_map`.
-
-    Parameters
-    ----------
-    found
-        The table.
-    path
-        Where the PNG goes.
-    """
-    part = found["quick"]
-    cells = [dict(zip(part["columns"], row, strict=True)) for row in part["rows"]]
-    figure, grid = _pyplot().subplots(3, 5, figsize=(14.0, 7.8), layout="constrained")
-    panels = iter(grid.flat)
-    inside = [cell for cell in cells if cell["axis"] == "none"]
-    snr = [cell_of(cell["number"]).scene.snr for cell in inside]
-    draw_fates(next(panels), inside, snr, log=True, label=LABELS["snr"], title="inside the scope")
-    for axis, (_, _, log) in BREAKING.items():
-        own = [cell for cell in cells if cell["axis"] == axis]
-        draw_fates(next(panels), own, [cell["strength"] for cell in own], log=log, label=LABELS[axis], title=axis)
-    _draw_widths(next(panels), inside)
-    for spare in panels:
-        spare.axis("off")
-    for panel in grid[:, 0]:
-        panel.set_ylabel("share of the drawings (1)")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    grid[2, 4].legend(handles, labels, loc="center", frameon=False)
-    summary = part["summary"]
-    figure.suptitle(
-        f"{found['method']}, quick: {summary['cells']} cells, {summary['draws']} drawings, {summary['ok']} ok, "
-        f"{summary['silent']} silent failures; in scope {summary['in_scope_ok_percent']:.1f} % ok",
-        fontsize=11,
+    """Draw the table of `charact.study.edge_map`; returns the path of the PNG."""
+    scope = (LABELS["snr"], lambda number: cell_of(number).scene.snr)
+    return cell_map_figure.draw_map(
+        found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=5, last=_draw_widths
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100)
-    _pyplot().close(figure)
-    return path
 
 
-def _draw_widths(panel: Any, inside: Sequence[Mapping[str, Any]]) -> None:
+def _draw_widths(panel: Any, inside: cell_map_figure.Rows) -> None:
     """Draw how wide intervals are beside the bound, against the bound itself."""
     both = [(one["bound_percent"], one["sd_percent"]) for one in inside if one["bound_percent"] and one["sd_percent"]]
     bound, sd = np.array(both).T if both else np.ones((2, 0))
@@ -83,11 +50,7 @@ def _draw_widths(panel: Any, inside: Sequence[Mapping[str, Any]]) -> None:
 
 def main() -> None:
     """Draw the table that is there."""
-    parser = argparse.ArgumentParser(prog="python -m charact.study.edge_map_figure", description=__doc__)
-    parser.add_argument("--table", type=Path, default=TABLE, help="table to read")
-    parser.add_argument("--figure", type=Path, default=FIGURE, help="PNG to write")
-    asked = parser.parse_args()
-    draw_map(json.loads(asked.table.read_text()), asked.figure)
+    cell_map_figure.make(draw_map, table=TABLE, figure=FIGURE, about=__doc__)
 
 
 if __name__ == "__main__":

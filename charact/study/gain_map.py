@@ -19,7 +19,7 @@ from charact.study.harness import Case, attempt
 
 TABLE = Path(__file__).resolve().parent / "tables" / "gain_map.json"
 METHOD, QUANTITY = "covariance-sum", "covariance_gain"
-CELLS, REPEATS = 3000, 2
+CELLS, REPEATS = 3000, 1
 # What breaks gains, from where it hardly matters to where nothing is left, and whether steps are even in ln.
 BREAKING: Breaking = {
     "decay_ms": (1.0, 100.0, True),
