@@ -19,7 +19,7 @@ from charact.study.dark_events import DarkScene
 from labdata.measurement import intervals_of
 
 NAMES = ("density", "height_dn", "relative_variance")
-TABLE = "dark-events.json"
+TABLE = "dark_events.json"
 
 
 @dataclass(frozen=True, kw_only=True)
