@@ -20,6 +20,10 @@ NONLINEAR_SHARE = 0.05
 # Below this variance the digitiser's steps no longer act as noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is
 # still wrong by up to 7 %, as the level lies between two codes or on one; here by 1.5 %.
 QUANTISED_DN2 = 0.32
+# Signal below which a shift by the steps of the digitiser, a third of one at most, is more than some percent, DN.
+COARSE_DN = 4.0
+# Variance of a dark below which rare pulses may be all of it but for noise much finer than a step.
+COARSE_DN2 = 1.0
 # Change of variance over signal along the levels that passes for a straight photon transfer curve: charge that
 # repels charge bends that of any CCD by some percent.
 BENT_SHARE = 0.08
@@ -70,6 +74,23 @@ def _unlike(series: Series) -> list[Finding]:
             )
             found.append(("unlike-conditions", sentence))
     return found
+
+
+def coarse(dark: Level, signal_dn: float) -> bool:
+    """Whether rare pulses a few DN above a dark are seen through steps that its own noise does not hide."""
+    return dark.variance_dn2 < COARSE_DN2 and signal_dn < COARSE_DN
+
+
+def coarse_findings(series: Series) -> list[Finding]:
+    """Whether all the flats are so dim that the digitiser's steps take part in every pulse."""
+    fitted = np.flatnonzero(series.fitted)
+    if not all(coarse(series.darks[i], float(series.signal_dn[i])) for i in fitted):
+        return []
+    brightest = float(series.signal_dn[fitted].max())
+    sentence = (
+        f"at {brightest:.2g} DN of signal the digitiser's steps cut off the faint parts of pulses: brighter flats help"
+    )
+    return [("quantised", sentence)]
 
 
 def bent(series: Series) -> list[Finding]:
@@ -148,7 +169,7 @@ def unsteadiness(level: Level) -> tuple[float, float]:
     rms = float(np.sqrt(rest @ rest / (len(means) - 2)))
     significant = rms > noise * (1 + SIGNIFICANT / np.sqrt(2 * len(means)))
     drift = slope if abs(slope) > SIGNIFICANT * max(slope_sd, rms / np.sqrt(time @ time)) else 0.0
-    return drift, float(np.sqrt(rms**2 - noise**2)) if significant else 0.0
+    return drift, rms if significant else 0.0
 
 
 def _low_power(level: Level) -> float:

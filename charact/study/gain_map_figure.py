@@ -9,7 +9,7 @@ from charact.study.gain_map import BREAKING, TABLE, cell_of
 
 FIGURE = Path("docs/noise/gain-map.png")
 LABELS = {
-    "decay_ms": "decay of the screen, frames of 33 ms (ms)",
+    "decay_ms": "decay of the screen (ms)",
     "interlaced_decay_ms": "the same, interlaced (ms)",
     "gain_range_db": "range of an automatic gain (dB)",
     "flicker": "rms flicker of the light (1)",

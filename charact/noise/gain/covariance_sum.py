@@ -10,6 +10,7 @@ from charact.method import Context, register
 from charact.noise.checks import (
     QUANTISED_DN2,
     bent,
+    coarse_findings,
     exposure_flags,
     hidden_findings,
     series_findings,
@@ -115,7 +116,7 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], estimat
         pooled = pooled.at_low_signal(context)
     fit = pooled.fit
     common = series_findings(series, context=context)
-    findings = common + pooled.findings() + (bent(series) if white else []) + pooled.departures()
+    findings = common + pooled.findings() + (bent(series) if white else coarse_findings(series)) + pooled.departures()
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
     out = [

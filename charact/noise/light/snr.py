@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import exposure_findings, series_findings
+from charact.noise.checks import coarse, exposure_findings, series_findings
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain.series import GAINS, Series, gain_of, series_of
 from charact.noise.gain.summary import summarise
@@ -29,10 +29,6 @@ Array = NDArray[np.float64]
 METHOD = "light-transfer"
 # A square must fit so many times into a side of the image for the spectrum to hold it.
 SQUARES = 6
-# Signal below which a shift by the steps of the digitiser, a third of one at most, is more than some percent, DN.
-COARSE_DN = 4.0
-# Variance of a dark below which rare pulses may be all of it but for noise much finer than a step.
-COARSE_DN2 = 1.0
 PIXEL = "of a pixel: temporal noise of one exposure"
 AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, noise that they share included"
 AXES = "noise of whole rows, columns and frames is left out of the area: too few frames to see it"
@@ -92,6 +88,8 @@ def _of_gain(series: Series, several: bool, context: Context) -> tuple[list[Meas
     findings += [(None, words)] if several else []
     light = light_of_series(series)
     pixel = pixel_levels(series, lag)
+    if not isinstance(light, str) and not (pixel.fitted & pixel.lit).any():
+        light = f"no flat below saturation is brighter than its dark by {LIT:g} standard errors"
     response = None if isinstance(light, str) else _response(pixel, light, context)
     scopes = [scope_of("", PIXEL, pixel, _reference(series), context)]
     if small is None:
@@ -150,5 +148,4 @@ def _ratios(series: Series, scope: Scope, findings: list[Finding], fields: dict[
 
 def _rounded(series: Series, index: int) -> tuple[str, ...]:
     """The flag of a few DN above a dark whose variance may be that of rare pulses, while the steps hide the rest."""
-    coarse = series.darks[index].variance_dn2 < COARSE_DN2 and series.signal_dn[index] < COARSE_DN
-    return ("quantised",) if coarse else ()
+    return ("quantised",) if coarse(series.darks[index], float(series.signal_dn[index])) else ()

@@ -60,6 +60,32 @@ def test_a_session_without_flats_or_darks_is_bad_input(in_memory, seed):
         noise.measure(in_memory(stacks), context=QUICK)
 
 
+def blurred_faint_pulses(pulses):
+    """Pulses of 3 DN behind a blur of .7 px over electronics far finer than a step."""
+    return pulses(gain_dn=3.0, read_noise_dn=0.2, transfer=lambda f: np.exp(-2.0 * (np.pi * 0.7 * f) ** 2))
+
+
+def test_pulses_whose_faint_parts_the_steps_cut_off_are_flagged_until_the_light_lifts_them(pulses, series, seed):
+    rng = np.random.default_rng(seed)
+    dim, bright = (
+        gain_of(noise.measure(series(blurred_faint_pulses(pulses), rng, levels, frames=8), context=QUICK))
+        for levels in ((0.1, 0.2, 0.4), (4.0, 8.0, 16.0))
+    )
+    assert "quantised" in dim.flags
+    assert "quantised" not in bright.flags
+
+
+def test_light_within_the_steps_of_the_digitiser_ends_in_verdicts_and_not_in_a_traceback(pulses, in_memory, seed):
+    rng, camera = np.random.default_rng(seed), blurred_faint_pulses(pulses)
+    stacks = [
+        (f"{kind}-{level}", kind, camera.frames(rng, level, 8), Conditions(illuminance_lux=1e-5 * level))
+        for kind, level in (("dark", 0.0), ("flat", 0.03), ("flat", 0.05), ("flat", 0.08))
+    ]
+    result = noise.measure(in_memory(stacks), context=QUICK)
+    assert gain_of(result).status != "ok"
+    assert all(m.status != "ok" for m in result.find("minimum_illumination"))
+
+
 def test_drift_and_flicker_are_told_apart(pulses, series, seed):
     drifting = pulses(light_of_frame=lambda n: 1.0 + 0.01 * n)
     flickering = pulses(light_of_frame=lambda n: 1.0 + 0.04 * (-1) ** n)
