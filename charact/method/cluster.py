@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from socket import create_connection
 from typing import Any
 
 from labdata.errors import BadInput
@@ -31,11 +32,14 @@ def spread_over(scheduler: str | None) -> Iterator[Spread]:
         return
     try:
         from distributed import Client, KilledWorker
+        from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise BadInput("--scheduler needs Dask (pip install 'charact[dask]'), which is not installed") from None
     try:
+        # A client that finds nobody complains again when it is thrown away, with a traceback.
+        create_connection(get_address_host_port(scheduler), timeout=CONNECT_S).close()
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, TimeoutError):
+    except (OSError, OverflowError, ValueError, TimeoutError):
         raise BadInput(f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}") from None
     with client:
         if not client.scheduler_info()["workers"]:

@@ -102,6 +102,15 @@ def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(s
         levels(open_session(copy))
 
 
+def test_what_is_no_address_of_a_scheduler_ends_in_one_sentence_before_there_is_a_client(monkeypatch):
+    """A client without an address complains a second time when it is thrown away, with a traceback."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
+    for address in ("nowhere", "", "tcp://127.0.0.1:99999", "tcp://127.0.0.1:9"):
+        with pytest.raises(BadInput, match="running Dask scheduler"), spread_over(address):
+            pass
+
+
 def test_a_scheduler_that_does_not_answer_ends_in_one_sentence(monkeypatch):
     pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
     monkeypatch.setattr("charact.method.cluster.CONNECT_S", 0.5)
