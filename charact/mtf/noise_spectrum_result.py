@@ -124,6 +124,7 @@ def evidence(spectrum: Spectrum, found: Drawn) -> dict[str, Any]:
     peak = found.peaks[0]
     white, pulses = peak.problem.parts(peak.point[None])
     return {
+        "figure": "post-gain-noise",
         "column_cy_per_px": spectrum.column_cy_per_px.tolist(),
         "row_cy_per_px": spectrum.row_cy_per_px.tolist(),
         "power_dn2": spectrum.power_dn2.tolist(),

@@ -22,6 +22,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "halo-constancy": ("bloom", blooms.halo_constancy),
     "photon-transfer": ("noise", noise.photon_transfer),
     "noise-spectrum": ("noise", noise.noise_spectrum),
+    "post-gain-noise": ("noise", noise.post_gain_noise),
     "noise-against-gain": ("noise", gains.noise_against_gain),
     "noise-by-gain": ("noise", gains.noise_by_gain),
     "autocorrelation": ("noise", noise.autocorrelation),

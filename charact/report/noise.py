@@ -78,6 +78,27 @@ def noise_spectrum(data: Data) -> Any:
     return figure
 
 
+def post_gain_noise(data: Data) -> Any:
+    """Noise power of the light over the whole band along rows and columns, and what was fitted to it."""
+    figure, grid = panels(size=(5.6, 3.8))
+    axes = grid[0, 0]
+    column, row = np.abs(array(data, "column_cy_per_px")), np.abs(array(data, "row_cy_per_px"))
+    radius, power = np.hypot(column, row), array(data, "power_dn2") - array(data, "dark_dn2")
+    model = array(data, "white_dn2") + array(data, "pulses_dn2")
+    for colour, own, label in (
+        (DATA, row < 0.27 * column, "near horizontal frequency"),
+        (THIRD, column < 0.27 * row, "near vertical frequency"),
+    ):
+        dots(axes, radius[own], power[own], color=colour, alpha=0.4, markersize=2.0, label=label)
+    axes.plot(
+        radius, model, ".", color=MODEL, markersize=1.5, alpha=0.5, label="fitted: white floor and blurred pulses"
+    )
+    axes.set(xlabel="spatial frequency (cycles per column pitch)", ylabel="noise power above the dark (DN²)",
+             ylim=(0, None))  # fmt: skip
+    axes.legend()
+    return figure
+
+
 def autocorrelation(data: Data) -> Any:
     """Correlation of neighbouring pixels at each level, and of exposures one after the other."""
     figure, grid = panels(1, 2, size=(5.8, 3.2))
@@ -109,5 +130,5 @@ def three_dimensional(data: Data) -> Any:
     frequency = array(data, "frequency_cy_per_exposure") / (period or 1.0)
     line(grid[0, 1], frequency, array(data, "power_dn2"), color=THIRD)
     unit = "Hz" if period else "cycles per exposure"
-    grid[0, 1].set(xlabel=f"temporal frequency ({unit})", ylabel="variance of exposures' means (DN²)")
+    grid[0, 1].set(xlabel=f"temporal frequency ({unit})", ylabel="power of the means (DN²)")
     return figure

@@ -239,6 +239,10 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "radius_cy_per_px": spread, "angle_deg": [0, 90, 45], "power_dn": spread, "power_sd_dn": spread,
             "model_dn": spread, "used": [True, True, False], "variance_over_signal_dn": 0.3,
         },
+        "post-gain-noise": {
+            "column_cy_per_px": [0.1, 0.2, 0.0], "row_cy_per_px": [0.0, 0.01, 0.2], "power_dn2": spread,
+            "dark_dn2": [0.0] * 3, "white_dn2": [0.1] * 3, "pulses_dn2": spread,
+        },
         "autocorrelation": {
             "neighbour_correlation": spread, "neighbour_sd": spread, "lag_exposures": spread,
             "lag_correlation": spread, "lag_correlation_sd": spread,
