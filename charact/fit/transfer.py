@@ -11,6 +11,8 @@ from scipy.special import j1, sici
 Array = NDArray[np.float64]
 
 MIDDLE_WAVELENGTH_MM = 0.7e-3
+# The largest logarithm whose exponential is still a number: a climb to the peak tries any exponent once.
+LARGEST_LOGARITHM = 700.0
 
 
 def lens(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
@@ -28,7 +30,8 @@ def lens(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
 
 def tube(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0) -> Array:
     """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's form)."""
-    return np.exp(-share * np.exp(exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))))
+    logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
+    return np.exp(-share * np.exp(np.minimum(logarithm, LARGEST_LOGARITHM)))
 
 
 def halo(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
