@@ -101,11 +101,15 @@ def _is_round(scene: BloomScene) -> bool:
 
 
 def _region(scene: BloomScene, picture: Array, level_dn: float) -> NDArray[np.bool_]:
-    """Parts of pixels at or above a level that hang together with the source; between pixels the log is a line."""
+    """Parts of pixels at or above a level that hang together with the source.
+
+    Between pixels the log is smooth, or, where charge fills pixels to the brim, a line.
+    """
     from scipy import ndimage
 
     log = np.log(np.maximum(picture - scene.dark_dn, 1e-6))
-    fine = np.asarray(ndimage.zoom(log, PARTS, order=1, mode="nearest", grid_mode=True))
+    order = 3 if scene.full_well_dn is None else 1
+    fine = np.asarray(ndimage.zoom(log, PARTS, order=order, mode="nearest", grid_mode=True))
     above = fine >= np.log(max(level_dn - scene.dark_dn, 1e-6))
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
     row, col = (round(PARTS * (at + 0.5) - 0.5) for at in scene.centre)
@@ -114,7 +118,12 @@ def _region(scene: BloomScene, picture: Array, level_dn: float) -> NDArray[np.bo
 
 
 def _ellipticity(scene: BloomScene, picture: Array, level_dn: float) -> float:
-    """Minor over major axis of the ellipse with the region's second moments; nan without a region."""
+    """Minor over major axis of the ellipse with the region's second moments; nan without a region.
+
+    A round source that runs into the border is called round.
+    """
+    if _is_round(scene):
+        return 1.0
     down, along = np.nonzero(_region(scene, picture, level_dn))
     if len(down) < 2:
         return float("nan")
@@ -124,6 +133,8 @@ def _ellipticity(scene: BloomScene, picture: Array, level_dn: float) -> float:
 
 def _compression(scene: BloomScene, overload: float) -> float:
     """Light inside four standard deviations of the core over what a camera that nothing tires would show."""
+    if scene.plate_saturation_dn is None:
+        return 1.0
     calm = replace(scene, full_well_dn=None, smear_fraction=0.0, agc=False)
     tired, fresh = (expected(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None)))
     row, col = scene.centre
