@@ -76,8 +76,19 @@ QUANTITIES: dict[str, Quantity] = {
     "prnu": _entry("Photoresponse non-uniformity", "%"),
     "linearity_error": _entry("Linearity error", "%"),
     "halo_diameter": _entry("Halo diameter, outer edge before blur", "px"),
+    "halo_fraction": _entry("Share of all light that lands in the halo", "1"),
+    "halo_plateau": _entry("Level of the halo over the source's whole light", "1/px2"),
+    "halo_rim": _entry("Level of the halo's rim over its plateau", "1"),
+    "veiling_glare": _entry("Share of the source's light spread evenly over the frame", "%"),
+    "encircled_radius_50": _entry("Radius that holds half of a source's light", "px"),
+    "encircled_radius_90": _entry("Radius that holds nine tenths of a source's light", "px"),
     "bloom_diameter": _entry("Bloom diameter at half of full scale", "px"),
     "streak_length": _entry("Length of the bright column", "px"),
+    "streak_level": _entry("Level of the overflowing column over dark", "DN"),
+    "smear_fraction": _entry("Share of a column's light that smears over the column", "1"),
+    "background_depression": _entry("Fall of the background below that of the faintest level", "dB"),
+    "recovery_time_10": _entry("Time after the source goes out until 10 % of its light is left", "s"),
+    "recovery_time_1": _entry("Time after the source goes out until 1 % of its light is left", "s"),
 }
 
 FREQUENCY_UNITS = ("cy/px", "lp/mm", "lp/mm-cathode", "tvl/ph", "cy/mrad")

@@ -1,0 +1,110 @@
+"""Which form the data bear: every form is fitted, and the Bayesian information criterion decides."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.series.climb import Peak, climb
+from charact.bloom.series.forms import LEAST_DIAMETER_PX, Core, Form, Halo
+from charact.bloom.series.likelihood import Problem, Series
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+CORES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
+# Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
+STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
+# Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
+WORTHWHILE = 400.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A form at its best.
+
+    Parameters
+    ----------
+    problem
+        The form put to the series, with the share of the light by which its rings are off.
+    peak
+        Where it is best.
+    log_likelihood
+        There, of the rings and in DN.
+    bic
+        -2 log L + k ln N.
+    """
+
+    problem: Problem
+    peak: Peak
+    log_likelihood: float
+    bic: float
+
+    @property
+    def form(self) -> Form:
+        """The form."""
+        return self.problem.form
+
+    @property
+    def name(self) -> str:
+        """As reports call it."""
+        halo = {"none": "no halo", "disc": "disc", "gaussian": "Gaussian halo"}[self.form.halo]
+        return f"{self.form.core} core, {halo}"
+
+
+def candidates(
+    series: Series, *, pitch_ratio: float, sensor: Sensor | None, first_diameter_px: float
+) -> list[Candidate]:
+    """Fit all forms, the one that the data bear best first."""
+    reach = float(series.geometry.radius_px[-1])
+
+    def form(core: Core, halo: Halo) -> Form:
+        return Form(core=core, halo=halo, reach_px=reach, pitch_ratio=pitch_ratio, sensor=sensor)
+
+    out: list[Candidate] = []
+    for core in CORES:
+        bare = fitted(series, form(core, "none"), [])
+        found = [one.peak.point[-3:] for one in out if one.form.halo == "disc"]
+        out += [bare, fitted(series, form(core, "disc"), _discs(form(core, "disc"), first_diameter_px, bare, found))]
+    likeliest = min(out, key=lambda one: one.bic)
+    out.append(fitted(series, form(likeliest.form.core, "gaussian"), []))
+    least = min(one.bic for one in out)
+    return sorted((refined(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic)
+
+
+def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Array]) -> list[Array]:
+    """Starts of a disc: those of other cores, the step seen, and every diameter, for an edge makes many small peaks."""
+    low, high = form.bounds[form.names.index("halo_diameter")]
+    diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, STARTS)
+    if np.isfinite(first_diameter_px):
+        diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
+    halos = [*found, *([diameter, 0.4, 0.08] for diameter in diameters)]
+    cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
+    return [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
+
+
+def fitted(series: Series, form: Form, starts: list[Array]) -> Candidate:
+    """Fit one form from the best of its starts, rings taken to be off a little."""
+    problem = Problem(series=series, form=form)
+    tried = np.array(starts or [form.first])
+    order = np.argsort(problem.log_probability(tried))[::-1][:CLIMBED]
+    peak = max(
+        (climb(problem, tried[one], iterations=FIRST_STEPS) for one in order), key=lambda one: one.log_probability
+    )
+    return _candidate(problem, peak)
+
+
+def refined(candidate: Candidate) -> Candidate:
+    """Fit a form again with rings as far off as they turned out to be."""
+    for _ in range(2):
+        peak = climb(candidate.problem, candidate.peak.point)
+        candidate = _candidate(candidate.problem, peak)
+    return replace(candidate, peak=climb(candidate.problem, candidate.peak.point))
+
+
+def _candidate(problem: Problem, peak: Peak) -> Candidate:
+    share, value = problem.share_of_misfit(peak.point)
+    off = Problem(series=replace(problem.series, model_share=share), form=problem.form)
+    count = len(problem.form.names) + 2 * len(problem.series.data) + 1
+    bic = -2.0 * value + count * float(np.log(problem.series.data.size))
+    return Candidate(problem=off, peak=peak, log_likelihood=value, bic=bic)

@@ -1,0 +1,69 @@
+"""From a session's point stacks to the rings of one series."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.columns import spoiled
+from charact.bloom.series.centre import centred
+from charact.bloom.series.levels import Level, level_of, noise_of
+from charact.bloom.series.likelihood import Series, series_of
+from charact.bloom.series.rings import Geometry, geometry_of
+from charact.bloom.spot import Spot
+from charact.method import Context
+from labdata.session import Session
+
+# Stacks whose sources lie farther apart than this are not one series, px.
+SAME_PLACE_PX = 2.0
+# Rings that a series needs, and the most that are fitted: halos of up to 1.1 mm at the cathode end well inside them.
+LEAST_RINGS, MOST_RINGS = 14, 64
+
+
+def one_place(spots: tuple[Spot, ...]) -> tuple[Spot, ...]:
+    """Return the stacks of the place that most of them share, the clearest one's where places are shared alike."""
+
+    def near(spot: Spot) -> tuple[Spot, ...]:
+        return tuple(one for one in spots if np.hypot(one.row - spot.row, one.col - spot.col) < SAME_PLACE_PX)
+
+    return max((near(spot) for spot in spots), key=lambda group: (len(group), max(one.significance for one in group)))
+
+
+def gathered(session: Session, spots: tuple[Spot, ...], *, context: Context) -> tuple[Series, tuple[Spot, ...]] | str:
+    """Average stacks of one place over rings about it.
+
+    Returns
+    -------
+    tuple or str
+        The series with the stacks in it, about where they all lie; or why there is none, as a sentence.
+    """
+    group = one_place(spots)
+    clearest = max(group, key=lambda one: one.significance)
+    shapes = {one.image.shape for one in group}
+    if len(shapes) > 1:
+        return f"stacks of one source must have frames of one size, got {sorted(shapes)}"
+    full = min(one.full_scale_dn for one in group)
+    mask = _spoiled(group, context)
+    row, col = centred([one.image for one in group], clearest.row, clearest.col, pitch_ratio=context.pitch_ratio,
+                       full_dn=full, spoiled=mask)  # fmt: skip
+    geometry = geometry_of(clearest.image.shape, row, col, pitch_ratio=context.pitch_ratio, spoiled=mask)
+    if len(geometry.radius_px) < LEAST_RINGS:
+        return (
+            f"the source must lie {LEAST_RINGS} px or more inside the frame, got {len(geometry.radius_px)} whole rings"
+        )
+    levels = _levels(session, group, geometry, full)
+    dark = min(one.dark_dn for one in group)
+    noise = noise_of(levels, geometry, dark_dn=dark)
+    series = series_of(levels, noise, geometry, full_dn=full, rings=min(MOST_RINGS, len(geometry.radius_px)))
+    return series, tuple(replace(one, row=row, col=col) for one in group)
+
+
+def _spoiled(group: tuple[Spot, ...], context: Context) -> NDArray[np.bool_] | None:
+    """Pixels that overflow or smear spoils in any of the stacks."""
+    mask = np.any([spoiled(one, context) for one in group], axis=0)
+    return mask if mask.any() else None
+
+
+def _levels(session: Session, group: tuple[Spot, ...], geometry: Geometry, full_dn: float) -> tuple[Level, ...]:
+    entries = {entry.label: entry for entry in session.of_kind("point")}
+    return tuple(level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn) for one in group)

@@ -1,0 +1,240 @@
+"""How likely the rings of a series are under a form: codes cut at the top count as what they are.
+
+A pixel of level x with noise s reads on average E[min(x + s n, c)] = c - s (z Phi(z) + phi(z)), z = (c - x)/s, at the
+highest code c: a ring wholly cut says "at least so bright", one partly cut tells where the light crosses the top. The
+light of each level and its background are found for every point anew (Gauss-Newton), so that what a level's source
+really gave need not be known.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.series.forms import Form
+from charact.bloom.series.levels import HARDLY_CUT, Level, Noise
+from charact.bloom.series.rings import Geometry
+from charact.bloom.series.transfer import onto_nodes
+
+Array = NDArray[np.float64]
+
+# Standard deviations of a pixel from the highest code within which some of its codes are cut.
+NEAR_TOP = 5.0
+STEPS = 2
+# Share of the light by which rings may be off in every form: cameras are not quite round. First guess, and what is tried.
+FIRST_SHARE = 0.02
+SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """All levels of one source.
+
+    Parameters
+    ----------
+    labels
+        Their stacks.
+    data
+        Ring means, shape (level, ring), DN.
+    cut
+        Rings with samples at the highest code, shape (level, ring).
+    own_covariance
+        Covariance of the ring means by noise alone, shape (level, ring, ring), DN^2.
+    node_sd
+        Standard deviation of a pixel at every node, shape (level, node), DN.
+    geometry
+        The rings.
+    full_dn
+        Highest code, DN.
+    model_share
+        Share of the light by which rings of any form are off.
+    """
+
+    labels: tuple[str, ...]
+    data: Array
+    cut: NDArray[np.bool_]
+    own_covariance: Array
+    node_sd: Array
+    geometry: Geometry
+    full_dn: float
+    model_share: float = FIRST_SHARE
+
+    @cached_property
+    def light(self) -> Array:
+        """Level of each ring above the farthest ones of its stack, shape (level, ring), DN."""
+        return np.abs(self.data - np.median(self.data[:, -6:], axis=1, keepdims=True))
+
+    def covariance(self, share: float) -> Array:
+        """Covariance of the ring means when a form is off by a share of the light, shape (level, ring, ring), DN^2."""
+        out = self.own_covariance.copy()
+        ring = np.arange(out.shape[1])
+        out[:, ring, ring] += (share * self.light) ** 2
+        return out
+
+    @cached_property
+    def whitener(self) -> Array:
+        """Makes residuals independent and of unit variance, shape (level, ring, ring)."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance(self.model_share)))
+
+    @cached_property
+    def white_data(self) -> Array:
+        """Ring means, whitened, shape (level, ring)."""
+        return (self.whitener @ self.data[..., None])[..., 0]
+
+    @cached_property
+    def white_averages(self) -> Array:
+        """Takes light at the nodes to whitened ring means, shape (level, ring, node)."""
+        return self.whitener @ self.geometry.averages
+
+    @cached_property
+    def onto_nodes(self) -> Array:
+        """Takes transforms to light at the nodes, shape (frequency, node)."""
+        return onto_nodes(self.geometry.node_px)
+
+
+def series_of(levels: tuple[Level, ...], noise: Noise, geometry: Geometry, *, full_dn: float, rings: int) -> Series:
+    """Gather the innermost rings of all levels."""
+    geometry = geometry.within(rings)
+    data = np.array([level.mean_dn[:rings] for level in levels])
+    nodes = np.array([np.interp(geometry.node_px, geometry.radius_px, one) for one in data])
+    return Series(
+        labels=tuple(level.label for level in levels),
+        data=data,
+        cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
+        own_covariance=np.array(
+            [noise.covariance(one, geometry.count, level.frames) for one, level in zip(data, levels, strict=True)]
+        ),
+        node_sd=noise.pixel_sd(nodes),
+        geometry=geometry,
+        full_dn=full_dn,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solved:
+    """What a form says of every level at some points.
+
+    Parameters
+    ----------
+    residual
+        What the best amplitudes leave of the rings, whitened, shape (level, ring, point).
+    amplitudes
+        Light, DN px^2, and background, DN, of each level, shape (level, amplitude, point).
+    normal
+        Curvature of chi2/2 in them, shape (level, amplitude, amplitude, point).
+    """
+
+    residual: Array
+    amplitudes: Array
+    normal: Array
+
+    @property
+    def chi2(self) -> Array:
+        """Sum of squares of every level, shape (level, point)."""
+        return (self.residual**2).sum(axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """A form put to a series."""
+
+    series: Series
+    form: Form
+
+    def log_probability(self, points: Array) -> Array:
+        """Log of the posterior with every level's own light at its best, shape (point,)."""
+        prior = self.form.log_prior(points)
+        inside = np.isfinite(prior)
+        out = np.full(len(points), -np.inf)
+        if inside.any():
+            out[inside] = prior[inside] - 0.5 * self.solved(points[inside]).chi2.sum(axis=0)
+        return out
+
+    def parts(self, points: Array) -> Array:
+        """Light at the nodes of one DN px^2 of source, and background, shape (amplitude, node, point)."""
+        light = (self.form.transform(points) @ self.series.onto_nodes).T
+        return np.array([light, np.ones_like(light)])
+
+    def solved(self, points: Array) -> Solved:
+        """Find the best amplitudes of all levels at points."""
+        parts = self.parts(points)
+        amplitudes = self._of_uncut_rings(parts)
+        residual, slopes = self._white(parts, amplitudes)
+        for step in range(STEPS):
+            # Levels that are not cut are straight: they are there after one step.
+            which = np.flatnonzero(self.series.cut.any(axis=1)) if step else np.arange(len(amplitudes))
+            if not len(which):
+                break
+            normal = np.einsum("lkjp,lmjp->lkmp", slopes[which], slopes[which])
+            right = np.einsum("lkjp,ljp->lkp", slopes[which], residual[which])
+            amplitudes[which] += _solved(normal, right)
+            residual[which], slopes[which] = self._white(parts, amplitudes[which], which)
+        normal = np.einsum("lkjp,lmjp->lkmp", slopes, slopes)
+        return Solved(residual=residual, amplitudes=amplitudes, normal=normal)
+
+    def _of_uncut_rings(self, parts: Array) -> Array:
+        """First amplitudes, from the rings that are not cut, each with its own variance alone."""
+        rings = np.tensordot(self.series.geometry.averages, parts, (1, 1))
+        own = np.diagonal(self.series.covariance(self.series.model_share), axis1=1, axis2=2)
+        weight = ~self.series.cut / own
+        products = np.einsum("ikp,imp->ikmp", rings, rings)
+        normal = np.tensordot(weight, products, (1, 0))
+        return _solved(normal, np.tensordot(weight * self.series.data, rings, (1, 0)))
+
+    def _white(
+        self, parts: Array, amplitudes: Array, which: NDArray[np.intp] | slice = slice(None)
+    ) -> tuple[Array, Array]:
+        """Whitened residuals, shape (level, ring, point), and slopes of the prediction, (level, amplitude, ring, point)."""
+        levels, (count, nodes, points) = len(amplitudes), parts.shape
+        light = np.einsum("knp,lkp->lnp", parts, amplitudes)
+        read, slope = self.read(light, self.series.node_sd[which])
+        together = np.empty((levels, nodes, count + 1, points))
+        together[:, :, 0] = read
+        np.multiply(slope[:, :, None], parts.transpose(1, 0, 2), out=together[:, :, 1:])
+        white = (self.series.white_averages[which] @ together.reshape(levels, nodes, -1)).reshape(
+            levels, -1, count + 1, points
+        )
+        return self.series.white_data[which][..., None] - white[:, :, 0], white[:, :, 1:].transpose(0, 2, 1, 3)
+
+    def read(self, light_dn: Array, sd_dn: Array) -> tuple[Array, Array]:
+        """Mean code and its slope at nodes of some light, shape (level, node, point), and noise, (level, node)."""
+        from scipy.special import ndtr
+
+        full = self.series.full_dn
+        z = (full - light_dn) / sd_dn[..., None]
+        read, slope = np.minimum(light_dn, full), (z > 0).astype(float)
+        near = np.flatnonzero(np.abs(z) < NEAR_TOP)
+        if len(near):
+            at = z.ravel()[near]
+            below = ndtr(at)
+            sd = np.repeat(sd_dn.ravel(), z.shape[-1])[near]
+            slope.ravel()[near] = below
+            read.ravel()[near] = full - sd * (at * below + np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi))
+        return read, slope
+
+    def rings(self, points: Array) -> Array:
+        """Ring means that the form expects, cut codes as read, shape (level, ring, point), DN."""
+        light = np.einsum("knp,lkp->lnp", self.parts(points), self.solved(points).amplitudes)
+        return self.series.geometry.averages @ self.read(light, self.series.node_sd)[0]
+
+    def share_of_misfit(self, point: Array) -> tuple[float, float]:
+        """Share of the light by which rings are off that makes a point most likely, and the log-likelihood then."""
+        residual = self.series.data - self.rings(point[None])[..., 0]
+        values = [_log_likelihood(residual, self.series.covariance(float(share))) for share in SHARES]
+        return float(SHARES[int(np.argmax(values))]), max(values)
+
+
+def _log_likelihood(residual: Array, covariance: Array) -> float:
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, residual[..., None])
+    return float(-0.5 * (white**2).sum() - np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
+
+
+def _solved(normal: Array, right: Array) -> Array:
+    """Solve two equations for numbers of very unlike size, shapes (level, 2, 2, point) and (level, 2, point)."""
+    (a, b), (_, d) = (normal[:, 0, 0], normal[:, 0, 1]), (normal[:, 1, 0], normal[:, 1, 1])
+    determinant = np.maximum(a * d - b * b, 1e-12 * a * d + 1e-300)
+    return (
+        np.stack([d * right[:, 0] - b * right[:, 1], a * right[:, 1] - b * right[:, 0]], axis=1) / determinant[:, None]
+    )

@@ -1,0 +1,100 @@
+"""What a fitted form says of a point's light: encircled radii, plateau and rim of the halo, glare."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.series.forms import Form
+from charact.bloom.series.transfer import onto_nodes
+
+Array = NDArray[np.float64]
+
+# Radii in which the plateau is taken and the rim looked for, as shares of the halo's.
+PLATEAU = (0.3, 0.7)
+RIM = (0.75, 1.1)
+STEP_PX = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Halo:
+    """A halo's height, one number for each draw.
+
+    Parameters
+    ----------
+    plateau
+        Mean light between 0.3 and 0.7 of its radius over the source's whole light, 1/px^2.
+    rim
+        Highest light of the blurred rim over the plateau, dimensionless.
+    """
+
+    plateau: Array
+    rim: Array
+
+
+def halo_of(form: Form, points: Array) -> Halo:
+    """Return plateau and rim of a disc at draws of its parameters, shape (draw, parameter)."""
+    of = form.at(points)
+    radius, elastic = of["halo_diameter"] / 2.0, of["elastic_share"]
+    inner, outer = PLATEAU
+    share = elastic * (_elastic_within(outer) - _elastic_within(inner))
+    share = share + (1.0 - elastic) * (_even_within(outer) - _even_within(inner))
+    per_px2 = share / (np.pi * radius**2 * (outer**2 - inner**2))
+    at = np.arange(RIM[0] * radius.min(), RIM[1] * radius.max(), 0.2)
+    halo = form.halo_transform(points)
+    assert halo is not None
+    light = (form.core_transform(points) * halo) @ onto_nodes(at)
+    near = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
+    rim = np.where(near, light, -np.inf).max(axis=1)
+    return Halo(plateau=of["halo_fraction"] * per_px2, rim=rim / per_px2)
+
+
+def _elastic_within(x: float) -> float:
+    """Share of the electrons of one energy within the share x of the halo's radius: density 1/sqrt(1 - x^2)."""
+    return 1.0 - float(np.sqrt(1.0 - x**2))
+
+
+def _even_within(x: float) -> float:
+    """The same of energies evenly spread: density arccos(x)/x."""
+    return float(x * np.arccos(x) - np.sqrt(1.0 - x**2) + 1.0)
+
+
+def encircled(form: Form, points: Array, shares: tuple[float, ...], reach_px: float) -> Array:
+    """Return radii that hold shares of a point's light, shape (draw, share), px; NaN beyond the reach."""
+    at = np.arange(STEP_PX / 2, reach_px, STEP_PX)
+    light = form.transform(points) @ onto_nodes(at)
+    within = np.cumsum(light * 2.0 * np.pi * at * STEP_PX, axis=1)
+    edges = at + STEP_PX / 2
+    # Light falls nowhere below nothing, but its transform rings a little: radii need a rising sum.
+    rising = np.maximum.accumulate(within, axis=1)
+    out = [[np.interp(share, one, edges, right=np.nan) for share in shares] for one in rising]
+    return np.array(out)
+
+
+def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> tuple[float, float] | None:
+    """Share of the source's light that is spread evenly over the frame, and its standard error.
+
+    Parameters
+    ----------
+    light
+        Light of the source at each level, DN px^2, shape (level,).
+    background_dn, sd_dn
+        Background at each level and its standard error, shape (level,).
+    area_px2
+        Area of the frame, column pitches squared.
+
+    Returns
+    -------
+    tuple or None
+        The share and its standard error, widened where the levels scatter more than their errors; None with fewer than
+        three levels.
+    """
+    if len(light) < 3:
+        return None
+    design = np.stack([np.ones_like(light), light / light.max()], axis=1) / sd_dn[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    best = covariance @ design.T @ (background_dn / sd_dn)
+    chi2 = float(((background_dn / sd_dn - design @ best) ** 2).sum()) / (len(light) - 2)
+    per_light = float(best[1]) / float(light.max()) * area_px2
+    sd = float(np.sqrt(covariance[1, 1] * max(chi2, 1.0))) / float(light.max()) * area_px2
+    return per_light / (1.0 + max(per_light, 0.0)), sd

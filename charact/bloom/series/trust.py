@@ -1,0 +1,94 @@
+"""Whether a fitted disc is a halo: its edge is tied to one place, and every level alone has it there."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.series.choice import Candidate
+from charact.bloom.series.climb import climb
+from charact.bloom.series.likelihood import Problem, Series
+
+Array = NDArray[np.float64]
+
+# What a form without an edge must be worse by, in its criterion.
+CLEARLY_WORSE = 15.0
+# What a diameter off by these factors must cost in log-probability: wings without an edge pass for any disc.
+OFF, OFF_COST = (0.8, 1.25), 12.5
+# Standard errors of the halo's share in one level at which its own diameter is looked at.
+SEEN_LEVEL = 8.0
+# Share of the light by which rings are off from which on the form is called wrong.
+MISFIT_SHARE = 0.12
+
+
+def why_no_halo(found: list[Candidate]) -> str | None:
+    """Why the data bear no halo with an edge, as a sentence; None where they do."""
+    best = found[0]
+    if best.form.halo != "disc":
+        return f"the data bear a {best.name} best: no halo with an edge is visible"
+    rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
+    if rival.bic - best.bic < CLEARLY_WORSE:
+        return f"the data bear a {rival.name} nearly as well as a halo with an edge"
+    return None if edge_is_tied(best) else "the light falls off smoothly: discs of quite other diameters fit as well"
+
+
+def edge_is_tied(best: Candidate) -> bool:
+    """Whether any other diameter costs much, all else free."""
+    problem, at = best.problem, best.form.names.index("halo_diameter")
+    low, high = best.form.bounds[at]
+    for factor in OFF:
+        start = best.peak.point.copy()
+        start[at] = np.clip(factor * start[at], low, high)
+        other = climb(problem, start, held=(at,), iterations=8)
+        if best.peak.log_probability - other.log_probability < OFF_COST:
+            return False
+    return True
+
+
+def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
+    """Diameter and standard error that each level alone gives, core as all have it, and how clearly it shows a halo.
+
+    Returns
+    -------
+    diameter_px, sd_px, significance
+        Shape (level,) each; NaN where a level does not show the halo.
+    """
+    names = best.form.names
+    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "elastic_share", "halo_fraction"))
+    at, share = names.index("halo_diameter"), names.index("halo_fraction")
+    out = np.full((3, len(best.problem.series.data)), np.nan)
+    for one in range(out.shape[1]):
+        alone = Problem(series=only(best.problem.series, one), form=best.form)
+        seen = _significance(alone, best.peak.point, share)
+        out[2, one] = seen
+        if seen > SEEN_LEVEL:
+            peak = climb(alone, best.peak.point, held=held, iterations=6)
+            free = [i for i in range(len(names)) if i not in held]
+            out[0, one], out[1, one] = peak.point[at], _sd(alone, peak.point, free, at)
+    return out[0], out[1], out[2]
+
+
+def only(series: Series, one: int) -> Series:
+    """Return one level of a series."""
+    parts = {
+        name: getattr(series, name)[one : one + 1] for name in ("labels", "data", "cut", "own_covariance", "node_sd")
+    }
+    return replace(series, **parts)
+
+
+def _significance(alone: Problem, point: Array, share: int) -> float:
+    """Root of what a level's log-probability loses without a halo."""
+    bare = point.copy()
+    bare[share] = alone.form.bounds[share, 0]
+    with_halo, without = alone.log_probability(np.array([point, bare]))
+    return float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
+
+
+def _sd(alone: Problem, point: Array, free: list[int], at: int) -> float:
+    """Standard error of one of the free parameters."""
+    from charact.bloom.series.climb import slopes_at
+
+    slopes = slopes_at(alone, point)[:, free]
+    covariance = np.linalg.pinv(slopes.T @ slopes)
+    place = free.index(at)
+    return float(np.sqrt(max(covariance[place, place], 0.0)))

@@ -1,0 +1,192 @@
+"""Halo, core and glare from one forward model of all levels of a point series, cut codes counted as what they are."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
+from charact.bloom.edge import STEP_SEEN, first_radius
+from charact.bloom.profile import profile_of, reach_of
+from charact.bloom.series.choice import Candidate, candidates
+from charact.bloom.series.gather import gathered
+from charact.bloom.series.likelihood import Solved
+from charact.bloom.series.shown import forms_evidence, profile_evidence
+from charact.bloom.series.spread import encircled, glare, halo_of
+from charact.bloom.series.trust import MISFIT_SHARE, own_diameters, why_no_halo
+from charact.bloom.spot import DETECTED, Spot, read_spots
+from charact.method import Context, register
+from charact.posterior import laplace, sample
+from labdata.measurement import Measurement, Posterior, Result, from_draws, from_sd, refused
+from labdata.session import Session
+
+Array = NDArray[np.float64]
+
+METHOD = "series-forward"
+OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
+# Share of the farthest ring beyond which a halo is not seen whole.
+WHOLE = 0.92
+# Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
+WALKERS = 16
+# Draws for which derived numbers are worked out.
+DERIVED = 400
+# Chance of levels' own diameters scattering as they do below which geometry does not hold.
+CONSTANT = 1e-4
+
+
+@register(
+    "bloom",
+    METHOD,
+    quantities=("halo_diameter", "halo_fraction", "bloom_diameter", "streak_length"),
+    scope="A round source whose halo has an edge that rises above the noise in one level at least; at any saturation.",
+)
+def series_forward(session: Session, *, context: Context) -> Result:
+    """Measure halo, encircled light, glare, bloom diameters and streaks of a point series.
+
+    Parameters
+    ----------
+    session
+        Session with stacks of kind "point".
+    context
+        Seed and settings; the sensor, where known, gives pitches and the core's prior.
+
+    Notes
+    -----
+    Cores (Gaussian, a tube's, Gaussian with a Moffat wing) and halos (none, a disc of bounced electrons, Gaussian) are
+    fitted to ring means of all levels together; the Bayesian information criterion chooses. Each level's light and
+    background are its own. A halo is told only where the disc is clearly the best and its edge is tied to one place.
+    """
+    began = perf_counter()
+    spots = read_spots(session, context=context)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    told, evidence = _told(session, spots, context, fields)
+    out = [*told, *bloom_measurements(spots, square=context.sensor is None, **fields)]
+    own = evidence.get("halo-constancy")
+    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
+    series = {"bloom-series": series_evidence(spots, halos)}
+    seconds = perf_counter() - began
+    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out), evidence=series | evidence)
+
+
+def _told(
+    session: Session, spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]
+) -> tuple[list[Measurement], dict[str, Any]]:
+    """What the series says, and what the report draws of it."""
+    clear = tuple(spot for spot in spots if spot.significance > DETECTED)
+    if not clear:
+        return _refused("no point source stands out of its surroundings", fields), {}
+    found = gathered(session, clear, context=context)
+    if isinstance(found, str):
+        return _refused(found, fields), {}
+    series, group = found
+    context.progress("forms of the source's light", 0.5)
+    radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
+    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor,
+                       first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
+    best = forms[0]
+    context.progress("posterior of the series", 0.8)
+    posterior = _posterior(best, context)
+    reason = why_no_halo(forms)
+    own = own_diameters(best) if reason is None else None
+    flags = _flags(best, posterior, own)
+    notes = _notes(context, group, spots)
+    said = _refused(reason, fields) if reason else _halo(best, posterior, flags, notes, fields)
+    said += _spread(best, posterior, flags, notes, fields) + _glare(best, group, flags, notes, fields)
+    evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
+    return said, evidence
+
+
+def _refused(reason: str, fields: dict[str, Any]) -> list[Measurement]:
+    return [refused(quantity, unit, reason, **fields) for quantity, unit in OF_THE_HALO]
+
+
+def _posterior(best: Candidate, context: Context) -> Posterior:
+    """Draws of the best form's parameters."""
+    asked: dict[str, Any] = {
+        "names": best.form.names,
+        "units": best.form.units,
+        "start": best.peak.point,
+        "covariance": best.peak.covariance,
+        "seed": context.seed,
+        "bounds": best.form.bounds,
+    }
+    if context.quick:
+        return laplace(best.problem.log_probability, **asked)
+    return sample(best.problem.log_probability, walkers=max(WALKERS, 2 * len(best.form.names)), **asked)
+
+
+def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
+    """What speaks against the numbers; bounds of nuisance parameters harm nothing."""
+    from scipy.stats import chi2
+
+    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
+    series = best.problem.series
+    if series.model_share > MISFIT_SHARE:
+        flags += ("model-misfit",)
+    if own is None:
+        return flags
+    diameter = float(np.median(posterior["halo_diameter"]))
+    if diameter / 2.0 > WHOLE * series.geometry.radius_px[-1]:
+        flags += ("window-too-small",)
+    seen = np.isfinite(own[0])
+    pull = (own[0][seen] - diameter) / np.maximum(own[1][seen], 0.05)
+    if seen.sum() > 1 and chi2.sf(float(pull @ pull), int(seen.sum()) - 1) < CONSTANT:
+        flags += ("model-misfit",)
+    return flags
+
+
+def _notes(context: Context, group: tuple[Spot, ...], spots: tuple[Spot, ...]) -> tuple[str, ...]:
+    notes = ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
+    if len(group) < len(spots):
+        notes += (f"{len(group)} of {len(spots)} stacks show a source in one place, the others are left out",)
+    return notes
+
+
+def _halo(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any]
+          ) -> list[Measurement]:  # fmt: skip
+    """The halo's diameter, share, plateau and rim."""
+    draws = {"halo_diameter": posterior["halo_diameter"], "halo_fraction": posterior["halo_fraction"]}
+    halo = halo_of(best.form, posterior.draws[:DERIVED])
+    draws |= {"halo_plateau": halo.plateau, "halo_rim": halo.rim}
+    return [
+        from_draws(quantity, unit, draws[quantity], flags=flags, notes=notes, posterior=posterior, **fields)
+        for quantity, unit in OF_THE_HALO
+    ]
+
+
+def _spread(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
+            fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Radii that hold half and nine tenths of the light."""
+    reach = float(best.problem.series.geometry.radius_px[-1])
+    radii = encircled(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
+    out = []
+    for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):
+        if np.isnan(draws).any():
+            reason = f"some of this light lies beyond the {reach:.0f} px about the source that were looked at"
+            out.append(refused(quantity, "px", reason, **fields))
+        else:
+            out.append(from_draws(quantity, "px", draws, flags=flags, notes=notes, **fields))
+    return out
+
+
+def _glare(best: Candidate, group: tuple[Spot, ...], flags: tuple[str, ...], notes: tuple[str, ...],
+           fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Light of the source that lies evenly over the frame, from the backgrounds of all levels."""
+    settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
+    if len(settings) > 1:
+        return [refused("veiling_glare", "%", "the levels were taken at different gains", **fields)]
+    solved = best.problem.solved(best.peak.point[None])
+    light, background = solved.amplitudes[:, 0, 0], solved.amplitudes[:, 1, 0]
+    rows, cols = group[0].image.shape
+    area = rows * cols * best.form.pitch_ratio
+    found = glare(light, background, _background_sd(solved), area)
+    if found is None:
+        return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
+    return [from_sd("veiling_glare", "%", 100.0 * found[0], 100.0 * found[1], flags=flags, notes=notes, **fields)]
+
+
+def _background_sd(solved: Solved) -> Array:
+    normal = solved.normal[..., 0]
+    determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
+    return np.sqrt(np.maximum(normal[:, 0, 0] / np.maximum(determinant, 1e-300), 1e-12))
