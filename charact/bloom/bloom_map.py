@@ -1,0 +1,301 @@
+"""Which share of every pixel's signal is blooming: light that entered the camera somewhere else.
+
+Blooming is said once, by where light belongs: the light in a pixel that entered farther than `near_px` from it, plus
+charge that ran into it. Halo and veiling glare are all but wholly of that kind, the wings of the core as far as they
+reach beyond `near_px`, and what a clipped pixel holds beyond its own light is, too. The rest is the picture as sharp as
+the camera makes it, and blur within `near_px` is resolution, which the MTF tells. Who joins two pictures needs just
+this: how much of what a pixel shows speaks of the scene there, and not of the lamp beside it. It needs no dividing line
+between a core's wings and a halo, which no data draw.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from charact.bloom.hidden_light import Source, hidden_sources
+from charact.bloom.lattice import Lattice, profiles, radial
+from charact.bloom.spread import Spread, nodes
+from labdata.errors import BadInput
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Light belongs to a pixel if it entered within this distance: about a pixel of a thermal scanner beside such a camera.
+NEAR_PX = 3.0
+MOST_DRAWS = 30
+# Transfer below which a frame's own noise is not sharpened any more.
+LEAST_TRANSFER = 0.03
+# Signal, in standard deviations of a pixel's noise, below which there is nothing to be a share of.
+LIT = 2.0
+# Distance of pixels whose differences tell the noise, px, and groups of like light.
+NOISE_LAG_PX, NOISE_GROUPS = 4, 8
+# Share of a pixel's signal that a source of unknown light may make up before the pixel is unknown, too; ring width, px.
+REACHED, RING_PX = 0.05, 2.0
+# The least standard deviation of a fraction: light is counted pixel by pixel.
+LEAST_SD = 0.003
+# Share of the highest code over dark from which on a pixel counts as clipped.
+CLIPPED_SHARE = 0.985
+
+
+@dataclass(frozen=True, kw_only=True)
+class BloomMap:
+    """The share of every pixel's signal that is blooming.
+
+    Parameters
+    ----------
+    fraction
+        Light that does not belong there over all light, mean over the draws, shape (row, col), 0 to 1; NaN where it is
+        unknown: near a clipped source whose light could not be told, and where there is hardly any light at all.
+    sd
+        Its standard deviation: draws of the spread, and noise of the pixel, shape (row, col); NaN with it.
+    blooming_dn
+        Light that does not belong there, DN over dark, mean over the draws, shape (row, col); NaN where unknown.
+    clipped
+        Pixels at the highest code, shape (row, col): their light is a restored one.
+    near_border
+        Pixels that light from outside the frame may have reached unseen, shape (row, col).
+    sources
+        The clipped sources.
+    near_px
+        Distance within which light belongs to a pixel, column pitches.
+    noise_dn
+        Standard deviation of every pixel's noise, DN, shape (row, col).
+    """
+
+    fraction: NDArray[np.float32]
+    sd: NDArray[np.float32]
+    blooming_dn: NDArray[np.float32]
+    clipped: Mask
+    near_border: Mask
+    sources: tuple[Source, ...]
+    near_px: float
+    noise_dn: NDArray[np.float32]
+
+    @property
+    def unknown(self) -> Mask:
+        """Pixels of which nothing is said."""
+        return np.isnan(self.fraction)
+
+
+def bloom_map(
+    signal: NDArray,
+    spread: Spread,
+    *,
+    clip_dn: float | None = None,
+    clipped: Mask | None = None,
+    noise_dn: ArrayLike | None = None,
+    near_px: float = NEAR_PX,
+    pitch_ratio: float = 1.0,
+    most_draws: int = MOST_DRAWS,
+    rng: np.random.Generator,
+) -> BloomMap:
+    """Return the share of every pixel's signal that is blooming.
+
+    Parameters
+    ----------
+    signal
+        A frame, a mean of frames, or the expected picture of a scene, over dark, shape (row, col), DN.
+    spread
+        Draws of the camera's spread.
+    clip_dn
+        Highest code over dark, DN; None: nothing is clipped.
+    clipped
+        Pixels at the highest code, shape (row, col); None: those near `clip_dn`. A mean of frames in which some are
+        clipped needs it.
+    noise_dn
+        Standard deviation of a pixel's noise, DN, one number or of every pixel; None: found from the frame.
+    near_px
+        Light belongs to a pixel if it entered within this distance, column pitches.
+    pitch_ratio
+        Row pitch over column pitch.
+    most_draws
+        So many draws of the spread are worked through at most.
+    rng
+        Generator of the error that noise leaves in the light of clipped sources.
+
+    Raises
+    ------
+    BadInput
+        If the frame is not two-dimensional or a number is not positive.
+
+    Notes
+    -----
+    With P the transfer of the spread and N that of its part within `near_px`, a frame S = P L of light L shows N L =
+    (N/P) S of light that belongs; N/P is taken as 1 where P is so small that S holds nothing but noise. Of clipped
+    sources L itself is found first, see `charact.bloom.hidden_light`. What lies outside the frame is taken to be as its
+    median.
+    """
+    _check(signal, near_px=near_px, pitch_ratio=pitch_ratio, clip_dn=clip_dn)
+    image, spread = np.asarray(signal, np.float32), spread.thinned(most_draws)
+    noise = pixel_noise(image) if noise_dn is None else np.broadcast_to(np.asarray(noise_dn, np.float32), image.shape)
+    if clipped is None:
+        clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= CLIPPED_SHARE * clip_dn
+    halo_px = 0.5 * float(spread.halo_diameter_px.max())
+    lattice = Lattice(shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio)
+    sources = ()
+    if clip_dn is not None and clipped.any():
+        sources = hidden_sources(image, clipped, spread, lattice, noise_dn=noise, clip_dn=clip_dn, rng=rng)
+    count, mean, square, bloom = 0, 0.0, 0.0, 0.0
+    for far, total in _draws(image, clipped, clip_dn, sources, spread, lattice, near_px):
+        share = np.clip(far / np.maximum(total, 1e-6), 0.0, 1.0)
+        count, mean, square, bloom = count + 1, mean + share, square + share * share, bloom + far
+    mean, bloom = mean / count, bloom / count
+    of_noise = np.where(clipped, 0.0, mean * noise / np.maximum(image, noise))
+    variance = np.maximum(square / count - mean**2, 0.0) + of_noise**2 + LEAST_SD**2
+    unknown = image < LIT * noise
+    for source in sources:
+        if not source.known:
+            unknown |= _reached(source, image, spread.centre(), lattice, halo_px)
+    return BloomMap(
+        fraction=np.where(unknown, np.nan, mean).astype(np.float32),
+        sd=np.where(unknown, np.nan, np.sqrt(variance)).astype(np.float32),
+        blooming_dn=np.where(unknown, np.nan, bloom).astype(np.float32),
+        clipped=clipped,
+        near_border=_near_border(lattice, halo_px),
+        sources=sources,
+        near_px=near_px,
+        noise_dn=noise,
+    )
+
+
+def _check(signal: NDArray, *, clip_dn: float | None, **positive: float) -> None:
+    if np.ndim(signal) != 2 or min(np.shape(signal)) < 8:
+        raise BadInput(f"a bloom map needs a frame of at least 8 rows and columns, got shape {np.shape(signal)}")
+    given = positive if clip_dn is None else {**positive, "clip_dn": clip_dn}
+    for name, value in given.items():
+        if not value > 0:
+            raise BadInput(f"{name} must be positive, got {value:g}")
+
+
+def pixel_noise(image: NDArray) -> NDArray[np.float32]:
+    """Standard deviation of every pixel's noise, DN, shape (row, col): its variance grows in proportion to the light.
+
+    Found from second differences along rows, of pixels so far apart that blur does not tie their noise, in groups of
+    like light.
+    """
+    lag = NOISE_LAG_PX
+    low, middle, high = image[:, : -2 * lag], image[:, lag:-lag], image[:, 2 * lag :]
+    light = (low + middle + high).ravel() / 3.0
+    second = np.abs(low - 2.0 * middle + high).ravel()
+    order = np.argsort(light)
+    groups = [group for group in np.array_split(order, NOISE_GROUPS) if len(group)]
+    mean = np.array([max(0.0, float(light[group].mean())) for group in groups])
+    variance = np.array([(1.4826 * float(np.median(second[group]))) ** 2 / 6.0 for group in groups])
+    # Bright groups hold edges besides noise: the law goes through the darkest group, and rises as the median slope.
+    rise = (variance - variance[0]) / np.maximum(mean - mean[0], 1e-3)
+    slope = max(0.0, float(np.median(rise[1:])))
+    return np.sqrt(np.maximum(variance[0] + slope * np.maximum(image - mean[0], 0.0), 1e-6)).astype(np.float32)
+
+
+def _draws(
+    image: NDArray, clipped: Mask, clip_dn: float | None, sources: tuple[Source, ...], spread: Spread, lattice: Lattice,
+    near_px: float,
+) -> Iterator[tuple[NDArray, NDArray]]:  # fmt: skip
+    """Light that does not belong, and all light, of every pixel, draw by draw."""
+    background, glare = float(np.median(image)), np.asarray(spread.glare_fraction)
+    tables = _Tables(
+        whole=spread.transfer(lattice.frequency),
+        near=spread.transfer(nodes()[0]) @ _near_transform(lattice.frequency, near_px),
+        profile=(profiles(spread) * lattice.pitch_ratio).astype(np.float32),
+    )
+    known = [source for source in sources if source.known]
+    prints = [_footprint(source, lattice) for source in known]
+    for draw in range(len(spread)):
+        hidden, hidden_near = np.zeros_like(image), np.zeros_like(image)
+        for source, footprint in zip(known, prints, strict=True):
+            rows, cols, radius = footprint
+            amount = np.float32(source.light_dn_px[draw])
+            all_of_it, part = _of_source(source, radius, tables, draw, lattice, near_px)
+            hidden[rows, cols] += amount * all_of_it
+            hidden_near[rows, cols] += amount * part
+        rest = np.where(clipped, np.float32(0.0), image - np.float32(background) - hidden)
+        light = sum(float(source.light_dn_px[draw]) for source in known) / (1.0 - glare[draw])
+        veil = _veil(float(glare[draw]), spread.glare_area_px or float(image.size),
+                     float(rest.sum()) + background * image.size, light, image.size)  # fmt: skip
+        whole, near = tables.whole[draw], tables.near[draw]
+        ratio = (near * whole + LEAST_TRANSFER**2) / (whole**2 + LEAST_TRANSFER**2)
+        belongs = lattice.filtered(lattice.transformed(rest), ratio) + np.float32(ratio[0] * (background - veil))
+        total = image
+        if clipped.any():
+            total = np.where(clipped, np.maximum(hidden + np.float32(background), np.float32(clip_dn or 0.0)), image)
+        yield np.maximum(total - belongs - hidden_near, np.float32(0.0)), total
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Tables:
+    """Of every draw: transfer of all light and of that which stays near, against frequency; density over distance."""
+
+    whole: Array
+    near: Array
+    profile: NDArray[np.float32]
+
+
+def _veil(glare: float, area: float, rest: float, hidden: float, pixels: int) -> float:
+    """Glare in every pixel, DN, of a frame with so much light outside and inside of clipped sources."""
+    outside = rest / (1.0 - glare + glare * min(1.0, pixels / area))
+    return glare * (outside + hidden) / area
+
+
+def _footprint(source: Source, lattice: Lattice) -> tuple[slice, slice, NDArray[np.float32] | None]:
+    """Where a source's light lands, and the distances from it there; None for a patch, which lands anywhere."""
+    if source.shape != "point":
+        return slice(None), slice(None), None
+    rows, cols = lattice.around(source.row, source.col)
+    return rows, cols, lattice.distance(source.row, source.col)[rows, cols].astype(np.float32)
+
+
+def _of_source(
+    source: Source, radius: NDArray[np.float32] | None, tables: _Tables, draw: int, lattice: Lattice, near_px: float
+) -> tuple[NDArray, NDArray]:
+    """What one unit of a source's light leaves in the frame, all of it and what belongs where it is."""
+    if radius is None:
+        return lattice.patch(source.lit, tables.whole[draw]), lattice.patch(source.lit, tables.near[draw])
+    found = radial(radius, tables.profile[draw])
+    return found, found * (radius <= near_px)
+
+
+def _near_transform(frequency: Array, near_px: float) -> Array:
+    """Takes a transfer on `nodes` to the transform of its spread's part within a distance, shape (node, frequency)."""
+    from scipy.special import j0
+
+    steps = 48
+    radius = (np.arange(steps) + 0.5) * near_px / steps
+    node, weight = nodes()
+    to_density = (2.0 * np.pi * weight * node)[:, None] * j0(2.0 * np.pi * np.outer(node, radius))
+    ring = 2.0 * np.pi * radius * near_px / steps
+    return to_density @ (ring[:, None] * j0(2.0 * np.pi * np.outer(radius, frequency)))
+
+
+def _reached(source: Source, image: NDArray, one: Spread, lattice: Lattice, halo_px: float) -> Mask:
+    """Pixels of which a source of unknown light may make up more than `REACHED`: no ring holds less than its light."""
+    rows, cols = np.divmod(source.region, lattice.shape[1])
+    near = _within(rows, cols, halo_px, lattice)
+    radius = lattice.distance(source.row, source.col)
+    glare = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
+    share = (1.0 - glare) * lattice.pitch_ratio * np.maximum(radial(radius, profiles(one)[0]), 0.0) + glare
+    ring = (radius / RING_PX).astype(int).ravel()
+    count = np.bincount(ring)
+    signal, of_unit = (np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, share))
+    told = np.bincount(ring, near.ravel()) == 0
+    most = (signal[told] / np.maximum(of_unit[told], 1e-12)).min(initial=np.inf)
+    return near | (most * share > REACHED * np.maximum(image, 1e-6))
+
+
+def _within(rows: NDArray, cols: NDArray, reach: float, lattice: Lattice) -> Mask:
+    """Pixels within a distance of any of some pixels."""
+    from scipy import ndimage
+
+    away = np.ones(lattice.shape, bool)
+    away[rows, cols] = False
+    found = ndimage.distance_transform_edt(away, sampling=(lattice.pitch_ratio, 1.0))
+    return np.asarray(found) <= reach
+
+
+def _near_border(lattice: Lattice, halo_px: float) -> Mask:
+    """Pixels nearer to the border than the halo is wide."""
+    out = np.ones(lattice.shape, bool)
+    down, across = int(np.ceil(halo_px / lattice.pitch_ratio)), int(np.ceil(halo_px))
+    out[down : lattice.shape[0] - down, across : lattice.shape[1] - across] = False
+    return out

@@ -1,0 +1,183 @@
+"""How a camera spreads the light of a point: core, wing, halo and glare, as many times as its posterior has draws."""
+
+from dataclasses import dataclass, fields, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from charact.bloom.model import core_transfer
+from labdata.errors import BadInput
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Frequencies on which densities are worked out; so many make them true to 150 px.
+HIGHEST_CY_PER_PX, NODES = 0.8, 512
+SHARES = ("halo_fraction", "wing_share", "glare_fraction")
+POSITIVE = ("halo_diameter_px", "core_frequency_cy_per_px", "core_exponent", "wing_radius_px")
+# Name of each parameter of a posterior and the field that takes it.
+NAMES = {
+    "halo_diameter": "halo_diameter_px",
+    "elastic_share": "elastic_share",
+    "halo_fraction": "halo_fraction",
+    "core_frequency": "core_frequency_cy_per_px",
+    "core_exponent": "core_exponent",
+    "core_spread": "core_spread_px2",
+    "wing_share": "wing_share",
+    "wing_radius": "wing_radius_px",
+    "wing_exponent": "wing_exponent",
+    "glare_fraction": "glare_fraction",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """The point spread of a camera, one per draw; every field has the shape (draw,) or is one number for all.
+
+    Parameters
+    ----------
+    halo_diameter_px
+        Outer diameter of the halo before blur, four gaps, column pitches.
+    elastic_share
+        Share of the bounced electrons that keep their energy, dimensionless.
+    halo_fraction
+        Share of all light that lands in the halo, dimensionless.
+    core_frequency_cy_per_px, core_exponent
+        Of the core's transfer exp(-(f/fc)^n - 2 pi^2 f^2 s^2); an infinite fc leaves the Gaussian alone.
+    core_spread_px2
+        s^2 of the core, px^2.
+    wing_share, wing_radius_px, wing_exponent
+        Share of the light outside halo and glare that lies in a Moffat wing (1 + r^2/a^2)^-b, its a and its b.
+    glare_fraction
+        Share of all light that is spread evenly, dimensionless.
+    glare_area_px
+        Over how many pixels; None: over the frame.
+
+    Raises
+    ------
+    BadInput
+        If a share is outside 0 to 1 or a length is not positive.
+    """
+
+    halo_diameter_px: Array
+    elastic_share: Array
+    halo_fraction: Array
+    core_frequency_cy_per_px: Array
+    core_exponent: Array
+    core_spread_px2: Array
+    wing_share: ArrayLike = 0.0
+    wing_radius_px: ArrayLike = 3.0
+    wing_exponent: ArrayLike = 2.0
+    glare_fraction: ArrayLike = 0.0
+    glare_area_px: float | None = None
+
+    def __post_init__(self) -> None:
+        names = [field.name for field in fields(self) if field.name != "glare_area_px"]
+        arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(getattr(self, name), float)) for name in names))
+        for name, array in zip(names, arrays, strict=True):
+            if name in SHARES and not ((array >= 0) & (array <= 1)).all():
+                raise BadInput(f"{name} must lie in 0 to 1, got {array.min():g} to {array.max():g}")
+            if name in POSITIVE and not (array > 0).all():
+                raise BadInput(f"{name} must be positive, got {array.min():g}")
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        """Number of draws."""
+        return len(self.halo_diameter_px)
+
+    def taken(self, draws: ArrayLike) -> "Spread":
+        """Return the spread of some draws, by their numbers."""
+        index = np.asarray(draws, int)
+        names = [field.name for field in fields(self) if field.name != "glare_area_px"]
+        return replace(self, **{name: getattr(self, name)[index] for name in names})
+
+    def thinned(self, most: int = 30) -> "Spread":
+        """Return the spread of at most so many draws, evenly taken."""
+        return self if len(self) <= most else self.taken(np.linspace(0, len(self) - 1, most).round())
+
+    def centre(self) -> "Spread":
+        """Return one draw: the median of every parameter."""
+        names = [field.name for field in fields(self) if field.name != "glare_area_px"]
+        return replace(self, **{name: np.median(getattr(self, name), keepdims=True) for name in names})
+
+    def transfer(self, frequency_cy_per_px: ArrayLike) -> Array:
+        """Return the transfer function of all light but the glare, 1 at frequency 0, shape (draw, frequency)."""
+        frequency = np.asarray(frequency_cy_per_px, float)
+        core = core_transfer(frequency, self.core_frequency_cy_per_px, self.core_exponent, self.core_spread_px2)
+        wing, share = np.asarray(self.wing_share)[:, None], self.halo_share[:, None]
+        if wing.any():
+            core = core * (1.0 - wing) + wing * self._wing_transfer(frequency)
+        halo = _halo_transfer(frequency, self.halo_diameter_px, self.elastic_share)
+        return core * (1.0 - share + share * halo)
+
+    @property
+    def halo_share(self) -> Array:
+        """Share of the light that is not glare in the halo, shape (draw,)."""
+        return self.halo_fraction / (1.0 - np.asarray(self.glare_fraction))
+
+    def _wing_transfer(self, frequency: Array) -> Array:
+        """Transform of a Moffat profile: 2 (x/2)^m K_m(x) / Gamma(m), x = 2 pi f a, m = b - 1."""
+        from scipy.special import gamma, kv
+
+        order = np.asarray(self.wing_exponent)[:, None] - 1.0
+        x = np.maximum(2.0 * np.pi * frequency * np.asarray(self.wing_radius_px)[:, None], 1e-6)
+        return np.minimum(2.0 * (x / 2.0) ** order * kv(order, x) / gamma(order), 1.0)
+
+    def density(self, radius_px: ArrayLike) -> Array:
+        """Return how much of a point's light lands on a pixel so far from it, 1/px2, shape (draw, radius).
+
+        Parameters
+        ----------
+        radius_px
+            Distances, column pitches, shape (radius,); true to about 150 px.
+        """
+        from scipy.special import j0
+
+        frequency, weight = nodes()
+        kernel = (2.0 * np.pi * weight * frequency)[:, None] * j0(
+            2.0 * np.pi * np.outer(frequency, np.asarray(radius_px, float))
+        )
+        return np.maximum(self.transfer(frequency) @ kernel, 0.0)
+
+
+def _halo_transfer(frequency: Array, diameter: Array, elastic: Array) -> Array:
+    """Transform of the halo as in `charact.bloom.model`, exact: far from a bright source an error of 1e-6 shows."""
+    from scipy.special import sici
+
+    u = np.pi * diameter[:, None] * np.maximum(frequency, 1e-6)
+    return elastic[:, None] * np.sinc(u / np.pi) + (1.0 - elastic[:, None]) * sici(u)[0] / u
+
+
+@cache
+def nodes() -> tuple[Array, Array]:
+    """Frequencies, cy/px, on which densities are worked out, and the weights of their sum (Gauss and Legendre)."""
+    node, weight = np.polynomial.legendre.leggauss(NODES)
+    half = 0.5 * HIGHEST_CY_PER_PX
+    return half * (node + 1.0), half * weight
+
+
+def spread_of(posterior: Posterior, **known: ArrayLike) -> Spread:
+    """Return the spread that a posterior describes.
+
+    Parameters
+    ----------
+    posterior
+        Draws with the names of `NAMES`, as the fits of a point series give them.
+    known
+        Fields of `Spread` that the posterior does not have.
+
+    Raises
+    ------
+    BadInput
+        If neither has a parameter that is needed.
+    """
+    found = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
+    given = {**known, **found}
+    needed = [name for name in list(NAMES.values())[:6] if name not in given]
+    if needed:
+        raise BadInput(f"a spread needs {', '.join(needed)}; the posterior has only {', '.join(posterior.names)}")
+    for name in SHARES:
+        if name in given:
+            given[name] = np.clip(given[name], 0.0, 1.0)
+    return Spread(**given)  # pyright: ignore[reportArgumentType]

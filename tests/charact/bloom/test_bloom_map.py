@@ -1,0 +1,190 @@
+"""Blooming in a pixel is the light that entered farther away: against pictures whose parts are known exactly."""
+
+import numpy as np
+import pytest
+
+from charact.bloom.bloom_map import NEAR_PX, bloom_map, pixel_noise
+from charact.bloom.spread import Spread, spread_of
+from charact.study.bloom_scene import BloomScene, expected, stack
+from charact.study.bloom_source import GLARE_SIDE_PX, radial_light
+from labdata.errors import BadInput
+from labdata.measurement import Posterior
+
+CLIP_DN = 243.0
+
+
+def spread_of_scene(scene: BloomScene, rng: np.random.Generator, *, sd: float = 0.01, draws: int = 8) -> Spread:
+    """The scene's own spread as a posterior knows it: diameter to so much, the halo's share to three times that."""
+
+    def about(value: float, share: float) -> np.ndarray:
+        return value * np.exp(share * rng.standard_normal(draws))
+
+    return Spread(
+        halo_diameter_px=about(scene.halo_diameter_px, sd),
+        elastic_share=np.full(draws, scene.halo_elastic_share),
+        halo_fraction=about(scene.halo_fraction, 3 * sd),
+        core_frequency_cy_per_px=np.full(draws, np.inf),
+        core_exponent=np.full(draws, 1.2),
+        core_spread_px2=np.full(draws, scene.core_sigma_px**2),
+        wing_share=scene.wing_share,
+        wing_radius_px=scene.wing_radius_px,
+        wing_exponent=scene.wing_exponent,
+        glare_fraction=scene.glare_fraction,
+        glare_area_px=GLARE_SIDE_PX**2,
+    )
+
+
+def near_share(scene: BloomScene) -> float:
+    """Share of a point's light that lands within `NEAR_PX`."""
+    radius = np.arange(0.005, NEAR_PX, 0.01)
+    return float((2 * np.pi * radius * 0.01 * radial_light(scene, radius)).sum())
+
+
+def parts(scene: BloomScene, overload: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All light, the share of it that belongs elsewhere, and the distance from the source, of every pixel."""
+    light = expected(scene, overload) - scene.dark_dn
+    row, col = scene.centre
+    down = (np.arange(scene.rows) - row)[:, None] * scene.row_pitch
+    distance = np.hypot(down, (np.arange(scene.cols) - col)[None, :])
+    glare = scene.row_pitch * scene.source_dn(overload) * scene.glare_fraction / GLARE_SIDE_PX**2
+    of_source = np.where(distance > NEAR_PX, light - scene.background_dn, glare)
+    # The even background comes from everywhere alike.
+    far = of_source + scene.background_dn * (1 - near_share(scene) - scene.glare_fraction)
+    return light, far / light, distance
+
+
+def compared(found, truth, distance):
+    """Errors in standard deviations where something is said, away from the step at `NEAR_PX` and from the border."""
+    where = np.isfinite(found.fraction) & (np.abs(distance - NEAR_PX) > 1.0) & ~found.near_border
+    return ((found.fraction - truth) / found.sd)[where], (found.fraction - truth)[where]
+
+
+@pytest.mark.parametrize("overload", [0.5, 20.0, 2000.0])
+@pytest.mark.parametrize(
+    "scene",
+    [BloomScene(), BloomScene(wing_share=0.2), BloomScene(glare_fraction=0.05), BloomScene(row_pitch=13 / 11)],
+    ids=["plain", "wing", "glare", "row-pitch"],
+)
+def test_the_share_of_a_point_source_is_its_light_beyond_the_near(scene, overload, seed):
+    rng = np.random.default_rng(seed)
+    light, truth, distance = parts(scene, overload)
+    clipped = np.minimum(light, CLIP_DN)
+    found = bloom_map(clipped, spread_of_scene(scene, rng), clip_dn=CLIP_DN, pitch_ratio=scene.row_pitch, noise_dn=0.05,
+                      rng=rng)  # fmt: skip
+    pull, error = compared(found, truth, distance)
+    assert not found.unknown.any()
+    assert np.sqrt(np.mean(error**2)) < 0.025
+    assert np.quantile(np.abs(pull), 0.99) < 6.0
+    for source in found.sources:
+        told = np.median(source.light_dn_px) / (scene.row_pitch * scene.source_dn(overload))
+        assert abs(told - 1.0) < 5 * source.light_dn_px.std() / np.median(source.light_dn_px) + 0.02
+
+
+def test_standard_deviations_hold_the_noise_of_the_frame(seed):
+    scene = BloomScene()
+    rng = np.random.default_rng(seed)
+    for overload in (0.5, 200.0):
+        _, truth, distance = parts(scene, overload)
+        frames = stack(scene, overload, rng).data
+        found = bloom_map(frames.mean(axis=0) - scene.dark_dn, spread_of_scene(scene, rng), clip_dn=CLIP_DN,
+                          clipped=(frames >= scene.full_scale_dn).mean(axis=0) > 0.1, rng=rng)  # fmt: skip
+        pull, _ = compared(found, truth, distance)
+        assert 0.7 < np.sqrt(np.mean(pull**2)) < 1.4
+
+
+def test_the_core_alone_leaves_the_share_of_its_own_tail(seed):
+    rng = np.random.default_rng(seed)
+    scene = BloomScene(halo_fraction=1e-9)
+    found = bloom_map(np.full((64, 80), 50.0), spread_of_scene(scene, rng, sd=0.0), noise_dn=0.1, rng=rng)
+    tail = np.exp(-(NEAR_PX**2) / (2 * scene.core_sigma_px**2))
+    assert np.nanmax(np.abs(found.fraction - tail)) < 0.004
+
+
+def test_a_halo_that_is_clipped_all_over_tells_nothing_and_says_so(seed):
+    rng = np.random.default_rng(seed)
+    for scene in (BloomScene(), BloomScene(wing_share=0.2), BloomScene(glare_fraction=0.05)):
+        light, truth, distance = parts(scene, 5e4)
+        found = bloom_map(
+            np.minimum(light, CLIP_DN), spread_of_scene(scene, rng), clip_dn=CLIP_DN, noise_dn=0.2, rng=rng
+        )
+        assert "halo is clipped" in found.sources[0].reason
+        assert found.unknown[distance < 0.5 * scene.halo_diameter_px].all()
+        assert np.all(np.abs(found.fraction - truth)[~found.unknown & ~found.near_border] < 0.06)
+
+
+def test_two_halos_that_overlap_are_each_told(seed):
+    rng = np.random.default_rng(seed)
+    one = BloomScene(rows=170, cols=220, row=80.0, col=80.0)
+    other = BloomScene(rows=170, cols=220, row=90.0, col=122.0)
+    levels = (2000.0, 300.0)
+    light = sum(expected(scene, level) - scene.dark_dn for scene, level in zip((one, other), levels, strict=True))
+    found = bloom_map(np.minimum(light, CLIP_DN), spread_of_scene(one, rng, sd=0.002), clip_dn=CLIP_DN, noise_dn=0.05,
+                      rng=rng)  # fmt: skip
+    told = sorted(float(np.median(source.light_dn_px)) for source in found.sources)
+    assert told == pytest.approx([one.source_dn(level) for level in sorted(levels)], rel=0.06)
+
+
+def laid(image: np.ndarray, scene: BloomScene, *, beyond_px: float = -1.0) -> np.ndarray:
+    """A picture through the scene's spread by plain sums, or the part of it that lands farther than a distance."""
+    from scipy.signal import fftconvolve
+
+    reach = 70
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    radius = np.hypot(y, x)
+    kernel = np.interp(radius, table := np.arange(0.0, 120.0, 0.05), radial_light(scene, table))
+    return fftconvolve(image, np.where(radius > beyond_px, kernel, 0.0), mode="same")
+
+
+def test_a_lit_door_is_a_patch_and_the_halo_beside_it_blooming(seed):
+    rng = np.random.default_rng(seed)
+    scene = BloomScene(rows=170, cols=200)
+    world = np.full((scene.rows, scene.cols), 4.0)
+    world[50:110, 80:110] = 900.0
+    light, far = laid(world, scene), laid(world, scene, beyond_px=NEAR_PX)
+    found = bloom_map(np.minimum(light, CLIP_DN), spread_of_scene(scene, rng, sd=0.003), clip_dn=CLIP_DN, noise_dn=0.1,
+                      rng=rng)  # fmt: skip
+    assert [source.shape for source in found.sources] == ["patch"]
+    beside = (slice(60, 100), slice(118, 128))
+    assert np.abs(found.fraction - far / light)[beside].max() < 0.05
+    assert np.median(found.sources[0].light_dn_px) == pytest.approx(896.0 * 60 * 30, rel=0.1)
+
+
+def test_a_source_at_the_border_is_not_guessed(seed):
+    rng = np.random.default_rng(seed)
+    scene = BloomScene(row=1.0)
+    light = np.minimum(expected(scene, 300.0) - scene.dark_dn, CLIP_DN)
+    found = bloom_map(light, spread_of_scene(scene, rng), clip_dn=CLIP_DN, noise_dn=0.2, rng=rng)
+    assert "border" in found.sources[0].reason
+    assert np.isnan(found.fraction[5, round(scene.centre[1])])
+
+
+def test_noise_is_found_where_blur_ties_neighbours(seed):
+    from scipy.ndimage import gaussian_filter
+
+    noise = gaussian_filter(np.random.default_rng(seed).normal(0.0, 1.0, (200, 240)), 1.0)
+    assert np.median(pixel_noise(40.0 + noise)) == pytest.approx(noise.std(), rel=0.1)
+
+
+def test_a_posterior_becomes_a_spread():
+    names = ("halo_diameter", "elastic_share", "core_frequency", "core_exponent", "core_spread")
+    posterior = Posterior(names=names, units=("px", "1", "cy/px", "1", "px2"),
+                          draws=np.tile([40.0, 0.4, 0.5, 1.2, 0.7], (5, 1)))  # fmt: skip
+    assert len(spread_of(posterior, halo_fraction=0.1)) == 5
+    with pytest.raises(BadInput, match="halo_fraction"):
+        spread_of(posterior)
+
+
+def test_the_density_of_a_spread_is_the_closed_form(seed):
+    scene = BloomScene(wing_share=0.2, halo_fraction=0.2)
+    spread = spread_of_scene(scene, np.random.default_rng(seed), sd=0.0, draws=1)
+    radius = np.array([0.0, 2.0, 10.0, 20.0, 22.5, 30.0, 60.0])
+    assert spread.density(radius)[0] == pytest.approx(radial_light(scene, radius), rel=0.01, abs=1e-7)
+
+
+def test_bad_frames_are_refused():
+    rng = np.random.default_rng(0)
+    spread = spread_of_scene(BloomScene(), rng)
+    with pytest.raises(BadInput, match="shape"):
+        bloom_map(np.zeros(30), spread, rng=rng)
+    with pytest.raises(BadInput, match="near_px"):
+        bloom_map(np.ones((30, 30)), spread, near_px=0.0, rng=rng)
