@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 LAGS = 6
 SMOOTHED = 7
 LEAST_EIGENVALUE = 0.05
+# Rings of so few pixels that their neighbours share less than others.
+INNERMOST = 4
 # Share of samples at the highest code from which on a ring's scatter says nothing of its noise.
 HARDLY_CUT = 1e-3
 
@@ -179,11 +181,12 @@ def _correlation(alike: list[Array]) -> Array:
     """Correlation of ring means by how many rings they are apart, beyond the innermost."""
     out = [1.0]
     for lag in range(1, LAGS + 1):
-        products = [one[:, 4:-lag] * one[:, 4 + lag :] for one in alike]
-        number = sum(int(np.isfinite(p).sum()) for p in products)
-        square = sum(float(np.nansum(np.where(np.isfinite(p), 0.5 * (one[:, 4:-lag] ** 2 + one[:, 4 + lag :] ** 2), 0.0)))
-                     for one, p in zip(alike, products, strict=True))  # fmt: skip
-        out.append(float(sum(np.nansum(p) for p in products)) / square if number > 50 and square > 0 else 0.0)
+        pairs = [(one[:, INNERMOST:-lag], one[:, INNERMOST + lag :]) for one in alike]
+        products = np.concatenate([(near * far).ravel() for near, far in pairs])
+        squares = np.concatenate([(0.5 * (near**2 + far**2)).ravel() for near, far in pairs])
+        known = np.isfinite(products)
+        enough = known.sum() > 50 and squares[known].sum() > 0
+        out.append(float(products[known].sum() / squares[known].sum()) if enough else 0.0)
     return np.clip(np.array(out), -0.5, 1.0)
 
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 # Standard deviations of a pixel from the highest code within which some of its codes are cut.
 NEAR_TOP = 5.0
 STEPS = 2
-# Share of the light by which rings may be off in every form: cameras are not quite round. First guess, and what is tried.
+# Share of the light by which rings may be off in every form, as cameras are not round: first guess, and all tried.
 FIRST_SHARE = 0.02
 SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
 
@@ -75,7 +75,7 @@ class Series:
     @cached_property
     def whitener(self) -> Array:
         """Makes residuals independent and of unit variance, shape (level, ring, ring)."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance(self.model_share)))
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance(self.model_share))), np.float64)
 
     @cached_property
     def white_data(self) -> Array:
@@ -179,13 +179,13 @@ class Problem:
         own = np.diagonal(self.series.covariance(self.series.model_share), axis1=1, axis2=2)
         weight = ~self.series.cut / own
         products = np.einsum("ikp,imp->ikmp", rings, rings)
-        normal = np.tensordot(weight, products, (1, 0))
+        normal = np.asarray(np.tensordot(weight, products, (1, 0)), np.float64)
         return _solved(normal, np.tensordot(weight * self.series.data, rings, (1, 0)))
 
     def _white(
         self, parts: Array, amplitudes: Array, which: NDArray[np.intp] | slice = slice(None)
     ) -> tuple[Array, Array]:
-        """Whitened residuals, shape (level, ring, point), and slopes of the prediction, (level, amplitude, ring, point)."""
+        """Whitened residuals, shape (level, ring, point), and slopes of the rings, (level, amplitude, ring, point)."""
         levels, (count, nodes, points) = len(amplitudes), parts.shape
         light = np.einsum("knp,lkp->lnp", parts, amplitudes)
         read, slope = self.read(light, self.series.node_sd[which])

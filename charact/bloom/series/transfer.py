@@ -57,7 +57,7 @@ def tube(cut_off: Array, exponent: Array) -> Array:
 
 
 def moffat(radius_px: Array, exponent: Array) -> Array:
-    """Transform of (1 + (r/a)^2)^-b, 2^(2-b)/Gamma(b-1) u^(b-1) K_(b-1)(u) with u = 2 pi a f, shape (draw, frequency)."""
+    """Transform of (1 + (r/a)^2)^-b, 2^(2-b)/Gamma(b-1) u^(b-1) K_(b-1)(u), u = 2 pi a f, shape (draw, frequency)."""
     order, log_argument = exponent - 1.0, np.log(2.0 * np.pi * radius_px[:, None] * frequencies())
     row, weight = _four(ORDERS, order)
     lines = np.einsum("dr,dra->da", weight, _moffat_table()[row])
