@@ -5,15 +5,19 @@ exp(-(r - a)^2 / 2 s^2) I0e(r a / s^2) / 2 pi s^2; a halo is a sum of rings, a M
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-RINGS = 240
+# Rings that make up a halo: enough for a blur of a hundredth of its diameter.
+RINGS = 200
 # Gaussians that make up a Moffat wing where it blurs a halo, and the least weight of those left out on either side.
 GAUSSIANS, LEAST_WEIGHT = 48, 1e-8
+# Standard deviations beyond which a Gaussian is nothing.
+NOTHING = 8.0
 
 
 def gaussian(radius_px: Array, sigma_px: float) -> Array:
@@ -41,7 +45,12 @@ def moffat_as_gaussians(scale_px: float, exponent: float) -> tuple[Array, Array]
     return scale_px / np.sqrt(2.0 * np.exp(log_t)), weight / weight.sum()
 
 
-def halo_rings(diameter_px: float, elastic_share: float) -> tuple[Array, Array]:
+@lru_cache
+def _nodes(count: int) -> tuple[Array, Array]:
+    return np.polynomial.legendre.leggauss(count)
+
+
+def halo_rings(diameter_px: float, elastic_share: float, count: int = RINGS) -> tuple[Array, Array]:
     """Return radii and weights of the rings that make up a halo, px and dimensionless, shape (ring,).
 
     Parameters
@@ -50,6 +59,8 @@ def halo_rings(diameter_px: float, elastic_share: float) -> tuple[Array, Array]:
         Outer diameter, four gaps between photocathode and plate.
     elastic_share
         Share of the halo's electrons that keep their energy; the others keep any part of it alike.
+    count
+        Number of rings.
 
     Notes
     -----
@@ -57,7 +68,7 @@ def halo_rings(diameter_px: float, elastic_share: float) -> tuple[Array, Array]:
     energy, and arccos(x)/x if it is uniform. In the angle of x = sin(angle) the weight of their rings is sin(angle) and
     (pi/2 - angle) cos(angle): nothing is singular.
     """
-    node, weight = np.polynomial.legendre.leggauss(RINGS)
+    node, weight = _nodes(count)
     angle = 0.25 * np.pi * (node + 1.0)
     elastic, uniform = np.sin(angle), (0.5 * np.pi - angle) * np.cos(angle)
     share = 0.25 * np.pi * weight * (elastic_share * elastic + (1.0 - elastic_share) * uniform)
@@ -69,9 +80,12 @@ def rings_blurred(radius_px: Array, rings: tuple[Array, Array], sigma_px: float)
     from scipy.special import i0e
 
     at, weight = rings
-    apart = np.subtract.outer(radius_px, at) / sigma_px
-    blurred = np.exp(-0.5 * apart**2) * i0e(np.multiply.outer(radius_px, at) / sigma_px**2)
-    return blurred @ weight / (2.0 * np.pi * sigma_px**2)
+    out = np.zeros(len(radius_px))
+    near = radius_px < at.max() + NOTHING * sigma_px
+    apart = np.subtract.outer(radius_px[near], at) / sigma_px
+    blurred = np.exp(-0.5 * apart**2) * i0e(np.multiply.outer(radius_px[near], at) / sigma_px**2)
+    out[near] = blurred @ weight / (2.0 * np.pi * sigma_px**2)
+    return out
 
 
 def halo_blurred(radius_px: Array, rings: tuple[Array, Array], blurs: Sequence[tuple[float, float]]) -> Array:

@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 
 # Side of the square that veiling glare fills, px.
 GLARE_SIDE_PX = 600.0
-STEP_PX = 0.1
+STEP_PX = 0.2
+# What the wing alone blurs is smooth: rings of the halo there, and the step of its table, px.
+SMOOTH_RINGS, SMOOTH_STEP_PX = 60, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +163,8 @@ def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fal
     if wing > 0:
         from scipy.interpolate import CubicSpline
 
-        coarse = np.arange(0.0, radius_px.max() + 1.0, 0.5)
+        coarse = np.arange(0.0, radius_px.max() + 1.0, SMOOTH_STEP_PX)
+        rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, SMOOTH_RINGS)
         gaussians = zip(*moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent), strict=True)
         far = halo_blurred(coarse, rings, [(wide, wing * weight) for wide, weight in gaussians])
         light = light + scene.halo_fraction * np.asarray(CubicSpline(coarse, far)(radius_px))

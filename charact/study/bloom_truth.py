@@ -60,7 +60,7 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
         "core_compression": _compression(scene, overload),
         "veiling_glare": 100.0 * scene.glare_fraction,
         "smear_fraction": scene.smear_fraction,
-        **_of_halo(scene),
+        **halo_truth(scene),
         **{f"encircled_radius_{share:.0f}": _encircled(scene, share / 100.0) for share in (50.0, 90.0)},
     }
 
@@ -76,6 +76,11 @@ def diameter(scene: BloomScene, overload: float, level_dn: float, picture: Array
             return 0.0
         if last >= 0 and radius[last + 1] < _to_border(scene):
             return float(2.0 * (radius[last] + STEP_PX * over[last] / (over[last] - over[last + 1])))
+    return diameter_of_picture(scene, level_dn, picture)
+
+
+def diameter_of_picture(scene: BloomScene, level_dn: float, picture: Array) -> float:
+    """Return that diameter of any picture of the scene, by parts of its pixels."""
     area = _region(scene, picture, level_dn).sum() / PARTS**2 * scene.row_pitch
     return float(2.0 * np.sqrt(area / np.pi))
 
@@ -144,8 +149,8 @@ def _compression(scene: BloomScene, overload: float) -> float:
     return float((tired[near] - dark).sum() / (fresh[near] - dark).sum())
 
 
-def _of_halo(scene: BloomScene) -> dict[str, float]:
-    """Numbers of the halo by itself, as the core without its wing blurs it."""
+def halo_truth(scene: BloomScene) -> dict[str, float]:
+    """Return the numbers of the halo by itself, as the core without its wing blurs it."""
     if scene.halo_fraction <= 0:
         return {"halo_fraction": 0.0}
     rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share)

@@ -182,16 +182,22 @@ def _interval(row: Row) -> tuple[float, float]:
     return row.low95, row.high95
 
 
-class Measure(Protocol):
+Of = TypeVar("Of", bound=Outcome)
+OfOut = TypeVar("OfOut", bound=Outcome, covariant=True)
+
+
+class Measure(Protocol[OfOut]):
     """Measures one cell of a map."""
 
-    def __call__(self, number: int, /, *, repeats: int, quick: bool) -> Outcome: ...
+    def __call__(self, number: int, /, *, repeats: int, quick: bool) -> OfOut: ...
 
 
-def mapped(measure: Measure, cells: Sequence[int], *, repeats: int, quick: bool = True) -> list[Outcome]:
-    """Measure cells on all cores; the function must be one that a module holds."""
-    with one_thread_each(), ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        asked: Callable[[int], Outcome] = partial(measure, repeats=repeats, quick=quick)
+def mapped(
+    measure: Measure[Of], cells: Sequence[int], *, repeats: int, quick: bool = True, workers: int | None = None
+) -> list[Of]:
+    """Measure cells, on all cores unless told otherwise; the function must be one that a module holds."""
+    with one_thread_each(), ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool:
+        asked: Callable[[int], Of] = partial(measure, repeats=repeats, quick=quick)
         return list(pool.map(asked, cells, chunksize=4))
 
 
@@ -238,7 +244,7 @@ def worst(outcomes: Sequence[Outcome], count: int = 10) -> list[Outcome]:
 
 def written(outcomes: Sequence[Outcome], chained: Sequence[Outcome], path: Path, *, method: str) -> Path:
     """Write a table: a row for each cell, and what it says as a whole."""
-    names = [one.name for one in fields(Outcome)]
+    names = [one.name for one in fields(outcomes[0])]
     table = {
         "charact": charact.__version__,
         "method": method,
@@ -259,7 +265,7 @@ def _short(value: Any) -> Any:
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
-def make(measure: Measure, *, method: str, table: Path, cells: int, repeats: int, about: str | None) -> None:
+def make(measure: Measure[Outcome], *, method: str, table: Path, cells: int, repeats: int, about: str | None) -> None:
     """Make a map as the command line asks, print what it says and write its table."""
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--cells", type=int, default=cells, help="number of cells")
