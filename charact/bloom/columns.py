@@ -93,12 +93,18 @@ def spoiled(spot: Spot, context: Context) -> Mask:
     return mask
 
 
-def upright(spot: Spot, context: Context) -> Upright:
-    """Compare the columns near the source with what lies at the same distance beside it."""
+def upright(spot: Spot, context: Context, *, half_width_px: int | None = None) -> Upright:
+    """Compare the columns near the source with what lies at the same distance beside it.
+
+    Parameters
+    ----------
+    half_width_px
+        Columns looked at on either side of the source; None: those that may spill or smear.
+    """
     rows, cols = spot.image.shape
     dy = (np.arange(rows) - spot.row) * context.pitch_ratio
     dx = np.arange(cols) - spot.col
-    half = _half_width(spot)
+    half = _half_width(spot) if half_width_px is None else half_width_px
     first, last = max(0, round(spot.col) - half), min(cols, round(spot.col) + half + 1)
     radius = np.hypot(dx[None, :], dy[:, None])
     mean, sd = _beside(spot.image, dx, dy, radius)
@@ -106,7 +112,7 @@ def upright(spot: Spot, context: Context) -> Upright:
     grid = np.arange(len(mean), dtype=float)
     light, noise = np.interp(near, grid, mean), np.interp(near, grid, sd)
     floor = float(mean.min())
-    far = np.abs(dx) > max(2.0 * half, 0.3 * cols)
+    far = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
     return Upright(
         first_col=first,
         row_offset=dy,

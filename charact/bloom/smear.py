@@ -1,0 +1,284 @@
+"""Smear: light that falls on the columns while their charge is moved, even from the frame's top to its bottom.
+
+The columns of the core are compared with those to their left and right, in rows that neither the streak nor much of the
+halo reaches; what they hold more, above and below alike, is held against the light that they gather.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.columns import Upright, upright
+from charact.bloom.grain import Grain, grain_of
+from charact.bloom.spot import DETECTED, Spot
+from charact.method import Context
+from labdata.measurement import Measurement, from_sd, refused
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Columns left and right of the core that are compared with it: how far from its own, and how many.
+GAP_PX, FLANK_PX = 3, 8
+# Rows on either side of the source over which its light is summed, and share of the core's brightest column that
+# belongs to it.
+LIGHT_ROWS_PX = 24
+CORE_SHARE = 0.25
+# Least rows above and below the streak together, and on either side for both to be compared.
+LEAST_ROWS, LEAST_SIDE = 16, 6
+# Rows where the source's own light adds so much to the noise of a pixel are left out.
+NOISY = 1.3
+# Share of full scale that no unsaturated source and no smear exceeds.
+LINEAR_SHARE = 0.65
+# Standard errors at which smear is seen in a stack; and those by which two stacks, or above and below, may differ, two
+# stacks by some share besides.
+SEEN = 4.0
+APART, APART_SHARE = 5.0, 0.15
+# Relative error of each stack's stated light beside the others': neutral-density steps are
+# seldom known better. Scatter of the stacks beyond their errors raises it up to the second number.
+LIGHT_SD, MOST_LIGHT_SD = 0.03, 0.3
+# Light of two stacks that must see it, one over the other, for the light to be known to stay in proportion.
+LEAST_RATIO = 2.5
+# Relative standard error of the source's light beyond which a ratio to it is none.
+LEAST_KNOWN = 0.25
+
+
+@dataclass(frozen=True, kw_only=True)
+class Core:
+    """Columns of the core, and the light that they gather.
+
+    Parameters
+    ----------
+    half_width_px
+        Columns on either side of the source's own.
+    light_dn, light_sd_dn
+        Mean over these columns of their summed light less that of their neighbours', at the light 1, and its standard
+        error, DN.
+    stack
+        Label of the unsaturated stack it is taken from.
+    """
+
+    half_width_px: int
+    light_dn: float
+    light_sd_dn: float
+    stack: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smear:
+    """What one stack holds evenly on the columns of its core.
+
+    Parameters
+    ----------
+    label
+        The stack.
+    light
+        Its light as stated.
+    level_dn, level_sd_dn
+        Mean of the core's columns over their neighbours far from the source, and its standard error, DN.
+    uneven
+        Whether it differs above and below the source.
+    """
+
+    label: str
+    light: float
+    level_dn: float
+    level_sd_dn: float
+    uneven: bool
+
+
+def smear_measurement(spots: tuple[Spot, ...], context: Context, **fields: Any) -> tuple[Measurement, dict[str, Any]]:
+    """Return the smear fraction of a series of stacks, and what the report draws of it.
+
+    Parameters
+    ----------
+    spots
+        Stacks of one source at several known lights, one of them unsaturated.
+    context
+        Pitches, and whether frames are interlaced.
+
+    Notes
+    -----
+    The fraction f is of the summed light S of a column, spread over its R rows: each gets f S / R. A stack that shows
+    it has a saturated core, so S is that of an unsaturated stack times the ratio of their lights. Nothing but a second
+    stack whose smear grows as its light does proves that the tube follows: with one alone the number is flagged
+    `extrapolated`. Where no stack shows smear nothing can prove it, and the number is refused with the most that it can
+    be if the tube does follow.
+    """
+    clear = tuple(spot for spot in spots if spot.significance > DETECTED)
+    core = core_of(clear, context)
+    if isinstance(core, str):
+        return refused("smear_fraction", "1", core, **fields), {}
+    read = [_smear_of(spot, core, context) for spot in clear if (_light(spot) or 0.0) > LEAST_RATIO * core_light(clear)]
+    found = [one for one in read if isinstance(one, Smear)]
+    rows = clear[0].image.shape[0]
+    evidence = {"bloom-smear": _evidence(found, core, rows)} if found else {}
+    if not found:
+        reason = next((one for one in read if isinstance(one, str)), "no stack is brighter than the unsaturated one")
+        return refused("smear_fraction", "1", reason, **fields), evidence
+    return _fraction(found, core, rows, **fields), evidence
+
+
+def core_light(spots: tuple[Spot, ...]) -> float:
+    """Light of the brightest unsaturated stack; 0 where there is none."""
+    return max((_light(spot) or 0.0 for spot in spots if _linear(spot)), default=0.0)
+
+
+def _light(spot: Spot) -> float | None:
+    lux = spot.conditions.illuminance_lux
+    return None if lux is None else lux * (spot.conditions.gate_ns or 1.0)
+
+
+def _linear(spot: Spot) -> bool:
+    row, col = round(spot.row), round(spot.col)
+    peak = float(spot.image[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3].max())
+    return peak - spot.dark_dn < LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn)
+
+
+def core_of(spots: tuple[Spot, ...], context: Context) -> Core | str:
+    """Sum the light of each column of the brightest unsaturated stack; or say why that cannot be."""
+    if not spots:
+        return "no point source stands out of its surroundings"
+    if any(_light(spot) is None for spot in spots):
+        return "the light of the stacks is unknown: what smears cannot be held against it"
+    linear = [spot for spot in spots if _linear(spot) and _light(spot)]
+    if not linear:
+        return "every level saturates the core: the light that its columns gather is unknown"
+    spot = max(linear, key=lambda one: _light(one) or 0.0)
+    near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= LIGHT_ROWS_PX
+    sums = spot.image[near].sum(axis=0)
+    col = round(spot.col)
+    wide = sums[max(0, col - 6) : col + 7] - np.median(sums)
+    over = np.flatnonzero(wide > CORE_SHARE * wide.max())
+    half = int(np.clip(np.abs(over - min(6, col)).max(), 1, 6))
+    value, sd = _contrast(spot.image, near, half, col)
+    grain = grain_of(spot.image, spot.col, spot.dark_dn)
+    light, value = _light(spot) or 1.0, value * near.sum()
+    noise = np.hypot(sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1))
+    if not value > 0 or noise > LEAST_KNOWN * value:
+        return "the light that the core's columns gather is known too badly: the unsaturated stacks are too faint"
+    return Core(half_width_px=half, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label)
+
+
+def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, float]:
+    """Mean of the core's columns less that of their neighbours over some rows, and its standard error.
+
+    The error is the scatter of the same difference taken everywhere else along these rows: what rows, columns and
+    neighbours share is in it.
+    """
+    along = image[rows].mean(axis=0)
+    reach = half + GAP_PX + FLANK_PX
+    weight = np.zeros(2 * reach + 1)
+    weight[:FLANK_PX], weight[-FLANK_PX:] = -0.5 / FLANK_PX, -0.5 / FLANK_PX
+    weight[reach - half : reach + half + 1] = 1.0 / (2 * half + 1)
+    padded = np.pad(along, reach, mode="reflect")
+    everywhere = np.correlate(padded, weight, mode="valid")
+    places = np.arange(len(along))
+    inside = (places >= reach) & (places < len(along) - reach) & (np.abs(places - col) > reach + half)
+    others = everywhere[inside] if inside.sum() >= 4 * reach else everywhere[np.abs(places - col) > reach + half]
+    spread = 1.4826 * float(np.median(np.abs(others))) if len(others) else float("nan")
+    return float(everywhere[col]), max(spread, float(np.std(others)) if len(others) else float("nan"))
+
+
+def _smear_of(spot: Spot, core: Core, context: Context) -> Smear | str:
+    """Even light of one stack's core columns; or why it cannot be told."""
+    col, half = round(spot.col), core.half_width_px
+    # Round light is taken away first: across a halo or a wing it is bent enough to pass for a faint column.
+    found = upright(spot, context, half_width_px=spot.image.shape[1])
+    middle = slice(max(0, col - half), col + half + 1)
+    far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
+    above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
+    if far.sum() < LEAST_ROWS:
+        return "the source's streak or its halo reaches the frame's top and bottom: smear cannot be told from them"
+    even = spot.image[far, middle].mean() - spot.dark_dn
+    if even > LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn):
+        return "the columns are near full scale from top to bottom: smear cannot be told from a streak"
+    level, sd = _contrast(found.excess_dn, far, half, col)
+    # Halo and wing add noise to these columns that those farther off do not have.
+    sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
+    uneven = False
+    if min(above.sum(), below.sum()) >= LEAST_SIDE:
+        (up, up_sd), (down, down_sd) = (_contrast(found.excess_dn, rows, half, col) for rows in (above, below))
+        uneven = abs(up - down) > APART * np.hypot(up_sd, down_sd)
+    return Smear(label=spot.label, light=_light(spot) or 0.0, level_dn=level, level_sd_dn=sd, uneven=bool(uneven))
+
+
+def _far_rows(found: Upright, middle: slice, grain: Grain) -> Mask:
+    """Rows beyond streak and halo: what they hold is as even as the frame's last rows."""
+    excess = found.excess_dn[:, middle].max(axis=1)
+    noise = np.sqrt(grain.floor_variance)
+    quiet = found.sd_dn[:, middle].max(axis=1) < NOISY * max(noise, float(np.median(found.sd_dn[[0, -1]])))
+    out = np.zeros(len(excess), bool)
+    for side in (-1, 1):
+        rows = np.flatnonzero(found.row_offset * side > 0)[::-side]
+        if len(rows) < LEAST_SIDE:
+            continue
+        last = excess[rows[: max(LEAST_SIDE, len(rows) // 4)]]
+        level = float(np.median(last))
+        spread = max(noise, 1.4826 * float(np.median(np.abs(last - level))))
+        over = excess[rows] > level + 6.0 * spread
+        stop = np.flatnonzero(over | ~quiet[rows])
+        # Two rows more: the last pixels of a streak are partly filled.
+        out[rows[: max(0, stop[0] - 2) if len(stop) else len(rows)]] = True
+    return out
+
+
+def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measurement:
+    """Combine stacks; scatter beyond their errors, as of lights that are not quite as stated, widens the interval."""
+    light, level, error = np.array([(one.light, one.level_dn, one.level_sd_dn) for one in found]).T
+    share, sd = rows * level / (light * core.light_dn), rows * error / (light * core.light_dn)
+    seen = level > SEEN * error
+    weight = 1.0 / (sd**2 + (LIGHT_SD * float(np.average(share, weights=sd**-2))) ** 2)
+    weight /= weight.sum()
+    mean = float(weight @ share)
+    between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), MOST_LIGHT_SD)) * mean
+    # The light of the unsaturated stack is as little known as that of the others.
+    known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, between))
+    total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
+    if not seen.any():
+        most = max(mean, 0.0) + 2.0 * total
+        reason = f"no stack shows smear: it is at most {most:.2g} of a column's light, if the light rose as stated"
+        return refused("smear_fraction", "1", reason, **fields)
+    flags = ()
+    if light[seen].max() < LEAST_RATIO * light[seen].min():
+        flags += ("extrapolated",)
+    if _bends(light[seen], share[seen], sd[seen]):
+        flags += ("nonlinear",)
+    if any(one.uneven for one, here in zip(found, seen, strict=True) if here):
+        flags += ("model-misfit",)
+    return from_sd("smear_fraction", "1", mean, total, flags=flags, **fields)
+
+
+def _between(share: Array, sd: Array) -> float:
+    """Relative scatter of stacks beyond their errors (DerSimonian and Laird, Control. Clin. Trials 7, 177, 1986)."""
+    if len(share) < 2:
+        return 0.0
+    weight = 1.0 / sd**2
+    mean = float(weight @ share / weight.sum())
+    excess = float(weight @ (share - mean) ** 2) - (len(share) - 1)
+    variance = max(0.0, excess / float(weight.sum() - (weight**2).sum() / weight.sum()))
+    return float(np.sqrt(variance)) / abs(mean)
+
+
+def _bends(light: Array, share: Array, sd: Array) -> bool:
+    """Whether the share falls or rises steadily with the light: then the light on the columns does not follow it."""
+    if len(share) < 2:
+        return False
+    order = np.argsort(light)
+    low, high = order[0], order[-1]
+    apart = abs(share[high] - share[low]) > APART * np.hypot(sd[high], sd[low])
+    return bool(apart and abs(share[high] / share[low] - 1.0) > APART_SHARE)
+
+
+def _evidence(found: list[Smear], core: Core, rows: int) -> dict[str, Any]:
+    """Even light of each stack against what its columns gather."""
+    return {
+        "figure": "bloom-smear",
+        "label": [one.label for one in found],
+        "light_per_row_dn": [one.light * core.light_dn / rows for one in found],
+        "level_dn": [one.level_dn for one in found],
+        "level_sd_dn": [one.level_sd_dn for one in found],
+        "core_stack": core.stack,
+        "core_columns": 2 * core.half_width_px + 1,
+    }
