@@ -1,8 +1,8 @@
 """Where halo and bloom diameters break: thousands of random series, half of them with one thing wrong.
 
 `make bloom-map` writes the table. A cell is a point source at a few levels, drawn in closed form; what breaks it goes
-from too little to matter to far too much. The halo diameter is the main quantity; silent failures of bloom diameters are
-counted beside it, stack by stack.
+from too little to matter to far too much. The halo diameter is the main quantity; silent failures of bloom diameters
+are counted beside it, stack by stack.
 """
 
 import argparse
