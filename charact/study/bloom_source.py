@@ -150,25 +150,37 @@ def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fal
     before_gain
         Whether the blur after the gain is still to come.
     """
-    after = scene.post_gain_sigma_px if before_gain else 0.0
-    sigma = float(np.sqrt(scene.core_sigma_px**2 - after**2))
-    wing, core_share = scene.wing_share, 1.0 - scene.halo_fraction - scene.glare_fraction
-    light = core_share * (1.0 - wing) * gaussian(radius_px, sigma)
+    sigma = _narrow_sigma(scene, before_gain)
+    wing = scene.wing_share
+    light = (1.0 - wing) * gaussian(radius_px, sigma)
     if wing > 0:
-        light = light + core_share * wing * moffat(radius_px, scene.wing_radius_px, scene.wing_exponent)
+        light = light + wing * moffat(radius_px, scene.wing_radius_px, scene.wing_exponent)
+    light = (1.0 - scene.halo_fraction - scene.glare_fraction) * light
     if scene.halo_fraction <= 0:
         return light
-    rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share)
-    light = light + scene.halo_fraction * halo_blurred(radius_px, rings, [(sigma, 1.0 - wing)])
-    if wing > 0:
-        from scipy.interpolate import CubicSpline
+    return light + scene.halo_fraction * radial_halo(scene, radius_px, before_gain=before_gain)
 
-        coarse = np.arange(0.0, radius_px.max() + 1.0, SMOOTH_STEP_PX)
-        rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, SMOOTH_RINGS)
-        gaussians = zip(*moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent), strict=True)
-        far = halo_blurred(coarse, rings, [(wide, wing * weight) for wide, weight in gaussians])
-        light = light + scene.halo_fraction * np.asarray(CubicSpline(coarse, far)(radius_px))
-    return light
+
+def radial_halo(scene: BloomScene, radius_px: Array, *, before_gain: bool = False) -> Array:
+    """Return the halo alone, blurred by core and wing, as a density of volume 1."""
+    sigma, wing = _narrow_sigma(scene, before_gain), scene.wing_share
+    rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share)
+    light = halo_blurred(radius_px, rings, [(sigma, 1.0 - wing)])
+    if wing <= 0:
+        return light
+    from scipy.interpolate import CubicSpline
+
+    coarse = np.arange(0.0, radius_px.max() + 1.0, SMOOTH_STEP_PX)
+    rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, SMOOTH_RINGS)
+    gaussians = zip(*moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent), strict=True)
+    far = halo_blurred(coarse, rings, [(wide, wing * weight) for wide, weight in gaussians])
+    return light + np.asarray(CubicSpline(coarse, far)(radius_px))
+
+
+def _narrow_sigma(scene: BloomScene, before_gain: bool) -> float:
+    """Standard deviation of the core, whole or without the blur after the gain."""
+    after = scene.post_gain_sigma_px if before_gain else 0.0
+    return float(np.sqrt(scene.core_sigma_px**2 - after**2))
 
 
 def optics_of(scene: BloomScene) -> BloomScene:

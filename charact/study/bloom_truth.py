@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.bloom_camera import expected
-from charact.study.bloom_light import halo_blurred, halo_rings
-from charact.study.bloom_source import GLARE_SIDE_PX, BloomScene, optics_of, radial_light
+from charact.study.bloom_light import halo_rings
+from charact.study.bloom_source import GLARE_SIDE_PX, BloomScene, optics_of, radial_halo, radial_light
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ FAR_PX, STEP_PX = 200.0, 0.1
 # Parts of a pixel that count by themselves where a contour has no closed form.
 PARTS = 4
 # The halo's plateau and its rim, in radii of the halo.
-PLATEAU, RIM = (0.3, 0.7), (0.8, 1.1)
+PLATEAU, RIM = (0.3, 0.7), (0.75, 1.1)
 # Radius that holds the core, in its standard deviations.
 CORE_SIGMAS = 4.0
 
@@ -38,9 +38,10 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
         `bloom_diameter`, `bloom_diameter_background`, `bloom_diameter_clip` (column pitches; 0: not reached): of the
         connected region around the source at half of full scale, at twice the background, and at the highest code;
         `streak_length` (rows of its column at half of full scale), `overflow_length` (rows filled to the limit),
-        `saturated_area` (px), `bloom_ellipticity` (of the half level's region), `halo_diameter`, `halo_fraction`,
-        `halo_plateau`, `halo_rim`, `encircled_radius_50`, `encircled_radius_90` (of the linear light without glare),
-        `core_compression`, `veiling_glare` (%), `smear_fraction`.
+        `saturated_area` (whole pixels that hang together with the source), `bloom_ellipticity` (of the region at half
+        of full scale), `halo_diameter`, `halo_fraction`, `halo_plateau`, `halo_rim`, `encircled_radius_50`,
+        `encircled_radius_90` (of the linear light without glare), `core_compression`, `veiling_glare` (%),
+        `smear_fraction`. Shares are of the light that falls on the frame.
     """
     picture = expected(scene, overload, faintest=faintest)
     half = scene.dark_dn + 0.5 * scene.span_dn
@@ -55,10 +56,9 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
         **{name: diameter(scene, overload, level, picture) for name, level in levels.items()},
         "streak_length": float((column >= half).sum()),
         "overflow_length": float((column - scene.dark_dn >= 0.999 * limit).sum()),
-        "saturated_area": float((picture >= scene.full_scale_dn - 0.5).sum()),
+        "saturated_area": _pixels(scene, picture, scene.full_scale_dn - 0.5),
         "bloom_ellipticity": _ellipticity(scene, picture, half),
         "core_compression": _compression(scene, overload),
-        "veiling_glare": 100.0 * scene.glare_fraction,
         "smear_fraction": scene.smear_fraction,
         **halo_truth(scene),
         **{f"encircled_radius_{share:.0f}": _encircled(scene, share / 100.0) for share in (50.0, 90.0)},
@@ -122,6 +122,15 @@ def _region(scene: BloomScene, picture: Array, level_dn: float) -> NDArray[np.bo
     return (labels == labels[row, col]) & above if inside and labels[row, col] else np.zeros_like(above)
 
 
+def _pixels(scene: BloomScene, picture: Array, level_dn: float) -> float:
+    """Pixels at or above a level that hang together with that of the source."""
+    from scipy import ndimage
+
+    labels = np.asarray(ndimage.label(picture >= level_dn)[0])  # pyright: ignore[reportIndexIssue]
+    row, col = (min(max(round(at), 0), size - 1) for at, size in zip(scene.centre, labels.shape, strict=True))
+    return float((labels == labels[row, col]).sum()) if labels[row, col] else 0.0
+
+
 def _ellipticity(scene: BloomScene, picture: Array, level_dn: float) -> float:
     """Minor over major axis of the ellipse with the region's second moments; nan without a region.
 
@@ -150,21 +159,24 @@ def _compression(scene: BloomScene, overload: float) -> float:
 
 
 def halo_truth(scene: BloomScene) -> dict[str, float]:
-    """Return the numbers of the halo by itself, as the core without its wing blurs it."""
+    """Return the numbers of the halo and of the glare, as shares of the light that falls on the frame.
+
+    The plateau is that of the halo before any blur; the rim that of the blurred one over it.
+    """
+    glare = scene.glare_fraction * min(1.0, scene.rows * scene.row_pitch * scene.cols / GLARE_SIDE_PX**2)
+    seen = 1.0 - scene.glare_fraction + glare
+    shares = {"veiling_glare": 100.0 * glare / seen, "halo_fraction": scene.halo_fraction / seen}
     if scene.halo_fraction <= 0:
-        return {"halo_fraction": 0.0}
-    rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share)
+        return shares
+    radius, weight = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, 2000)
     half = 0.5 * scene.halo_diameter_px
-    (first, last), (rim, beyond) = ((half * low, half * high) for low, high in (PLATEAU, RIM))
-    radius = np.arange(first, beyond, STEP_PX)
-    level = halo_blurred(radius, rings, [(scene.core_sigma_px, 1.0)])
-    inside = radius <= last
-    plateau = float(np.average(level[inside], weights=radius[inside]))
-    return {
+    first, last = (half * share for share in PLATEAU)
+    plateau = float(weight[(radius >= first) & (radius < last)].sum()) / (np.pi * (last**2 - first**2))
+    rim = radial_halo(scene, np.arange(RIM[0] * half, RIM[1] * half, STEP_PX)).max()
+    return shares | {
         "halo_diameter": scene.halo_diameter_px,
-        "halo_fraction": scene.halo_fraction,
-        "halo_plateau": scene.row_pitch * scene.halo_fraction * plateau,
-        "halo_rim": float(level[radius >= rim].max() / plateau),
+        "halo_plateau": shares["halo_fraction"] * plateau,
+        "halo_rim": float(rim) / plateau,
     }
 
 
