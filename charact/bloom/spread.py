@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 HIGHEST_CY_PER_PX, NODES = 0.8, 512
 SHARES = ("halo_fraction", "wing_share", "glare_fraction")
 POSITIVE = ("halo_diameter_px", "core_frequency_cy_per_px", "core_exponent", "wing_radius_px")
-# Name of each parameter of a posterior and the field that takes it.
+# Name of each parameter of a posterior and the field that takes it; a spread without core frequency is Gaussian, one
+# without a halo has none.
 NAMES = {
     "halo_diameter": "halo_diameter_px",
     "elastic_share": "elastic_share",
@@ -29,6 +30,8 @@ NAMES = {
     "wing_exponent": "wing_exponent",
     "glare_fraction": "glare_fraction",
 }
+GAUSSIAN = {"core_frequency_cy_per_px": np.inf, "core_exponent": 2.0}
+NO_HALO = {"halo_diameter_px": 1.0, "elastic_share": 0.0, "halo_fraction": 0.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,27 +160,35 @@ def nodes() -> tuple[Array, Array]:
     return half * (node + 1.0), half * weight
 
 
-def spread_of(posterior: Posterior, **known: ArrayLike) -> Spread:
+def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayLike) -> Spread:
     """Return the spread that a posterior describes.
 
     Parameters
     ----------
     posterior
-        Draws with the names of `NAMES`, as the fits of a point series give them.
+        Draws with the names of `NAMES`, or with `core_sd`, the core before the pixel's aperture, as the fits of a point
+        series give them.
+    pitch_ratio
+        Row pitch over column pitch, for that aperture.
     known
         Fields of `Spread` that the posterior does not have.
 
     Raises
     ------
     BadInput
-        If neither has a parameter that is needed.
+        If a parameter that is needed is missing, or the halo is of another form.
     """
     found = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
-    given = {**known, **found}
-    needed = [name for name in list(NAMES.values())[:6] if name not in given]
-    if needed:
+    if "core_sd" in posterior.names:
+        # A pixel's aperture is as wide as a Gaussian of a twelfth of its pitch squared; rows and columns are averaged.
+        found["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
+    if "halo_sd" in posterior.names:
+        raise BadInput("a spread needs a halo with an edge; the one that was fitted fades out like a Gaussian")
+    tube = "core_frequency" in posterior.names
+    given = {**({} if tube else GAUSSIAN), **known, **found}
+    if not {"halo_diameter_px", "halo_fraction"} & given.keys():
+        given = {**given, **NO_HALO}
+    if needed := [name for name in list(NAMES.values())[:6] if name not in given]:
         raise BadInput(f"a spread needs {', '.join(needed)}; the posterior has only {', '.join(posterior.names)}")
-    for name in SHARES:
-        if name in given:
-            given[name] = np.clip(given[name], 0.0, 1.0)
-    return Spread(**given)  # pyright: ignore[reportArgumentType]
+    shares = {name: np.clip(given[name], 0.0, 1.0) for name in SHARES if name in given}
+    return Spread(**{**given, **shares})  # pyright: ignore[reportArgumentType]

@@ -45,6 +45,16 @@ FocalLengthMm = Annotated[
 ]
 AtMost = Annotated[int, typer.Option("--at-most", help="Most targets of one frame that are measured.", min=1)]
 Annotate = Annotated[Path | None, typer.Option(help="Write the image with the regions and their MTF50 drawn in, PNG.")]
+BloomMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--map", help="Write which share of each pixel's signal is blooming: a picture (.png) or arrays (.npz)."
+    ),
+]
+BloomMapOf = Annotated[
+    str | None,
+    typer.Option("--map-of", help="Stack that the map is of; else a scene, or the brightest point."),
+]
 
 
 def parsed_kind(text: str) -> Kind:

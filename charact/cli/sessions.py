@@ -1,13 +1,19 @@
 """The verbs that take a session: noise, bloom, measure, fit, validate, report."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from charact.cli import options
 from charact.cli.output import bad_input_ends, say, show
 from charact.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from charact.method import Context
+    from labdata.measurement import Result
+    from labdata.session import Session
 
 SessionFolder = Annotated[Path, typer.Argument(help="Folder of a session.")]
 FITTED = "fitted.toml"
@@ -44,17 +50,26 @@ def bloom(
     seed: options.Seed = 0,
     as_json: options.Json = False,
     events: options.Events = False,
+    map_to: options.BloomMap = None,
+    map_of: options.BloomMapOf = None,
 ) -> None:
-    """Halo and blooming extent from point sources.
+    """Halo and blooming extent from point sources; a map of the share of each pixel that is blooming.
 
-    Example: charact bloom day1
+    Example: charact bloom day1 --map bloom.png
     """
-    _analyse("bloom", session, method, within, quick, seed, as_json, events)
+    drawn = None
+    if map_to is not None:
+        from functools import partial
+
+        from charact.cli.bloom_map import mapped
+
+        drawn = partial(mapped, label=map_of, path=map_to)
+    _analyse("bloom", session, method, within, quick, seed, as_json, events, drawn=drawn)
 
 
 def _analyse(
     room: str, folder: Path, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool,
-    scheduler: str | None = None,
+    scheduler: str | None = None, drawn: "Callable[[Session, Result, Context], None] | None" = None,
 ) -> None:  # fmt: skip
     with bad_input_ends(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
         from importlib import import_module
@@ -68,6 +83,8 @@ def _analyse(
         with spread_over(scheduler) as spread:
             context = context_of(opened, quick=quick, seed=seed, progress=progress, spread=spread)
             result = analysis.measure(opened, method=method, within_percent=within, context=context)
+        if drawn is not None:
+            drawn(opened, result, context)
         show(result, given=str(folder), as_json=as_json, events=events, next_verb=f"charact measure {folder}")
 
 

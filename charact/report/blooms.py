@@ -6,33 +6,63 @@ from typing import Any
 import numpy as np
 
 from charact.report.generic import array, dots, has, line
-from charact.report.style import COLOURS, DATA, INK, MODEL, THIRD, panels
+from charact.report.style import COLOURS, DATA, FOURTH, INK, MODEL, THIRD, WARN, note, panels
 
 Data = Mapping[str, Any]
 MOST_PROFILES = 6
 
 
 def point_profile(data: Data) -> Any:
-    """Radial profiles of a point series with the joint fit; the halo's radius marked."""
-    figure, grid = panels(size=(5.6, 4.0))
+    """Radial profiles of a point series with the joint fit, and below what is left over in standard errors.
+
+    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`, `used` (rings that are
+    fitted), and where there is a fit `model_dn` and `residual_sd`. `halo_diameter_px` is marked, `full_scale_dn` too.
+    """
+    fitted = has(data, "model_dn")
+    rows = 2 if fitted else 1
+    figure, grid = panels(rows, 1, size=(5.8, 5.2 if fitted else 4.0), sharex=True,
+                          height_ratios=(2.2, 1.0) if fitted else None)  # fmt: skip
     axes = grid[0, 0]
     for colour, number in zip(COLOURS * 2, _spaced(len(data["label"])), strict=False):
         radius, mean, sd = (np.asarray(data[key][number], float) for key in ("radius_px", "mean_dn", "sd_dn"))
         used = np.asarray(data["used"][number], bool)
         dots(axes, radius[used], mean[used], sd[used], color=colour, label=str(data["label"][number]), alpha=0.8)
-        dots(axes, radius[~used], mean[~used], color=colour, alpha=0.25)
-        if has(data, "model_dn"):
-            line(axes, radius, np.asarray(data["model_dn"][number], float), color=colour, linewidth=1)
-    if data.get("halo_diameter_px") is not None:
-        axes.axvline(data["halo_diameter_px"] / 2, color=INK, linestyle="--", linewidth=0.9, label="halo radius")
+        dots(axes, radius[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        if not fitted:
+            continue
+        model = np.asarray(data["model_dn"][number], float)
+        line(axes, radius, model, color=colour, linewidth=1)
+        left = np.asarray(data["residual_sd"][number], float) if has(data, "residual_sd") else (mean - model) / sd
+        dots(grid[1, 0], radius[used], left[used], color=colour, alpha=0.8)
+    for one in grid[:, 0]:
+        if data.get("halo_diameter_px") is not None:
+            one.axvline(data["halo_diameter_px"] / 2, color=INK, linestyle="--", linewidth=0.9, label="halo radius")
+    if data.get("full_scale_dn"):
+        axes.axhline(data["full_scale_dn"], color=WARN, linestyle=":", linewidth=0.9, label="highest code")
     means = np.concatenate([np.asarray(mean, float) for mean in data["mean_dn"]])
-    low, high = float(means.min()), float(means.max())
-    axes.set(xlabel="distance from the source (column pitches, px)", ylabel="mean of the ring (DN)")
+    low, high = float(np.nanmin(means)), float(np.nanmax(means))
+    axes.set(ylabel="mean of the ring (DN)")
     # A halo is a small step on a long slope: a logarithmic scale shows both.
     axes.set_yscale("log" if low > 0 else "linear")
-    axes.set_ylim(0.93 * low if low > 0 else low - 0.05 * high, 1.2 * high)
+    axes.set_ylim(0.93 * low if low > 0 else low - 0.05 * high, 1.3 * high)
     axes.legend(ncols=2)
+    grid[-1, 0].set(xlabel="distance from the source (column pitches, px)")
+    if fitted:
+        rest = grid[1, 0]
+        rest.axhline(0.0, color=INK, linewidth=0.7)
+        rest.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
+        most = max(4.0, 1.1 * _largest(data, fitted))
+        rest.set(ylabel="data - model\n(standard errors)", ylim=(-most, most))
     return figure
+
+
+def _largest(data: Data, fitted: bool) -> float:
+    """Largest residual of the rings that are fitted, in standard errors, at most 12."""
+    if not fitted or not has(data, "residual_sd"):
+        return 4.0
+    pairs = zip(data["residual_sd"], data["used"], strict=True)
+    largest = [np.abs(np.asarray(r, float)[np.asarray(u, bool)]).max(initial=0.0) for r, u in pairs]
+    return float(min(12.0, max(largest)))
 
 
 def point_spread(data: Data) -> Any:
@@ -69,27 +99,105 @@ def exposure(data: Data) -> tuple[np.ndarray, str]:
     return np.arange(1, len(data["label"]) + 1, dtype=float), "stack, in order (1)"
 
 
+# Quantity: what the level is, colour and marker.
+EXTENTS = {
+    "bloom_diameter": ("half of full scale", DATA, "o"),
+    "bloom_diameter_background": ("twice the background", FOURTH, "^"),
+    "bloom_diameter_clip": ("highest code", THIRD, "v"),
+    "streak_length": ("streak", MODEL, "s"),
+}
+
+
 def bloom_series(data: Data) -> Any:
-    """Bloom diameter and streak length against the light."""
-    figure, grid = panels(size=(5.6, 3.6))
+    """Bloom diameters at three levels and streak length against the light, 95 % intervals, and the halo's diameter.
+
+    Reads `label` and what rises (see `exposure`); `measured`, by quantity and label [value, low, high] of 95 %, and
+    without it the lists `bloom_diameter_px` and `streak_length_px`; `halo_px` [value, low, high], else each level's
+    `halo_diameter_px`; `foretold`, the diameters that the fitted spread makes at each level of signal: `overload`, and
+    by quantity [low, middle, high] lists, drawn as lines; `truth`, by quantity a list for the stacks.
+    """
+    figure, grid = panels(size=(5.8, 4.2))
     axes = grid[0, 0]
     x, label = exposure(data)
-    dots(axes, x, array(data, "bloom_diameter_px"), color=DATA, markersize=5, label="bloom diameter")
-    dots(axes, x, array(data, "streak_length_px"), color=MODEL, markersize=5, marker="s", label="streak length")
-    halo = [(at, diameter) for at, diameter in zip(x, data.get("halo_diameter_px", []), strict=False) if diameter]
-    if halo:
-        dots(
-            axes,
-            *zip(*halo, strict=True),
-            color=THIRD,
-            markersize=5,
-            marker="D",
-            mfc="none",
-            label="halo, edge before blur",
-        )
+    foretold = data.get("foretold") if data.get("overload_known") else None
+    shown = [_extent(axes, data, x, quantity, foretold) for quantity in EXTENTS]
+    if data.get("halo_px"):
+        value, low, high = data["halo_px"]
+        axes.axhspan(low, high, color=INK, alpha=0.15, linewidth=0)
+        axes.axhline(value, color=INK, linestyle="--", linewidth=0.9, label=f"halo, {value:.1f} px")
+    elif own := [(at, one) for at, one in zip(x, data.get("halo_diameter_px", []), strict=False) if one]:
+        dots(axes, *zip(*own, strict=True), color=INK, markersize=5, marker="D", mfc="none", label="halo, before blur")
+    if not any(shown):
+        note(axes, "No stack reaches any of the levels.")
     if not label.startswith("stack"):
         axes.set_xscale("log")
-    axes.set(xlabel=label, ylabel="diameter or length at half of full scale (px)")
+    axes.set(xlabel=label, ylabel="diameter or length (column pitches, rows; px)")
+    axes.set_ylim(bottom=0.0)
+    lines = ", lines: foretold by the fit" if foretold else ""
+    axes.legend(title=f"diameter at{lines}" if any(shown) else None, alignment="left")
+    return figure
+
+
+def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, foretold: Any) -> bool:
+    """One quantity of every stack, what the fit foretells of it, and its truth."""
+    words, colour, marker = EXTENTS[quantity]
+    told = data.get("measured", {}).get(quantity, {})
+    points = [(at, *told[label]) for at, label in zip(x, data["label"], strict=True) if told.get(label)]
+    if not told and f"{quantity}_px" in data:
+        points = [(at, d, d, d) for at, d in zip(x, array(data, f"{quantity}_px"), strict=True) if d > 0]
+    if foretold is not None and quantity in foretold and points:
+        low, middle, high = (np.asarray(one, float) for one in foretold[quantity])
+        at = np.asarray(foretold["overload"], float)
+        axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(at, middle, color=colour, linewidth=1)
+    if points:
+        at, value, low, high = np.array(points, float).T
+        arms = np.maximum([value - low, high - value], 0.0)
+        axes.errorbar(at, value, yerr=arms, fmt=marker, color=colour, markersize=4.5, linewidth=1, label=words)
+    truth = data.get("truth", {}).get(quantity)
+    if truth is not None:
+        axes.plot(x, truth, "_", color=INK, markersize=12, label="truth" if quantity == "bloom_diameter" else None)
+    return bool(points)
+
+
+def forms(data: Data) -> Any:
+    """The forms of a source's light that were tried: by how much the criterion prefers the best, the best at the top.
+
+    Reads `table`, a list of rows with `form`, `parameters`, `bic_over_best` and, where it was cross-validated,
+    `foretold_chi2_per_ring`.
+    """
+    table = data["table"]
+    figure, grid = panels(size=(5.8, 0.9 + 0.34 * len(table)))
+    axes = grid[0, 0]
+    place = np.arange(len(table))[::-1]
+    over = np.array([row["bic_over_best"] for row in table], float)
+    axes.barh(place, over + 1.0, left=0.0, color=DATA, height=0.6, alpha=0.7)
+    axes.set_xscale("symlog", linthresh=10)
+    axes.set_xlim(0.0, 30.0 * max(10.0, float(over.max())))
+    for at, row, value in zip(place, table, over, strict=True):
+        cross = row.get("foretold_chi2_per_ring")
+        held = "" if cross is None else f"; levels held back: χ² {cross:.3g} a ring"
+        axes.annotate(f"{value:.0f}; parameters: {row['parameters']}{held}", (value + 1.0, at), xytext=(4, 0),
+                      textcoords="offset points", va="center", fontsize=7.5)  # fmt: skip
+    axes.set_yticks(place, [str(row["form"]) for row in table])
+    axes.set(xlabel="BIC over that of the best form (1): beyond 10 the form is out")
+    axes.grid(axis="y", alpha=0)
+    return figure
+
+
+def smear(data: Data) -> Any:
+    """Even light of the source's columns against the light that they gather: smear is the slope.
+
+    Reads `light_per_row_dn`, `level_dn`, `level_sd_dn` and `label`, a list per stack.
+    """
+    figure, grid = panels(size=(5.6, 3.2))
+    axes = grid[0, 0]
+    light, level, sd = (array(data, key) for key in ("light_per_row_dn", "level_dn", "level_sd_dn"))
+    axes.errorbar(light, level, yerr=1.96 * sd, fmt="o", color=DATA, markersize=4.5, linewidth=1, label="stack, 95 %")
+    share = float((light * level / sd**2).sum() / (light**2 / sd**2).sum())
+    ends = np.geomspace(light.min(), light.max(), 50)
+    axes.plot(ends, share * ends, color=MODEL, label=f"smear {share:.2g} of the column's light")
+    axes.set(xscale="log", xlabel="light of the columns over their rows (DN)", ylabel="even level of the columns (DN)")
     axes.legend()
     return figure
 
@@ -103,6 +211,8 @@ def halo_constancy(data: Data) -> Any:
     ends = np.array([data["interval95_px"][n] for n in seen], float).reshape(-1, 2)
     arms = np.maximum([diameter - ends[:, 0], ends[:, 1] - diameter], 0)
     axes.errorbar(seen, diameter, yerr=arms, fmt="o", color=DATA, markersize=4.5, linewidth=1, label="one level, 95 %")
+    if data.get("joint_px") is not None:
+        axes.axhline(data["joint_px"], color=INK, linestyle="--", linewidth=0.9, label="all levels together")
     axes.set_xticks(range(len(data["label"])), [str(label) for label in data["label"]], rotation=30, ha="right")
     axes.set(xlabel="stack", ylabel="halo diameter (px)", xlim=(-0.5, len(data["label"]) - 0.5))
     axes.legend()

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from charact.report.style import DATA, INK, MODEL, as_svg, note, panels, styled
 from labdata.measurement import QUANTILES, Posterior
+from labdata.quantity import QUANTITIES
 
 MOST_PARAMETERS = 5
 BINS = 22
@@ -37,12 +38,13 @@ def corner_svg(posterior: Posterior, title: str) -> str:
 
 
 def varying(posterior: Posterior) -> tuple[int, ...]:
-    """Indices of the parameters that vary and are finite, at most five."""
+    """Indices of the parameters that vary and are finite, at most five, those that are quantities first."""
     draws = posterior.draws
     good = (
         np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0) if len(draws) else np.zeros(draws.shape[1], bool)
     )
-    return tuple(int(index) for index in np.flatnonzero(good)[:MOST_PARAMETERS])
+    order = sorted(np.flatnonzero(good).tolist(), key=lambda index: posterior.names[index] not in QUANTITIES)
+    return tuple(sorted(order[:MOST_PARAMETERS]))
 
 
 def _cell(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:

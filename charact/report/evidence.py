@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.report import blooms, edges, gains, joint, light, noise, pulses
+from charact.report import bloom_pictures, blooms, edges, gains, joint, light, noise, pulses
 from charact.report.numerals import plain
 from charact.report.style import as_svg, styled
 
@@ -20,6 +20,10 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "point-profile": ("bloom", blooms.point_profile),
     "bloom-series": ("bloom", blooms.bloom_series),
     "halo-constancy": ("bloom", blooms.halo_constancy),
+    "bloom-forms": ("bloom", blooms.forms),
+    "bloom-smear": ("bloom", blooms.smear),
+    "bloom-frames": ("bloom", bloom_pictures.bloom_frames),
+    "bloom-map": ("bloom", bloom_pictures.bloom_map),
     "photon-transfer": ("noise", noise.photon_transfer),
     "noise-spectrum": ("noise", noise.noise_spectrum),
     "post-gain-noise": ("noise", noise.post_gain_noise),
@@ -62,7 +66,7 @@ def figure_of(name: str, data: Data) -> Figure:
 
     Evidence that its figure cannot draw, for a list is missing or empty, is shown by its numbers, and the page says so.
     """
-    kind = str(data.get("figure", ""))
+    kind = str(data.get("figure", name.partition(":")[0]))
     # One source through its centre tells of the MTF, a series of rings of the halo.
     kind = "point-spread" if kind == "point-profile" and "along_row_dn" in data else kind
     section, draw = DRAWN.get(kind, ("other", None))

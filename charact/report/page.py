@@ -8,6 +8,7 @@ from charact.report import evidence, tables
 from charact.report.corner import corner_svg, varying
 from charact.report.curves import mtf_svgs
 from charact.report.emva import emva_summary
+from charact.report.extents import completed
 from charact.report.pictures import aspect_of, representative
 from charact.report.truth import Truth, beside_truth
 from labdata.measurement import Posterior, Result
@@ -69,7 +70,7 @@ def page(
     session: Session, result: Result, *, validation: "Validation | None" = None, truth: Truth | None = None
 ) -> str:
     """Return the report as HTML."""
-    figures = [evidence.figure_of(name, data) for name, data in result.evidence.items()]
+    figures = [evidence.figure_of(name, data) for name, data in completed(session, result).items()]
     return _template("report.html.j2").render(
         session=session,
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),

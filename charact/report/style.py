@@ -57,6 +57,17 @@ def styled() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def on_paper() -> Iterator[None]:
+    """Draw in the report's style on white, for a file of its own."""
+    from matplotlib import style
+
+    inks = [name for name, value in SETTINGS.items() if value == INK]
+    white = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "white")
+    with style.context(["default", SETTINGS, {**dict.fromkeys(inks, PAPER_INK), **white}]):
+        yield
+
+
 def panels(
     rows: int = 1, cols: int = 1, *, size: tuple[float, float] = (5.6, 3.4), **options: Any
 ) -> tuple[Any, NDArray[Any]]:

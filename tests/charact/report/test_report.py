@@ -276,6 +276,17 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "law_per_dn": [0.1, 0.4, 0.1], "noise_per_dn": [0.1, 0.4, 0.01], "response_to_mean_pulse_dn": 1.0,
             "values": 1000, "filter_px": [3, 3],
         },
+        "bloom-forms": {"table": [{"form": "tube core, disc", "parameters": 6, "bic_over_best": 0.0}]},
+        "bloom-smear": {
+            "label": ["a", "b"], "light_per_row_dn": [1.0, 2.0], "level_dn": [0.1, 0.2], "level_sd_dn": [0.1, 0.1],
+        },
+        "bloom-frames": {
+            "label": ["a"], "frame_dn": [np.ones((40, 40))], "row": [20.0], "col": [20.0], "dark_dn": [0.0],
+            "full_scale_dn": [255.0], "halo_diameter_px": 20.0, "bloom_diameter_px": [8.0], "streak_length_px": [None],
+        },
+        "bloom-map": {
+            "signal_dn": np.ones((20, 20)), "fraction": np.ones((20, 20)), "sd": np.ones((20, 20)), "near_px": 3.0,
+        },
         "joint-mtf": {"kind": ["edge", "bars"], "target": ["edge", "bars-0.1"], "residuals_sd": [spread, [0.3]]},
         "constancy": {
             "slopes": {"row_px": 0.0}, "row_px": spread, "mtf50_cy_per_px": spread, "sd_cy_per_px": spread,

@@ -1,0 +1,48 @@
+"""The bloom map as a file: a picture for people, or arrays for who fuses it with another picture."""
+
+from pathlib import Path
+
+import numpy as np
+
+from charact.method import Context
+from labdata.errors import BadInput
+from labdata.measurement import Result
+from labdata.session import Session
+
+
+def mapped(session: Session, result: Result, context: Context, *, label: str | None, path: Path) -> None:
+    """Write the bloom map of a stack of a session.
+
+    Parameters
+    ----------
+    session, result
+        The session and what `charact.bloom.measure` found in it.
+    context
+        Seed, full scale and pitches.
+    label
+        Stack; None: the scene, else the brightest point source.
+    path
+        A .png file with the frame, the map and its standard deviation, or an .npz file with the arrays `signal_dn`,
+        `fraction`, `sd`, `blooming_dn`, `clipped` and `near_border`, shape (row, col), and the number `near_px`.
+
+    Raises
+    ------
+    BadInput
+        If the file is of another kind, the stack is not there, or the session told no halo.
+    """
+    if path.suffix.lower() not in (".png", ".npz"):
+        raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")
+    from charact.bloom.mapping import evidence_of, map_of
+
+    found, signal = map_of(session, result, label=label, context=context)
+    if path.suffix.lower() == ".npz":
+        np.savez_compressed(
+            path, signal_dn=signal.astype(np.float32), fraction=found.fraction, sd=found.sd,
+            blooming_dn=found.blooming_dn, clipped=found.clipped, near_border=found.near_border, near_px=found.near_px,
+        )  # fmt: skip
+        return
+    from charact.report.bloom_pictures import bloom_map
+    from charact.report.style import on_paper
+
+    with on_paper():
+        bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(path, dpi=130)
