@@ -1,55 +1,133 @@
-"""Bloom diameter and streak length of every stack as measurements."""
+"""Extents of every stack as measurements: bloom diameters, ellipticity, saturated area, streak length."""
 
 from typing import Any
 
 import numpy as np
 
+from charact.bloom.extent import Extent
+from charact.bloom.polar import SECTORS
+from charact.bloom.shape import ellipticity
 from charact.bloom.spot import DETECTED, Spot
-from labdata.measurement import Measurement, Provenance, from_sd, refused
+from labdata.measurement import Measurement, Provenance, from_draws, from_sd, measured, refused
+from labdata.sensor import Sensor
 
 # Frames of a screen that glows on are not independent: standard errors of means over them are wider by about this.
 GLOW = 1.5
+# Standard deviation of the number of pixels inside a circle thrown at random over them, over the root of its radius.
+COUNTING = 0.84
+LEVELS = {
+    "bloom_diameter": "half of full scale",
+    "bloom_diameter_background": "twice the background over dark",
+    "bloom_diameter_clip": "the highest code",
+}
 
 
-def bloom_measurements(spots: tuple[Spot, ...], *, square: bool, **fields: Any) -> list[Measurement]:
-    """Return diameter and streak of every stack, refused where nothing reaches half of full scale."""
+def bloom_measurements(spots: tuple[Spot, ...], *, square: bool, sensor: Sensor | None = None,
+                       **fields: Any) -> list[Measurement]:  # fmt: skip
+    """Return the extents of every stack, refused where the source does not reach their level.
+
+    Parameters
+    ----------
+    spots
+        The stacks.
+    square
+        Whether pixels are taken as square because nobody knows better.
+    sensor
+        The camera, where known: areas are told at its cathode and in the field of view as well.
+    """
     notes = ("the row pitch is unknown: pixels are taken as square",) if square else ()
     out: list[Measurement] = []
     for spot in spots:
-        flags = () if spot.dark_known else ("no-darks",)
-        flags += ("window-too-small",) if spot.touches_border else ()
         common = {"stack": spot.label, "notes": notes, **fields}
-        reason = _reason(spot)
-        if reason is not None:
-            out += [refused(name, "px", reason, **common) for name in ("bloom_diameter", "streak_length")]
-            continue
-        diameter_sd, streak_sd = _errors(spot)
-        out.append(from_sd("bloom_diameter", "px", spot.bloom_px, diameter_sd, flags=flags, **common))
-        out.append(from_sd("streak_length", "px", spot.streak_px, streak_sd, flags=flags, **common))
+        found = {"bloom_diameter": spot.half, "bloom_diameter_background": spot.background,
+                 "bloom_diameter_clip": spot.clip}  # fmt: skip
+        out += [_diameter(name, spot, extent, **common) for name, extent in found.items()]
+        out += [_ellipticity(spot, **common), *_saturated(spot, sensor, **common), _streak(spot, **common)]
     return out
 
 
-def _reason(spot: Spot) -> str | None:
-    """Why a stack has no bloom, or None."""
+def flags_of(spot: Spot, extent: Extent) -> tuple[str, ...]:
+    """What is to be distrusted of an extent."""
+    flags = () if spot.dark_known else ("no-darks",)
+    flags += ("window-too-small",) if extent.touches_border else ()
+    flags += ("low-signal",) if not extent.determined and not extent.pulled else ()
+    inside = [extent.region[round(one.row), round(one.col)] for one in spot.others]
+    flags += ("several-targets",) if any(inside) else ()
+    # A background below the dark level is none: one of both was taken otherwise.
+    below = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
+    return flags + (("unlike-conditions",) if below else ())
+
+
+def _reason(spot: Spot, name: str) -> str:
+    """Why a stack has no region at a level."""
     if spot.significance < DETECTED:
         return f"no point source: the brightest spot stands {spot.significance:.1f} standard deviations out of 8 needed"
-    if spot.bloom_px <= 0:
-        level = spot.dark_dn + 0.5 * (spot.full_scale_dn - spot.dark_dn)
-        return f"the source stays below half of full scale, {level:.4g} DN"
-    return None
+    level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
+    if level is not None:
+        return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
+    if not spot.light.even:
+        return "the light still falls at the border of the frame: the background behind the source is not seen"
+    if not spot.light.lit:
+        return f"there is no background to take twice: {spot.light.level_dn:.2g} DN over dark"
+    return f"the source stays below {LEVELS[name]}, {spot.dark_dn + 2 * spot.light.level_dn:.4g} DN"
 
 
-def _errors(spot: Spot) -> tuple[float, float]:
-    """Standard errors: scatter of single frames, and of counting whole pixels along the contour."""
-    radius = max(spot.bloom_px / 2.0, 0.5)
-    counting = 0.9 * np.sqrt(radius) / (np.pi * radius)
-    steps = 1.0 / np.sqrt(12.0)
-    if spot.frames < 2:
-        return float(counting), float(2.0 * steps)
-    share = GLOW / np.sqrt(spot.frames)
-    diameter = np.hypot(spot.frame_bloom_px.std(ddof=1) * share, counting)
-    streak = np.hypot(spot.frame_streak_px.std(ddof=1) * share, 2.0 * steps)
-    return float(diameter), float(streak)
+def _diameter(name: str, spot: Spot, extent: Extent | None, **common: Any) -> Measurement:
+    if extent is None:
+        return refused(name, "px", _reason(spot, name), **common)
+    if extent.region.all():
+        return refused(name, "px", f"the whole frame is at or above {LEVELS[name]}", **common)
+    return _told(name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common)
+
+
+def _told(name: str, unit: str, value: float, draws: Any, **common: Any) -> Measurement:
+    """A value with the quantiles of its draws, which may lean to one side of it but never leave it out."""
+    drawn = from_draws(name, unit, draws, **common)
+    low68, high68 = drawn.interval68 or (value, value)
+    low95, high95 = drawn.interval95 or (value, value)
+    return measured(name, unit, value, (min(low68, value), max(high68, value)), (min(low95, value), max(high95, value)),
+                    **common)  # fmt: skip
+
+
+def _ellipticity(spot: Spot, **common: Any) -> Measurement:
+    if spot.half is None:
+        return refused("bloom_ellipticity", "1", _reason(spot, "bloom_diameter"), **common)
+    if not spot.half.determined and not spot.half.pulled:
+        return refused("bloom_ellipticity", "1", "the noise leaves open where the region ends", **common)
+    found = ellipticity(spot.half, row_pitch=spot.row_pitch)
+    if found is None:
+        return refused("bloom_ellipticity", "1", "a region of so few pixels has no shape", **common)
+    return measured("bloom_ellipticity", "1", *found, flags=flags_of(spot, spot.half), **common)
+
+
+def _saturated(spot: Spot, sensor: Sensor | None, **common: Any) -> list[Measurement]:
+    """Area of the pixels at the highest code, in pixels, and at the cathode and in the field of view where known."""
+    units = {"px": 1.0}
+    if sensor is not None:
+        side_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
+        pixel_mm2 = side_mm**2 * spot.row_pitch
+        units |= {"mm2": pixel_mm2, "mrad2": pixel_mm2 / (1e-3 * float(sensor.optics.focal_length_mm)) ** 2}
+    if spot.clip is None:
+        return [refused("saturated_area", unit, _reason(spot, "bloom_diameter_clip"), **common) for unit in units]
+    value, draws = spot.clip.area / spot.row_pitch, np.pi / 4.0 * spot.clip.draws**2 / spot.row_pitch
+    if spot.clip.pulled:
+        # Streaks fill whole pixels: those are counted.
+        value, draws = float(spot.clip.region.sum()), draws - np.median(draws) + spot.clip.region.sum()
+    whole = COUNTING * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
+    flags = flags_of(spot, spot.clip)
+    return [_told("saturated_area", unit, value * one, np.maximum(draws + whole, 0.0) * one, flags=flags, **common)
+            for unit, one in units.items()]  # fmt: skip
+
+
+def _streak(spot: Spot, **common: Any) -> Measurement:
+    if spot.half is None:
+        return refused("streak_length", "px", _reason(spot, "bloom_diameter"), **common)
+    flags = () if spot.dark_known else ("no-darks",)
+    flags += ("window-too-small",) if spot.touches_border else ()
+    steps = 2.0 / np.sqrt(12.0)
+    frames = spot.frame_streak_px
+    scatter = float(frames.std(ddof=1)) * GLOW / np.sqrt(len(frames)) if len(frames) > 1 else 0.0
+    return from_sd("streak_length", "px", spot.streak_px, float(np.hypot(scatter, steps)), flags=flags, **common)
 
 
 def provenance(context, **settings: Any) -> Provenance:

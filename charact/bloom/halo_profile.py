@@ -53,7 +53,7 @@ def halo_profile(session: Session, *, context: Context) -> Result:
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     halo, evidence = _halo(spots, context, fields)
-    out = [halo, *bloom_measurements(spots, square=context.sensor is None, **fields)]
+    out = [halo, *bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)]
     seconds = perf_counter() - began
     own = evidence.get("halo-constancy")
     halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}

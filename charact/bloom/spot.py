@@ -1,10 +1,13 @@
 """Where the point source is, how bright it stands against its surroundings, and how far it blooms."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.bloom.background import Background, background_of
+from charact.bloom.extent import Extent, extent_at, view_of
+from charact.bloom.place import NEAR_PX, Place, brightest, lit_at, middle, others
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -14,12 +17,14 @@ Array = NDArray[np.float64]
 
 # Standard errors by which the smoothed source must stand above its surroundings.
 DETECTED = 8.0
-# Width of the smoothing that finds it, px.
-SMOOTHING_PX = 1.5
-# Width of its near surroundings, in widths of the smoothing.
-SURROUNDINGS = 3.0
 # Share of full scale from which on noise is cut by the highest code.
 LINEAR_SHARE = 0.75
+# Share of full scale from which on a peak is taken for cut.
+CUT_SHARE = 0.9
+# A middle that moves by less than this has been found, px.
+MOVED_PX, MOST_MOVES = 0.4, 5
+# The codes of a level are whole: from half a step below on, the highest one is shown.
+HALF_STEP_DN = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +47,17 @@ class Spot:
         Centre, px.
     significance
         Height of the smoothed source above its surroundings in their standard deviations.
-    frame_bloom_px, frame_streak_px
-        Bloom diameter and streak length of single frames, shape (frame,), px.
-    bloom_px, streak_px
-        Those of the mean frame.
-    touches_border
-        Whether the bloom runs into the frame's border.
+    frame_streak_px
+        Streak length of single frames, shape (frame,), px.
+    row_pitch
+        Row pitch over column pitch.
+    half, background, clip
+        The region at or above half of full scale, twice the background over dark, and the highest code; None where
+        the source does not reach the level (or there is no background to take twice).
+    light
+        The background.
+    others
+        Further sources in the frame.
     """
 
     label: str
@@ -60,50 +70,96 @@ class Spot:
     row: float
     col: float
     significance: float
-    frame_bloom_px: Array
     frame_streak_px: Array
-    bloom_px: float
-    streak_px: float
-    touches_border: bool
+    row_pitch: float = 1.0
+    half: Extent | None = None
+    background: Extent | None = None
+    clip: Extent | None = None
+    light: Background = field(default_factory=lambda: Background(level_dn=0.0, sd_dn=0.0, even=False))
+    others: tuple[Place, ...] = ()
+
+    @property
+    def half_dn(self) -> float:
+        """Half of full scale over dark, DN."""
+        return self.dark_dn + 0.5 * (self.full_scale_dn - self.dark_dn)
+
+    @property
+    def bloom_px(self) -> float:
+        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below."""
+        return 0.0 if self.half is None else self.half.diameter_px
+
+    @property
+    def streak_px(self) -> float:
+        """Rows of the source's column at or above half of full scale."""
+        col = int(np.clip(round(self.col), 0, self.image.shape[1] - 1))
+        return float((self.image[:, col] >= self.half_dn).sum())
+
+    @property
+    def touches_border(self) -> bool:
+        """Whether the bloom runs into the frame's border."""
+        return self.half is not None and self.half.touches_border
 
 
 def read_spots(session: Session, *, context: Context) -> tuple[Spot, ...]:
     """Read every point stack, one at a time, twice: the stacks agree on where the source is before it is measured."""
     darks = [(entry.conditions, float(entry.read().data.mean(dtype=np.float64))) for entry in session.of_kind("dark")]
     entries = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
-    places = [_place(entry) for entry in entries]
+    places = [_place(entry, _dark_of(entry.conditions, darks), context) for entry in entries]
     spots: list[Spot] = []
+    behind: list[tuple[Conditions, Background]] = []
     for done, (entry, place) in enumerate(zip(entries, places, strict=True)):
         context.progress(f"blooming of {entry.label}", done / len(entries))
         same = [other for other, one in zip(places, entries, strict=True) if one.target.region == entry.target.region]
-        spots.append(_spot(entry, entry.read(), _dark_of(entry.conditions, darks), place, _agreed(same), context))
+        dark, stack = _dark_of(entry.conditions, darks), entry.read()
+        place = agreed(place, same, stack.data.mean(axis=0, dtype=np.float64))
+        spots.append(spot_of(entry, stack, dark, place, context, behind))
+        behind.append((entry.conditions, spots[-1].light))
     return tuple(spots)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Place:
-    """Where one stack shows a point source, and how clearly."""
-
-    row: float
-    col: float
-    significance: float
-
-
-def _place(entry: StackEntry) -> Place:
+def _place(entry: StackEntry, dark: float | None, context: Context) -> Place:
     """Find the source of one stack."""
-    image = entry.read().data.mean(axis=0, dtype=np.float64)
-    row, col, significance = _find(image, entry.target.region)
-    row, col = _centroid(image, row, col)
-    return Place(row=row, col=col, significance=significance)
+    stack = entry.read()
+    return place_of(stack, entry.target.region, _level(stack, dark), full_scale_of(stack, context), context)
 
 
-def _agreed(places: list[Place]) -> Place | None:
-    """The place in the stack that shows it most clearly, which is neither faint nor a saturated blob."""
-    best = max(places, key=lambda place: place.significance)
-    return best if best.significance > 2 * DETECTED else None
+def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context) -> Place:
+    """Find the source of a stack, and the middle of its contour where it has one."""
+    found = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
+    if found.significance < DETECTED:
+        return found
+    row, col = found.row, found.col
+    view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
+    cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > CUT_SHARE * view.top
+    settled = False
+    for _ in range(MOST_MOVES):
+        better = middle(view, row, col)
+        if better is None:
+            break
+        moved = float(np.hypot(better[0] - row, better[1] - col))
+        row, col, settled = better
+        if moved < MOVED_PX:
+            break
+        view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
+    return Place(row=row, col=col, significance=found.significance, cut=cut, settled=settled)
 
 
-def _full_scale(stack: FrameStack, context: Context) -> float:
+def agreed(own: Place, places: list[Place], image: Array) -> Place:
+    """The place that the stacks share, unless this one's light is elsewhere.
+
+    The clearest stack knows it best, for there the source is neither faint nor a blob. Where two blobs have run into
+    one, the shared place still lies inside; where the source has moved, it does not.
+    """
+    whole = [place for place in places if not place.cut and place.significance > 2 * DETECTED]
+    anchor = max(whole or places, key=lambda place: place.significance)
+    same = [one for one in places if np.hypot(one.row - anchor.row, one.col - anchor.col) < NEAR_PX]
+    best = max(same, key=lambda place: (place.settled, place.significance))
+    if best.significance <= 2 * DETECTED or not lit_at(image, own, best):
+        return own
+    return Place(row=best.row, col=best.col, significance=own.significance)
+
+
+def full_scale_of(stack: FrameStack, context: Context) -> float:
     """Highest code: as told, as recorded, else the highest value seen."""
     told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
     return told if told is not None else float(stack.data.max())
@@ -117,17 +173,49 @@ def _dark_of(conditions: Conditions, darks: list[tuple[Conditions, float]]) -> f
     return max(darks, key=lambda d: sum(getattr(d[0], n) == getattr(conditions, n) for n in names))[1]
 
 
-def _spot(entry: StackEntry, stack: FrameStack, dark: float | None, own: Place, agreed: Place | None,
-          context: Context) -> Spot:  # fmt: skip
-    """Statistics of one stack."""
-    image = stack.data.mean(axis=0, dtype=np.float64)
-    full = _full_scale(stack, context)
-    recorded = dark if dark is not None else stack.black_level_dn
-    level = float(np.median(image)) if recorded is None else recorded
-    row, col = (own.row, own.col) if agreed is None else (agreed.row, agreed.col)
-    threshold = level + 0.5 * (full - level)
-    single = [extent(frame, row, col, threshold, context.pitch_ratio)[:2] for frame in stack.data]
-    bloom, streak, touches = extent(image, row, col, threshold, context.pitch_ratio)
+def _recorded(stack: FrameStack, dark: float | None) -> float | None:
+    return dark if dark is not None else stack.black_level_dn
+
+
+def _level(stack: FrameStack, dark: float | None) -> float:
+    """Level without light: measured, recorded, or else what most pixels show."""
+    recorded = _recorded(stack, dark)
+    return float(np.median(stack.data.mean(axis=0, dtype=np.float64))) if recorded is None else recorded
+
+
+def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Place, context: Context,
+            behind: list[tuple[Conditions, Background]]) -> Spot:  # fmt: skip
+    """Statistics of one stack.
+
+    Parameters
+    ----------
+    entry, stack
+        The stack and its frames.
+    dark
+        Level without light from dark frames, DN.
+    place
+        Where the source is.
+    behind
+        Conditions and backgrounds of the stacks read before, the faintest first: the background of a level is that of
+        the faintest taken alike, for a bright source lights the whole frame.
+    """
+    full, level = full_scale_of(stack, context), _level(stack, dark)
+    view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
+    own = background_of(view)
+    alike = [light for conditions, light in behind if _alike(conditions, entry.conditions) and light.even]
+    light = alike[0] if alike else own
+    half = level + 0.5 * (full - level)
+    found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
+    if place.significance >= DETECTED:
+        found["half"] = extent_at(view, half, seed=context.seed)
+        found["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
+        if light.lit and light.even:
+            found["background"] = extent_at(
+                view, level + 2.0 * light.level_dn, level_sd=2.0 * light.sd_dn, seed=context.seed
+            )
+    image = view.signal + level
+    col = int(np.clip(round(place.col), 0, image.shape[1] - 1))
+    clear = place.significance >= DETECTED
     return Spot(
         label=entry.label,
         conditions=entry.conditions,
@@ -135,80 +223,21 @@ def _spot(entry: StackEntry, stack: FrameStack, dark: float | None, own: Place, 
         frames=len(stack),
         dark_dn=level,
         full_scale_dn=full,
-        dark_known=recorded is not None,
-        row=row,
-        col=col,
-        significance=own.significance,
-        frame_bloom_px=np.array([bloom for bloom, _ in single]),
-        frame_streak_px=np.array([streak for _, streak in single]),
-        bloom_px=bloom,
-        streak_px=streak,
-        touches_border=touches,
+        dark_known=_recorded(stack, dark) is not None,
+        row=place.row,
+        col=place.col,
+        significance=place.significance,
+        frame_streak_px=(stack.data[:, :, col] >= half).sum(axis=1).astype(float),
+        row_pitch=context.pitch_ratio,
+        half=found["half"],
+        background=found["background"],
+        clip=found["clip"],
+        light=light,
+        others=others(image, place, full - level, context.pitch_ratio) if clear else (),
     )
 
 
-def _find(image: Array, region) -> tuple[float, float, float]:
-    """Pixel that stands out most from its near surroundings, and by how much over what others do."""
-    from scipy import ndimage
-
-    smooth = ndimage.gaussian_filter(image, SMOOTHING_PX)
-    contrast = smooth - ndimage.gaussian_filter(image, SURROUNDINGS * SMOOTHING_PX)
-    window = np.zeros(image.shape, bool)
-    if region is None:
-        window[:] = True
-    else:
-        row, col, height, width = region
-        window[row : row + height, col : col + width] = True
-    index = int(np.argmax(np.where(window, contrast, -np.inf)))
-    row, col = divmod(index, image.shape[1])
-    spread = 1.4826 * float(np.median(np.abs(contrast - np.median(contrast))))
-    # Rounding leaves a background without noise: its steps are the least spread.
-    return float(row), float(col), float(contrast[row, col] / max(spread, 0.05))
-
-
-def _centroid(image: Array, row: float, col: float, reach: int = 6) -> tuple[float, float]:
-    """Centroid of what is brighter than half the peak around a pixel."""
-    first_row, first_col = max(0, int(row) - reach), max(0, int(col) - reach)
-    cut = image[first_row : int(row) + reach + 1, first_col : int(col) + reach + 1]
-    floor = float(np.median(image))
-    weight = np.clip(cut - (floor + 0.5 * (cut.max() - floor)), 0.0, None)
-    if weight.sum() <= 0:
-        return row, col
-    rows, cols = np.indices(cut.shape)
-    total = weight.sum()
-    return first_row + float((rows * weight).sum() / total), first_col + float((cols * weight).sum() / total)
-
-
-def extent(image: NDArray, row: float, col: float, threshold: float, pitch_ratio: float) -> tuple[float, float, bool]:
-    """Return bloom diameter, streak length and whether the bloom meets the border.
-
-    Parameters
-    ----------
-    image
-        Frame, shape (row, col), DN.
-    row, col
-        Centre of the source, px.
-    threshold
-        Level of the contour, DN.
-    pitch_ratio
-        Row pitch over column pitch.
-
-    Returns
-    -------
-    bloom_px, streak_px, touches
-        Diameter of the circle of equal area to the connected region at or above the threshold, in column pitches;
-        rows of the source's column at or above it; both 0 where the source does not reach the threshold.
-    """
-    from scipy import ndimage
-
-    above = np.asarray(image) >= threshold
-    centre = round(row), round(col)
-    labels = ndimage.label(above)[0]  # pyright: ignore[reportIndexIssue]
-    near = labels[max(0, centre[0] - 3) : centre[0] + 4, max(0, centre[1] - 3) : centre[1] + 4]
-    if not near.any():
-        return 0.0, 0.0, False
-    found = np.bincount(near[near > 0]).argmax()
-    region = labels == found
-    border = region[0].any() or region[-1].any() or region[:, 0].any() or region[:, -1].any()
-    diameter = 2.0 * np.sqrt(float(region.sum()) * pitch_ratio / np.pi)
-    return float(diameter), float(above[:, centre[1]].sum()), bool(border)
+def _alike(one: Conditions, other: Conditions) -> bool:
+    """Whether two stacks were taken at the same gain and gate."""
+    names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "gain_control", "em_gain")
+    return all(getattr(one, name) == getattr(other, name) for name in names)

@@ -41,7 +41,7 @@ def threshold(session: Session, *, context: Context) -> Result:
     found = [edge_radius(profile) for profile in profiles]
     seen = [(radius, score) for radius, score in found if score > STEP_SEEN]
     halo = _halo(seen, no_darks=not all(spot.dark_known for spot in spots), **fields)
-    out = [halo, *bloom_measurements(spots, square=context.sensor is None, **fields)]
+    out = [halo, *bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)]
     seconds = perf_counter() - began
     return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
                   evidence={"bloom-series": series_evidence(spots)})  # fmt: skip

@@ -1,0 +1,202 @@
+"""Where the light around a source falls through a level: a smooth contour fitted to the pixels next to it.
+
+The mean frame frays where the light falls slowly, and pixels are coarse where it falls fast. So the logarithm of what
+the signal is above its surroundings is fitted near the contour by a polynomial of the distance with the first two
+harmonics of the direction, the data being the signal as the highest code cuts it; the contour and its area follow
+without counting pixels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.pixel_noise import Noise, seen
+from charact.bloom.polar import SECTORS, Polar
+
+Array = NDArray[np.float64]
+
+# Half width of the annulus that is fitted, px, and by how much its signal's logarithm may depart from the level's.
+HALF_WIDTH_PX = 2.0
+LOG_SPAN = 1.2
+# Within this distance pixels are taken however steep the slope.
+NEAREST_PX = 0.75
+# The same at first for a level next to the highest code: rings are cut on one side and say less well where it lies.
+NEAREST_CUT_PX, CUT_SHARE = 1.5, 0.85
+# How far out the surroundings are looked for, px, and the share of their level that the fit stands on.
+SURROUNDINGS_PX = 4.0
+SURROUNDINGS_SHARE = 0.97
+ROUNDS = 4
+# Pixels inside the contour, not cut by the highest code, from which on a bend of the logarithm may be fitted.
+BENDS = 10
+NEWTON_STEPS = 5
+# Share by which no polynomial is exact.
+INEXACT = 0.05
+DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contour:
+    """A closed contour around a source.
+
+    Parameters
+    ----------
+    radius
+        Radius in each of `DIRECTIONS`, column pitches, shape (direction,).
+    area, area_sd
+        Area inside and its standard error, square column pitches.
+    slope
+        Fall of the logarithm of the signal at the contour, per column pitch.
+    oval, oval_sd
+        Second harmonic of the squared radius over its mean, cosine and sine, and its standard error; dimensionless.
+    """
+
+    radius: Array
+    area: float
+    area_sd: float
+    slope: float
+    oval: tuple[float, float]
+    oval_sd: float
+
+    def inside(self, polar: Polar) -> NDArray[np.bool_]:
+        """Pixels inside the contour, shape (row, col)."""
+        angle = np.arctan2(polar.dy, polar.dx)
+        return polar.radius <= np.interp(angle, DIRECTIONS, self.radius, period=2 * np.pi)
+
+    def shift(self) -> tuple[float, float]:
+        """How far its middle lies from where it was looked for, rows and columns, column pitches."""
+        down, along = (2.0 * float((self.radius * wave(DIRECTIONS)).mean()) for wave in (np.sin, np.cos))
+        return down, along
+
+
+def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: Noise,
+                top: float, sectors: NDArray[np.bool_], *, width: float = 1.0) -> Contour | None:  # fmt: skip
+    """Fit the contour of a level near a radius; None where the pixels there do not fall through it.
+
+    Parameters
+    ----------
+    signal
+        Mean frame over dark, shape (row, col), DN.
+    profile
+        Radius and mean signal of rings, by which pixels near the level are chosen.
+    level
+        Level over dark, DN.
+    radius
+        Where to look first, column pitches.
+    top
+        Highest code over dark, DN.
+    sectors
+        Sectors in which the contour is looked for.
+    width
+        Share of the usual annulus that is fitted.
+    """
+    base = _surroundings(profile, level, radius)
+    nearest = NEAREST_CUT_PX if width >= 1.0 and level > CUT_SHARE * top else NEAREST_PX
+    pixels = _near(polar, profile, (level, base), radius, sectors, (width, nearest))
+    value, x, y = signal[pixels], polar.dx[pixels] / radius, polar.dy[pixels] / radius
+    start = np.interp(polar.radius[pixels], *profile)
+    clear = start < top - 2.0 * float(noise.sd(top)) / np.sqrt(noise.frames)
+    bends = (clear & (x**2 + y**2 < 1.0)).sum() > BENDS
+    terms = _terms(radius, len(value), bends=bends, round_only=not sectors.all())
+    basis = _basis(x, y, terms)
+    if len(value) < basis.shape[1] + 1:
+        return None
+    beta, above = np.zeros(basis.shape[1]), level - base
+    linear = np.log(np.clip(start - base, 0.05 * above, 20.0 * above) / above)
+    if clear.sum() > 2 * basis.shape[1]:
+        # What is cut is drawn on from what is not, lest the cut be taken for a plateau.
+        lever = np.exp(linear[clear])[:, None]
+        linear = basis @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
+    weight, working, normal = np.ones(len(value)), linear, np.eye(len(beta))
+    for _ in range(ROUNDS):
+        mean = above * np.exp(np.clip(linear, -4.0, 4.0))
+        expected, share = seen(base + mean, noise, top)
+        lever = share * mean
+        weight = lever**2 / (noise.sd(base + mean) ** 2 / noise.frames + (INEXACT * mean) ** 2)
+        working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
+        weighted = basis * weight[:, None]
+        normal = np.linalg.pinv(weighted.T @ basis, hermitian=True)
+        beta = normal @ (weighted.T @ working)
+        linear = basis @ beta
+    residual = weight * (working - linear)
+    scores = basis * residual[:, None]
+    covariance = normal @ _scatter(scores, polar.sector[pixels], noise.tied) @ normal
+    return _solved(beta, covariance, radius, terms)
+
+
+def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
+    """Level that the light falls towards just outside, DN over dark: that of a halo or of the background."""
+    outside = (profile[0] > radius) & (profile[0] < radius + SURROUNDINGS_PX)
+    return float(np.clip(SURROUNDINGS_SHARE * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
+
+
+def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float], radius: float,
+          sectors: NDArray[np.bool_], widths: tuple[float, float]) -> NDArray[np.bool_]:  # fmt: skip
+    """Pixels whose ring is near the radius and whose signal is near the level."""
+    (level, base), (width, nearest) = levels, widths
+    apart = np.abs(polar.radius - radius)
+    pixels = (apart < max(width * HALF_WIDTH_PX, width * 0.08 * radius, nearest)) & sectors[polar.sector]
+    above = np.interp(polar.radius[pixels], *profile) - base
+    logs = np.log(np.maximum(above, 1e-3 * level) / (level - base))
+    pixels[pixels] = (np.abs(logs) < width * LOG_SPAN) | (apart[pixels] < nearest)
+    return pixels
+
+
+def _terms(radius: float, pixels: int, *, bends: bool, round_only: bool) -> tuple[str, ...]:
+    """Which terms the pixels next to a contour of this radius can tell: a small one is round, a part of one as well."""
+    if radius <= 2.0 or pixels < 20:
+        return FEW if pixels >= 8 else FEW[:2]
+    return FEW + (BENT if bends else ()) + (() if round_only else OVAL)
+
+
+FEW, BENT, OVAL = ("1", "t", "x", "y"), ("tt",), ("xx-yy", "2xy")
+
+
+def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
+    """Terms of the squared distance t over the radius's less 1, and of the direction; shape (.., term)."""
+    t = x**2 + y**2 - 1.0
+    known = {"1": np.ones_like(x), "t": t, "x": x, "y": y, "tt": t**2, "xx-yy": x**2 - y**2, "2xy": 2 * x * y}
+    return np.stack([known[term] for term in terms], axis=-1)
+
+
+def _scatter(scores: Array, sector: NDArray[np.intp], tied: float) -> Array:
+    """Scatter of the sums of scores, from sectors and from pixels whose noise is tied, the larger of both."""
+    by_sector = np.stack([np.bincount(sector, score, minlength=SECTORS) for score in scores.T], axis=1)
+    by_sector = by_sector[np.bincount(sector, minlength=SECTORS) > 0]
+    out = []
+    for parts, factor in ((by_sector, 1.0), (scores, tied)):
+        spare = max(len(parts) - min(scores.shape[1], len(parts) - 1), 1)
+        out.append(parts.T @ parts * factor * len(parts) / spare)
+    return max(out, key=lambda one: float(np.diag(one)[0]))
+
+
+def _solved(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:
+    """Follow the fitted signal to the level in every direction, with the errors that follow from its coefficients'."""
+    t = np.zeros(len(DIRECTIONS))
+    bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0
+    for _ in range(NEWTON_STEPS):
+        rows, fall = _along(t, terms), beta[1] + 2.0 * t * bend
+        if not np.all(fall < -1e-3):
+            return None
+        t = np.clip(t - rows @ beta / fall, -0.75, 1.5)
+    rows, fall = _along(t, terms), beta[1] + 2.0 * t * bend
+    squared = radius**2 * (1.0 + t)
+    shifts = -rows / fall[:, None] * radius**2
+    mean = float(squared.mean())
+    waves = [2.0 * wave(2 * DIRECTIONS) / mean for wave in (np.cos, np.sin)]
+    toward = [np.pi * shifts.mean(axis=0), *((shifts * wave[:, None]).mean(axis=0) for wave in waves)]
+    sds = [float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in toward]
+    return Contour(
+        radius=np.sqrt(squared),
+        area=np.pi * mean,
+        area_sd=sds[0],
+        slope=float(-2.0 * np.mean(fall) / radius),
+        oval=(float((squared * waves[0]).mean()), float((squared * waves[1]).mean())),
+        oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
+    )
+
+
+def _along(t: Array, terms: tuple[str, ...]) -> Array:
+    """Terms in every direction at the squared distances t, shape (direction, term)."""
+    reach = np.sqrt(np.maximum(1.0 + t, 0.05))
+    return _basis(reach * np.cos(DIRECTIONS), reach * np.sin(DIRECTIONS), terms)

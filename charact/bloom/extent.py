@@ -1,0 +1,334 @@
+"""How far light reaches: the area around a source at or above a level, of the picture behind the noise.
+
+A point source is round but for what pulls it: charge that spills along columns, another source. Rings tell where the
+light first falls through the level and how surely, a contour fitted there how large the area is, and sectors that are
+pulled are counted pixel by pixel.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.contour import Contour, fit_contour
+from charact.bloom.pixel_noise import SMOOTHING_PX, Noise, noise_of, seen
+from charact.bloom.polar import SECTORS, Polar, Rings, polar_of, rings_of
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+DRAWS = 200
+# Width of the 95 % range of crossings, px and share of the radius, inside which one contour is fitted.
+ONE_CONTOUR = (3.0, 0.1)
+# A sector is pulled where so many pixels at the level (one near the centre, where sectors are narrow) lie so far beyond
+# the rings' crossing, px and shares of it.
+PULLED_PIXELS, NARROW_PX = 3, 4.0
+PULLED_PX, PULLED_NEAR, PULLED_FAR = 2.0, 0.4, 0.1
+# Share of a ring that must lie inside the frame.
+LEAST_WHOLE = 0.3
+# What the fit of a smooth contour may be off by, px and share of the radius.
+FIT_PX, FIT_SHARE = 0.03, 0.0015
+# Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
+PRECISE_PX, NARROW = 0.04, 0.5
+# Parts of a pixel, along rows and columns, where a region is counted, and the error of a sharp edge between pixels, px.
+PARTS, EDGE_PX = 4, 0.5
+# What hangs together with the source has a pixel nearer than this.
+NEAR_PX = 2.5
+# Noise over the level up to which pixels are counted without smoothing.
+SHARP = 0.12
+NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAWS)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """A mean frame as seen from a source.
+
+    Parameters
+    ----------
+    signal
+        Mean frame over dark, shape (row, col), DN.
+    smooth
+        The same smoothed by one pixel.
+    dark_dn
+        Level without light, DN.
+    top
+        Highest code over dark, DN.
+    polar, rings, noise
+        Places of the pixels, sums over cells, and noise of a pixel.
+    """
+
+    signal: Array
+    smooth: Array
+    dark_dn: float
+    top: float
+    polar: Polar
+    rings: Rings
+    noise: Noise
+
+    @cached_property
+    def profile(self) -> tuple[Array, Array]:
+        """Radius and mean signal of the rings, what pulls few sectors left out."""
+        return self.rings.radius, self.rings.median()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extent:
+    """The region around a source at or above a level.
+
+    Parameters
+    ----------
+    level_dn
+        The level, DN.
+    area
+        Square column pitches.
+    draws
+        Diameters of the circle of equal area as the noise allows them, column pitches, shape (draw,).
+    region
+        Its pixels, shape (row, col).
+    contour
+        The contour of its round part; None where noise leaves it open.
+    touches_border
+        Whether it runs into the border of the frame.
+    pulled
+        Whether some sectors reach farther than a round source does.
+    """
+
+    level_dn: float
+    area: float
+    draws: Array
+    region: Mask
+    contour: Contour | None
+    touches_border: bool
+    pulled: bool
+
+    @property
+    def diameter_px(self) -> float:
+        """Diameter of the circle of equal area, column pitches."""
+        return float(2.0 * np.sqrt(self.area / np.pi))
+
+    @property
+    def determined(self) -> bool:
+        """Whether the noise leaves one contour."""
+        return self.contour is not None
+
+
+def view_of(frames: NDArray, dark_dn: float, full_scale_dn: float, row: float, col: float, row_pitch: float) -> View:
+    """Prepare frames for extents around (row, col).
+
+    Parameters
+    ----------
+    frames
+        Shape (frame, row, col), DN.
+    dark_dn, full_scale_dn
+        Level without light and highest code, DN.
+    row, col
+        Centre of the source, px.
+    row_pitch
+        Row pitch over column pitch.
+    """
+    from scipy import ndimage
+
+    signal = frames.mean(axis=0, dtype=np.float64) - dark_dn
+    polar = polar_of((signal.shape[0], signal.shape[1]), row, col, row_pitch)
+    rings, top = rings_of(signal, polar), full_scale_dn - dark_dn
+    smooth = np.asarray(ndimage.gaussian_filter(signal, SMOOTHING_PX))
+    return View(
+        signal=signal,
+        smooth=smooth,
+        dark_dn=dark_dn,
+        top=top,
+        polar=polar,
+        rings=rings,
+        noise=noise_of(frames, signal, smooth, top, polar, rings),
+    )
+
+
+def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:
+    """Return the region around the source at or above a level; None where the source does not reach it.
+
+    Parameters
+    ----------
+    view
+        Mean frame as seen from the source.
+    level_dn, level_sd
+        The level and its standard error, DN.
+    seed
+        Seed of the draws.
+
+    Notes
+    -----
+    Rings are averages over hundreds of pixels: a level within their noise (halo plateaus) leaves several places where
+    the light may first fall through it, and the draws say so.
+    """
+    level = level_dn - view.dark_dn
+    visible = float(seen(np.array([level]), view.noise, view.top)[0][0])
+    near = float(view.signal[view.polar.radius < 1.5].max(initial=-np.inf))
+    radius, profile = view.profile
+    usable = int(np.argmin(np.append(view.rings.whole, 0.0) > LEAST_WHOLE))
+    if near < visible:
+        return None
+    first = _crossings(radius[:usable], profile[None, :usable], visible)[0]
+    sectors = ~_pulled(view, visible, first)
+    if sectors.sum() < SECTORS // 3 or np.isinf(first):
+        return _counted(view, level_dn, visible)
+    rng = np.random.default_rng(seed)
+    sd = view.noise.sd(profile)
+    sd = sd * np.clip((view.top - profile) / sd, 0.0, 1.0) / np.sqrt(view.noise.frames)
+    means = view.rings.draws(sd, DRAWS, rng, sectors)[:, :usable]
+    shift = level_sd * rng.standard_normal(DRAWS)
+    crossings = _crossings(radius[:usable], means, visible + shift[:, None])
+    middle = float(np.median(crossings))
+    low, high = np.quantile(crossings, [0.025, 0.975])
+    contour = None
+    if high - low < max(ONE_CONTOUR[0], ONE_CONTOUR[1] * middle):
+        contour = _settled(view, level, max(middle, 0.7), sectors)
+    if contour is None:
+        return _open(view, level_dn, crossings) if sectors.all() else _counted(view, level_dn, visible)
+    return _composed(view, level_dn, visible, contour, sectors, shift, rng)
+
+
+def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
+    """Radius where each profile first falls below a level, shape (draw,); inf where it never does."""
+    level = np.broadcast_to(np.asarray(level, float).reshape(-1, 1), (len(means), 1))
+    below = means < level
+    never = ~below.any(axis=1)
+    last = np.argmax(below, axis=1)
+    rows, inner = np.arange(len(means)), np.maximum(last - 1, 0)
+    logs = [np.log(np.maximum(means[rows, at], 1e-3) / level[:, 0].clip(1e-3)) for at in (inner, last)]
+    share = np.clip(logs[0] / np.maximum(logs[0] - logs[1], 1e-9), 0.0, 1.0)
+    out = radius[inner] + share * (radius[last] - radius[inner])
+    return np.where(never, np.inf, np.where(last == 0, 0.7 * radius[0], out))
+
+
+def _component(view: View, above: Mask) -> Mask:
+    """The part of a mask that hangs together with the source."""
+    from scipy import ndimage
+
+    labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
+    near = labels[(view.polar.radius < NEAR_PX) & above]
+    return labels == np.bincount(near).argmax() if len(near) else np.zeros_like(above)
+
+
+def _parts(view: View, picture: Array, visible: float) -> Array:
+    """Share of each pixel that hangs together with the source at a level; between pixels the logarithm is a line."""
+    from scipy import ndimage
+
+    fine = np.asarray(ndimage.zoom(np.log(np.maximum(picture, 1e-3)), PARTS, order=1, mode="nearest", grid_mode=True))
+    labels = np.asarray(ndimage.label(fine >= np.log(visible))[0])  # pyright: ignore[reportIndexIssue]
+    near = np.repeat(np.repeat(view.polar.radius < NEAR_PX, PARTS, axis=0), PARTS, axis=1)
+    found = labels[near & (labels > 0)]
+    if not len(found):
+        return np.zeros(picture.shape)
+    mask = labels == np.bincount(found).argmax()
+    return mask.reshape(picture.shape[0], PARTS, picture.shape[1], PARTS).mean(axis=(1, 3))
+
+
+def _pulled(view: View, visible: float, first: float) -> Mask:
+    """Sectors in which the region reaches clearly farther than rings say, shape (sector,)."""
+    if np.isinf(first):
+        return np.zeros(SECTORS, bool)
+    sure = visible + 2.0 * float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
+    picture = view.smooth if first > NARROW_PX else view.signal
+    region = _component(view, picture >= min(sure, 0.5 * (visible + view.top)))
+    margin = max(min(PULLED_PX, PULLED_NEAR * first), PULLED_FAR * first, 1.0)
+    pixels = np.bincount(view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS)
+    pulled = pixels >= (PULLED_PIXELS if first > NARROW_PX else 1)
+    # What pulls a sector spills into those beside it.
+    return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
+
+
+def _settled(view: View, level: float, radius: float, sectors: Mask) -> Contour | None:
+    """The contour fitted where the rings fall through the level, then where it was found."""
+    found, width = None, 1.0
+    for _ in range(4):
+        fitted = fit_contour(
+            view.signal, view.polar, view.profile, level, radius, view.noise, view.top, sectors, width=width
+        )
+        if fitted is None:
+            return found
+        again = float(np.sqrt(fitted.area / np.pi))
+        narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < PRECISE_PX
+        if width < 1.0 and found is not None:
+            # What the choice of the annulus moves is an error as well.
+            apart = 0.5 * abs(fitted.area - found.area)
+            fitted = replace(fitted, area_sd=float(np.hypot(fitted.area_sd, apart)))
+        settled = abs(again - radius) < 0.05 and not narrow
+        found, radius, width = fitted, again, NARROW if narrow else width
+        if settled or (width < 1.0 and not narrow):
+            break
+    return found
+
+
+def _composed(view: View, level_dn: float, visible: float, contour: Contour, sectors: Mask, shift: Array,
+              rng: np.random.Generator) -> Extent:  # fmt: skip
+    """The contour's area, with pixels counted instead where sectors are pulled."""
+    inside = contour.inside(view.polar)
+    area, variance, region = contour.area, contour.area_sd**2, inside
+    if not sectors.all():
+        pulled = ~sectors[view.polar.sector]
+        parts = _parts(view, np.where(inside, np.maximum(view.signal, 1.01 * visible), view.signal), visible)
+        extra = np.where(pulled & ~inside, parts, 0.0)
+        area += float(extra.sum()) * view.polar.row_pitch
+        noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
+        open_ = (extra > 0) & (np.abs(view.signal - visible) < noise)
+        variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (EDGE_PX * (extra > 0).sum() ** 0.5) ** 2)
+        region = inside | (extra > 0.5)
+    radius = float(np.sqrt(area / np.pi))
+    sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * (FIT_PX + FIT_SHARE * radius))
+    moved = 2.0 * np.pi * radius * shift / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
+    areas = area + sd * rng.standard_normal(DRAWS) - moved
+    return Extent(
+        level_dn=level_dn,
+        area=float(area),
+        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
+        region=region,
+        contour=contour,
+        touches_border=_touches(region),
+        pulled=not sectors.all(),
+    )
+
+
+def _open(view: View, level_dn: float, crossings: Array) -> Extent:
+    """A level within the noise of a plateau: the rings' crossings are all that is known."""
+    finite = np.minimum(crossings, float(view.rings.radius[-1]))
+    radius = float(np.median(finite))
+    return Extent(
+        level_dn=level_dn,
+        area=np.pi * radius**2,
+        draws=2.0 * finite,
+        region=view.polar.radius <= radius,
+        contour=None,
+        touches_border=bool(np.isinf(crossings).mean() > 0.025),
+        pulled=False,
+    )
+
+
+def _counted(view: View, level_dn: float, visible: float) -> Extent | None:
+    """A region that is not round at all, or as large as the frame: its pixels."""
+    noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
+    # Smoothing saves faint contours from fraying, and would wear away sharp narrow streaks.
+    picture = view.signal if noise < SHARP * visible else view.smooth
+    parts = _parts(view, picture, visible)
+    if not parts.any():
+        return None
+    low, high = (float(_component(view, picture >= visible + off).sum()) for off in (noise, -noise))
+    pixels, region = float(parts.sum()), parts >= 0.5
+    spread = np.hypot(0.5 * (high - low), np.sqrt(pixels)) * view.polar.row_pitch
+    area = pixels * view.polar.row_pitch
+    areas = area + spread * NORMAL
+    return Extent(
+        level_dn=level_dn,
+        area=area,
+        draws=2.0 * np.sqrt(np.maximum(areas, 0.0) / np.pi),
+        region=region,
+        contour=None,
+        touches_border=_touches(region),
+        pulled=True,
+    )
+
+
+def _touches(region: Mask) -> bool:
+    """Whether a region meets the border of the frame."""
+    return bool(region[0].any() or region[-1].any() or region[:, 0].any() or region[:, -1].any())
