@@ -32,7 +32,11 @@ def point_profile(data: Data) -> Any:
             continue
         model = np.asarray(data["model_dn"][number], float)
         line(axes, radius, model, color=colour, linewidth=1)
-        left = np.asarray(data["residual_sd"][number], float) if has(data, "residual_sd") else (mean - model) / sd
+        left = (
+            np.asarray(data["residual_sd"][number], float)
+            if has(data, "residual_sd")
+            else (mean - model) / np.maximum(sd, 1e-9)
+        )
         dots(grid[1, 0], radius[used], left[used], color=colour, alpha=0.8)
     for one in grid[:, 0]:
         if data.get("halo_diameter_px") is not None:
