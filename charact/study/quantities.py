@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from charact.method import Method
 from charact.method.registry import of_kind
-from charact.study import bar_cases, edge_cases, flats, noise_spectrum_cases, point_cases, white_flats
+from charact.study import bar_cases, bloom_cases, edge_cases, flats, noise_spectrum_cases, point_cases, white_flats
 from charact.study.harness import Case
 from labdata.errors import BadInput
 
@@ -98,6 +98,16 @@ NOISE_SPECTRUM = Study(
     quick_count=4,
     repeats=2,
 )
+BLOOM = Study(
+    kind="bloom",
+    package="charact.bloom",
+    axes=tuple(bloom_cases.AXES),
+    chart_cases=bloom_cases.chart_cases,
+    stability_cases=bloom_cases.stability_cases,
+    chart_count=40,
+    quick_count=3,
+    repeats=2,
+)
 
 STUDIES: dict[str, tuple[Study, ...]] = {
     "mtf50": (EDGE, POINT),
@@ -105,6 +115,7 @@ STUDIES: dict[str, tuple[Study, ...]] = {
     "covariance_gain": (FLATS,),
     "system_gain": (WHITE_FLATS,),
     "post_gain_mtf50": (NOISE_SPECTRUM,),
+    "halo_diameter": (BLOOM,),
 }
 
 

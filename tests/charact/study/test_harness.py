@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context, Method, registry
-from charact.study import STUDIES, bar_cases, chart, edge_cases, point_cases, run, stability, summary
+from charact.study import STUDIES, bar_cases, bloom_cases, chart, edge_cases, point_cases, run, stability, summary
 from charact.study.edge import Blur, EdgeScene
 from charact.study.edge_cases import chart_cases, stability_cases
 from charact.study.harness import Case
@@ -171,7 +171,7 @@ def test_an_honest_method_covers_and_never_lies_on_the_map():
     assert all(row.covers for row in found.rows if row.truth is not None)
 
 
-@pytest.mark.parametrize("cases", [edge_cases, bar_cases, point_cases])
+@pytest.mark.parametrize("cases", [edge_cases, bar_cases, point_cases, bloom_cases])
 def test_every_axis_is_swept_past_its_scope_or_lies_wholly_inside(cases):
     for axis, (_, positions, (low, high)) in cases.AXES.items():
         inside = [low <= position <= high for position in positions]
@@ -189,7 +189,8 @@ def test_cases_are_the_same_for_the_same_seed_and_others_for_another(quantity):
 
 def test_a_quantity_without_a_study_is_refused_with_those_that_have_one():
     with pytest.raises(
-        BadInput, match=r"must be of one of mtf50, mtf, covariance_gain, system_gain, post_gain_mtf50, got 'prnu'"
+        BadInput,
+        match=r"must be of one of mtf50, mtf, covariance_gain, system_gain, post_gain_mtf50, halo_diameter, got 'prnu'",
     ):
         chart("prnu")
 
