@@ -16,6 +16,7 @@ FLAGS: dict[str, str] = {
     "quantised": "The noise is smaller than the steps of the digitiser.",
     "defects": "Hot, dead or stuck pixels are inside the region.",
     "no-darks": "There are no dark frames; the offset was assumed.",
+    "dark-mismatch": "The dark frames do not fit: these frames' level without light lies elsewhere.",
     "too-few-frames": "There are too few frames for the spread to be trusted.",
     "low-signal": "The signal is barely above the noise.",
     "no-target": "The expected target was not found.",

@@ -1,0 +1,127 @@
+"""Whether the stacks of a point series belong together, and the frames of each: gain, dark, place and light at rest.
+
+What a bright source does to the rest of the picture and to later frames is measured here; where it spoils the numbers
+of a stack, or of the halo that all stacks share, flags say so.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from charact.bloom.depression import depressions, does_not_fit, faintest, has_fallen, misfit_of_dark
+from charact.bloom.over_time import OverTime, over_time
+from charact.bloom.passing import change, travel_px
+from charact.bloom.recovery import goes_out, recoveries
+from charact.bloom.spot import Spot
+from charact.method import Context
+from labdata.measurement import Measurement
+from labdata.session import Session
+
+
+@dataclass(frozen=True, kw_only=True)
+class Constancy:
+    """What does not stay as it is in a series.
+
+    Parameters
+    ----------
+    flags
+        Flags of each stack's measurements, by label; empty where nothing changes.
+    measurements
+        Background depression of every stack but the faintest, and recovery times.
+    evidence
+        What the report draws.
+    """
+
+    flags: dict[str, tuple[str, ...]]
+    measurements: tuple[Measurement, ...]
+    evidence: dict[str, dict[str, Any]]
+
+    @property
+    def halo_flags(self) -> tuple[str, ...]:
+        """Flags of what all stacks share."""
+        return tuple(sorted({flag for flags in self.flags.values() for flag in flags}))
+
+
+def constancy(session: Session, spots: tuple[Spot, ...], context: Context, **fields: Any) -> Constancy:
+    """Follow a series from stack to stack and from frame to frame.
+
+    Parameters
+    ----------
+    session
+        Where the frames of the spots are, each stack read once more, and the dark ones.
+    spots
+        Its point sources.
+    context
+        Seed and pitches.
+    fields
+        Method and provenance of the measurements.
+
+    Notes
+    -----
+    Flags: `agc` where the background falls below that of the faintest stack at the same settings; `drift` where the
+    source moves, or light or background run off; `lag` where the source goes out and what follows is its afterglow;
+    `dark-mismatch` where noise says that the level without light is not that of the dark frames, or the background is
+    below it. Afterglow of a source at rest changes no mean and is not flagged.
+    """
+    ratio = context.pitch_ratio
+    watched = tuple(over_time(spot, session.stack(spot.label).read(), ratio) for spot in spots)
+    flags = {one.label: _in_time(one) for one in watched}
+    for label, told in _between(watched, flags, _dark_variance(session)).items():
+        flags[label] += told
+    out = [*depressions(watched, flags, **fields), *recoveries(watched, context.seed, **fields)]
+    return Constancy(flags=flags, measurements=tuple(out), evidence={"bloom-constancy": _evidence(watched, flags)})
+
+
+def _in_time(watched: OverTime) -> tuple[str, ...]:
+    """Flags of one stack's frames."""
+    if goes_out(watched) is not None:
+        return ("lag",)
+    return ("drift",) if travel_px(watched) > 0 or change(watched) > 0 else ()
+
+
+def _between(
+    watched: tuple[OverTime, ...], flags: dict[str, tuple[str, ...]], dark_variance: float | None
+) -> dict[str, tuple[str, ...]]:
+    """Flags of each stack that the others tell."""
+    out: dict[str, tuple[str, ...]] = {}
+    # A source that moves in one stack may do so, less clearly, in others, and what moves varies as noise does.
+    rest = not any("drift" in told for told in flags.values())
+    for one in watched:
+        fallen = has_fallen(faintest(watched, one), one)
+        # Stacks of one dark level share its fault.
+        same = tuple(other for other in watched if other.dark_dn == one.dark_dn and not flags[other.label])
+        misfit = misfit_of_dark(same, dark_variance) if one.dark_known and rest else None
+        below = one.dark_known and one.background_dn < -max(4.0 * one.background_sd_dn, 0.3)
+        wrong = below or does_not_fit(misfit, faintest(watched, one).background_dn)
+        out[one.label] = (("agc",) if fallen else ()) + (("dark-mismatch",) if wrong else ())
+    return out
+
+
+def _dark_variance(session: Session) -> float | None:
+    """Variance in time of the dark frames, DN^2; None where there are not two."""
+    variances = [
+        float(stack.data.var(axis=0, ddof=1, dtype=np.float64).mean())
+        for entry in session.of_kind("dark")
+        if len(stack := entry.read()) > 1
+    ]
+    return float(np.median(variances)) if variances else None
+
+
+def _evidence(watched: tuple[OverTime, ...], flags: dict[str, tuple[str, ...]]) -> dict[str, Any]:
+    """Background of each stack, and place and light of its frames."""
+    return {
+        "figure": "bloom-constancy",
+        "label": [one.label for one in watched],
+        "flags": [list(flags[one.label]) for one in watched],
+        "background_dn": [one.background_dn for one in watched],
+        "background_sd_dn": [one.background_sd_dn for one in watched],
+        "time_s": [one.time_s.tolist() for one in watched],
+        "row_px": [_known(one.centre_px[:, 0]) for one in watched],
+        "col_px": [_known(one.centre_px[:, 1]) for one in watched],
+        "light": [_known(one.light_by_frame) for one in watched],
+    }
+
+
+def _known(values: np.ndarray) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]

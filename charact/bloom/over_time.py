@@ -1,0 +1,197 @@
+"""One stack of a point source frame by frame: background, place and light of the source, and noise at each level."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.spot import Spot
+from labdata.conditions import Conditions
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Pixels along a side of the tiles whose means make up the background, the share of the frame farthest from the source
+# that they cover, and columns beside it where streak and smear lie, px.
+TILE_PX, FAR_SHARE, COLUMNS_PX = 6, 0.4, 16
+# Standard deviations of tiles beyond which one holds something else.
+TILE_APART = 4.0
+# Share of full scale from which on a pixel may be cut, and up to which it follows the light.
+CUT_SHARE, LINEAR_SHARE = 0.95, 0.6
+# Pixels about the source in which its middle is sought beyond the contour of half its height.
+ABOUT_PX = 5
+# Levels over background at which the noise in time is read, DN, distance from the source within which it is not, px,
+# and parts of the circle whose scatter tells its error.
+LEVELS_DN = (3.0, 6.0, 12.0, 24.0, 48.0)
+STEEP_PX, SECTORS, SECTOR_PX = 8.0, 12, 6
+# Share of a ring's pixels that may be cut, and by which its light may change from one ring to the next.
+CUT_PIXELS, STEEP_SHARE = 0.02, 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class OverTime:
+    """What the frames of one stack show one after the other.
+
+    Parameters
+    ----------
+    label, conditions
+        As in the session.
+    dark_dn, dark_known
+        Level without light, DN, and whether it was measured or recorded.
+    time_s
+        Time of each frame, shape (frame,), s; empty if unknown.
+    background_dn, background_sd_dn
+        Level far from the source over dark, and its standard error, DN.
+    background_by_frame_dn
+        The same of each frame, shape (frame,), DN.
+    centre_px
+        Row and column of the middle of the bright region of each frame, shape (frame, 2), px; NaN without a source.
+    light_by_frame, light_noise
+        Light of the unsaturated pixels of each frame over that of all, shape (frame,), and the share that the noise of
+        pixels without light makes; NaN without a source.
+    noise_level_dn, noise_variance, noise_variance_sd
+        Levels over dark at which noise was read, its variance in time and the standard error of that, shape (level,),
+        DN and DN^2.
+    """
+
+    label: str
+    conditions: Conditions
+    dark_dn: float
+    dark_known: bool
+    time_s: Array
+    background_dn: float
+    background_sd_dn: float
+    background_by_frame_dn: Array
+    centre_px: Array
+    light_by_frame: Array
+    light_noise: float
+    noise_level_dn: Array
+    noise_variance: Array
+    noise_variance_sd: Array
+
+
+def over_time(spot: Spot, stack: FrameStack, row_pitch: float) -> OverTime:
+    """Follow one stack from frame to frame.
+
+    Parameters
+    ----------
+    spot
+        Where its source is, and its levels.
+    stack
+        Its frames.
+    row_pitch
+        Row pitch over column pitch.
+    """
+    data = np.asarray(stack.data)
+    mean = data.mean(axis=0, dtype=np.float64)
+    rows, cols = np.indices(mean.shape, sparse=True)
+    down, along = (rows - spot.row) * row_pitch, cols - spot.col
+    radius = np.hypot(down, along)
+    tiles = _far_tiles(mean, radius, np.broadcast_to(np.abs(along), mean.shape))
+    by_frame = _tiles(data)[:, tiles].mean(axis=1) - spot.dark_dn
+    level = _tiles(mean)[tiles] - spot.dark_dn
+    scatter = float(by_frame.std(ddof=1)) / np.sqrt(len(by_frame)) if len(by_frame) > 1 else 0.0
+    variance = data.var(axis=0, ddof=1, dtype=np.float64) if len(data) > 1 else np.zeros(mean.shape)
+    light, noise = _light(data, mean, radius, by_frame, tiles, spot)
+    return OverTime(
+        label=spot.label,
+        conditions=spot.conditions,
+        dark_dn=spot.dark_dn,
+        dark_known=spot.dark_known,
+        time_s=np.asarray(stack.time_s, np.float64),
+        background_dn=float(level.mean()),
+        background_sd_dn=float(np.hypot(level.std(ddof=1) / np.sqrt(level.size), scatter)),
+        background_by_frame_dn=by_frame,
+        centre_px=_centres(data, mean, spot),
+        light_by_frame=light,
+        light_noise=noise,
+        **_noise(data, mean, variance, radius, np.arctan2(down, along), tiles, spot),
+    )
+
+
+def _tiles(image: NDArray) -> Array:
+    """Means of square tiles, shape (.., row, col)."""
+    rows, cols = (n // TILE_PX * TILE_PX for n in image.shape[-2:])
+    cut = image[..., :rows, :cols]
+    shape = (*image.shape[:-2], rows // TILE_PX, TILE_PX, cols // TILE_PX, TILE_PX)
+    return cut.reshape(shape).mean(axis=(-3, -1), dtype=np.float64)
+
+
+def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
+    """Tiles far from the source and its columns that hold nothing but background."""
+    far, level = _tiles(radius), _tiles(mean)
+    beside = _tiles(along) > COLUMNS_PX
+    take = beside & (far >= np.quantile(far[beside] if beside.any() else far, 1.0 - FAR_SHARE))
+    take = take if take.any() else far >= np.median(far)
+    middle = np.median(level[take])
+    spread = 1.4826 * np.median(np.abs(level[take] - middle))
+    return take & (np.abs(level - middle) <= TILE_APART * max(spread, 1e-3))
+
+
+def _centres(data: NDArray, mean: Array, spot: Spot) -> Array:
+    """Middle of what is brighter than half the peak, or half of full scale, in each frame."""
+    row, col = round(spot.row), round(spot.col)
+    span = spot.full_scale_dn - spot.dark_dn
+    near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
+    threshold = spot.dark_dn + 0.5 * min(float(near.max()) - spot.dark_dn, span)
+    half = int(np.ceil(0.5 * spot.bloom_px)) + ABOUT_PX
+    first, left = max(0, row - half), max(0, col - half)
+    cut = data[:, first : row + half + 1, left : col + half + 1].astype(np.float64)
+    weight = np.clip(cut - threshold, 0.0, 0.2 * span)
+    total = weight.sum(axis=(1, 2))
+    rows = (weight.sum(axis=2) @ (first + np.arange(cut.shape[1]))) / np.where(total > 0, total, np.nan)
+    cols = (weight.sum(axis=1) @ (left + np.arange(cut.shape[2]))) / np.where(total > 0, total, np.nan)
+    return np.stack([rows, cols], axis=1)
+
+
+def _light(
+    data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: Spot
+) -> tuple[Array, float]:
+    """Light of pixels that are neither cut in any frame nor faint, over its mean, and the noise of dark ones in it."""
+    floor = float(background.mean()) + spot.dark_dn
+    over = mean - floor
+    cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
+    near = radius < max(12.0, spot.bloom_px)
+    quiet = 1.4826 * float(np.median(np.abs(over[~near] - np.median(over[~near])))) if (~near).any() else 1.0
+    lit = near & ~cut & (over > max(5.0 * quiet, 1.0))
+    if lit.sum() < 4:
+        return np.full(len(data), np.nan), float("nan")
+    weight = over[lit] / (over[lit] ** 2).sum()
+    light = (data[:, lit] - (background + spot.dark_dn)[:, None]) @ weight
+    # The noise of whole tiles in time holds what neighbours share.
+    tile = float(_tiles(data)[:, tiles].var(axis=0, ddof=1).mean()) if len(data) > 1 else quiet**2
+    return light, TILE_PX * float(np.sqrt(tile * (weight**2).sum()))
+
+
+def _noise(
+    data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask, spot: Spot
+) -> dict[str, Array]:
+    """Level, variance in time and its error of the background and of rings of about equal level."""
+    ring = radius.astype(int)
+    count = np.maximum(np.bincount(ring.ravel()), 1)
+    # Rings are chosen by the mean of all their pixels: choosing pixels by their own would prefer odd ones.
+    by_ring = np.bincount(ring.ravel(), mean.ravel()) / count - spot.dark_dn
+    level = by_ring[ring]
+    small = _tiles(variance)[tiles]
+    found = [(float(_tiles(mean)[tiles].mean()) - spot.dark_dn, float(small.mean()),
+              float(small.std(ddof=1)) / np.sqrt(small.size))]  # fmt: skip
+    cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
+    # Where the highest code has cut some pixels, the others are those that happened to be dim.
+    cut = (np.bincount(ring.ravel(), cut.ravel()) > CUT_PIXELS * count)[ring] | cut
+    # Blur spreads a pulse's variance less far than its light: beside a steep edge there is more light than noise.
+    steep = np.abs(np.gradient(by_ring)) > STEEP_SHARE * (by_ring - found[0][0])
+    cut |= steep[ring]
+    sector = ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    for low, high in pairwise(LEVELS_DN):
+        take = (level - found[0][0] >= low) & (level - found[0][0] < high) & (radius > STEEP_PX) & ~cut
+        held = np.bincount(sector[take], minlength=SECTORS)
+        full = held >= SECTOR_PX
+        if full.sum() < SECTORS // 2:
+            continue
+        by_sector = np.bincount(sector[take], variance[take], minlength=SECTORS)[full] / held[full]
+        error = float(by_sector.std(ddof=1)) / np.sqrt(full.sum())
+        found.append((float(mean[take].mean()) - spot.dark_dn, float(variance[take].mean()), error))
+    light, spread, error = np.array(found).T
+    return {"noise_level_dn": light, "noise_variance": spread, "noise_variance_sd": error}
