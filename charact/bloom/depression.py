@@ -19,6 +19,7 @@ HARM_DN, HARM_SHARE = 0.3, 0.1
 # Relative error of a variance beyond its scatter: the gain of a plate falls a little with the light.
 VARIANCE_SHARE = 0.03
 SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "em_gain", "gain_control")
+BOUND = "glare of the source raises the background: the gain fell by at least so much"
 DECIBEL = 20.0 / np.log(10.0)
 
 
@@ -49,7 +50,7 @@ def depressions(watched: tuple[OverTime, ...], flags: dict[str, tuple[str, ...]]
     out: list[Measurement] = []
     for one in watched:
         reference = faintest(watched, one)
-        common = {"stack": one.label, **fields}
+        common: dict[str, Any] = {"stack": one.label, **fields}
         if one is reference:
             continue
         reason = _reason(reference, one)
@@ -57,13 +58,13 @@ def depressions(watched: tuple[OverTime, ...], flags: dict[str, tuple[str, ...]]
             out.append(refused("background_depression", "dB", reason, **common))
             continue
         value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
-        sd = DECIBEL * float(np.hypot(*(b.background_sd_dn / b.background_dn for b in (reference, one))))
+        parts = [each.background_sd_dn / each.background_dn for each in (reference, one)]
+        sd = DECIBEL * float(np.hypot(parts[0], parts[1]))
         # A fall is what this number measures: it is no reason to distrust it.
         told = tuple(flag for flag in flags.get(one.label, ()) if flag != "agc")
         told += () if one.dark_known else ("no-darks",)
-        note = "glare of the source raises the background: the gain fell by at least so much"
-        out.append(from_sd("background_depression", "dB", value, sd, flags=told,
-                           **(common | {"notes": (*common.get("notes", ()), note)})))  # fmt: skip
+        common["notes"] = (*common.get("notes", ()), BOUND)
+        out.append(from_sd("background_depression", "dB", value, sd, flags=told, **common))
     return out
 
 
