@@ -8,11 +8,11 @@ from charact.bloom.extent import Extent
 from charact.bloom.polar import SECTORS
 from charact.bloom.shape import ellipticity
 from charact.bloom.spot import DETECTED, Spot
-from labdata.measurement import Measurement, Provenance, from_draws, from_sd, measured, refused
+from charact.bloom.streak import streak_measurements
+from charact.method import Context
+from labdata.measurement import Measurement, Provenance, from_draws, measured, refused
 from labdata.sensor import Sensor
 
-# Frames of a screen that glows on are not independent: standard errors of means over them are wider by about this.
-GLOW = 1.5
 # Standard deviation of the number of pixels inside a circle thrown at random over them, over the root of its radius.
 COUNTING = 0.84
 LEVELS = {
@@ -42,7 +42,8 @@ def bloom_measurements(spots: tuple[Spot, ...], *, square: bool, sensor: Sensor 
         found = {"bloom_diameter": spot.half, "bloom_diameter_background": spot.background,
                  "bloom_diameter_clip": spot.clip}  # fmt: skip
         out += [_diameter(name, spot, extent, **common) for name, extent in found.items()]
-        out += [_ellipticity(spot, **common), *_saturated(spot, sensor, **common), _streak(spot, **common)]
+        out += [_ellipticity(spot, **common), *_saturated(spot, sensor, **common)]
+        out += streak_measurements(spot, Context(sensor=sensor), **common)
     return out
 
 
@@ -117,17 +118,6 @@ def _saturated(spot: Spot, sensor: Sensor | None, **common: Any) -> list[Measure
     flags = flags_of(spot, spot.clip)
     return [_told("saturated_area", unit, value * one, np.maximum(draws + whole, 0.0) * one, flags=flags, **common)
             for unit, one in units.items()]  # fmt: skip
-
-
-def _streak(spot: Spot, **common: Any) -> Measurement:
-    if spot.half is None:
-        return refused("streak_length", "px", _reason(spot, "bloom_diameter"), **common)
-    flags = () if spot.dark_known else ("no-darks",)
-    flags += ("window-too-small",) if spot.touches_border else ()
-    steps = 2.0 / np.sqrt(12.0)
-    frames = spot.frame_streak_px
-    scatter = float(frames.std(ddof=1)) * GLOW / np.sqrt(len(frames)) if len(frames) > 1 else 0.0
-    return from_sd("streak_length", "px", spot.streak_px, float(np.hypot(scatter, steps)), flags=flags, **common)
 
 
 def provenance(context, **settings: Any) -> Provenance:

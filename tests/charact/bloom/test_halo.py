@@ -56,17 +56,17 @@ def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
 
 def test_the_steepest_step_lies_near_the_edge(point, in_memory, seed):
     session = series(point, in_memory, np.random.default_rng(seed))
-    halo = halo_of(bloom.measure(session, method="threshold", context=QUICK))
+    halo = halo_of(bloom.measure(session, method="radial-profile", context=QUICK))
     assert halo.value == pytest.approx(40.0, abs=3.0)
 
 
-@pytest.mark.parametrize("method", ["halo-profile", "threshold"])
+@pytest.mark.parametrize("method", ["halo-profile", "radial-profile", "threshold", "gaussian"])
 def test_a_source_without_halo_is_refused_one(point, in_memory, seed, method):
     session = series(point, in_memory, np.random.default_rng(seed), halo_fraction=0.0)
     assert halo_of(bloom.measure(session, method=method, context=QUICK)).status == "refused"
 
 
-@pytest.mark.parametrize("method", ["halo-profile", "threshold"])
+@pytest.mark.parametrize("method", ["halo-profile", "radial-profile", "threshold", "gaussian"])
 @pytest.mark.parametrize("kind", ["uniform", "normal", "sparse"])
 def test_pure_noise_has_neither_halo_nor_bloom(in_memory, seed, method, kind):
     rng = np.random.default_rng(seed)
