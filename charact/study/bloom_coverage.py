@@ -8,7 +8,7 @@ import argparse
 import json
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -27,6 +27,10 @@ Kind = Literal["halo", "no halo", "hidden halo"]
 COUNTS: dict[Kind, int] = {"halo": 400, "no halo": 300, "hidden halo": 100}
 # One series in ten of those with a halo is measured by Markov chains too.
 CHAINED = 10
+# Series with silent failures that the table names.
+NAMED = 20
+# Parts in which all series are measured, each a sample of them.
+BLOCKS = 20
 SERIES, NOISE = 31, 32
 # Plateau of a hidden halo at the brightest level, standard deviations of a pixel of the mean frame.
 HIDDEN = (0.02, 0.3)
@@ -159,6 +163,7 @@ def quantity_told(trials: Sequence[Trial]) -> dict[str, Any]:
         "due_and_ok": sum(one.status == "ok" for one in due),
         **{status: sum(one.status == status for one in trials) for status in ("ok", "suspect", "refused", "crashed")},
         "silent": sum(one.silent for one in trials),
+        "silent_series": sorted({one.number for one in trials if one.silent})[:NAMED],
     }
     return out | _errors(sure) if sure else out
 
@@ -193,21 +198,22 @@ def _refusals(trials: Sequence[Trial]) -> dict[str, int]:
     }
 
 
-def study(counts: dict[Kind, int], methods: Sequence[str], *, workers: int = 1) -> list[Trial]:
-    """Put the methods to all series, and to one in ten of those with a halo by Markov chains too."""
+def measured_block(block: int, counts: dict[Kind, int], methods: Sequence[str], *, workers: int = 1) -> list[Trial]:
+    """Put the methods to one of `BLOCKS` equal parts of all series, and by Markov chains to the first with a halo."""
     with one_thread_each(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        parts = [
-            pool.map(partial(trials_of, kind, methods=methods), range(count), chunksize=4)
-            for kind, count in counts.items()
-        ]
-        parts.append(
-            pool.map(partial(trials_of, "halo", methods=methods, quick=False), range(0, counts["halo"], CHAINED))
-        )
+        parts = []
+        for kind, count in counts.items():
+            numbers = range(block, count, BLOCKS)
+            parts.append(pool.map(partial(trials_of, kind, methods=methods), numbers))
+            if kind == "halo":
+                chained = [number for number in numbers if number % CHAINED == 0]
+                parts.append(pool.map(partial(trials_of, kind, methods=methods, quick=False), chained))
         return [trial for part in parts for found in part for trial in found]
 
 
-def table_of(trials: Sequence[Trial], counts: dict[Kind, int], methods: Sequence[str]) -> dict[str, Any]:
+def table_of(trials: Sequence[Trial], methods: Sequence[str]) -> dict[str, Any]:
     """Return the table: what the series say of each method, and the halo of each series."""
+    counts = {kind: len({one.number for one in trials if one.kind == kind}) for kind in COUNTS}
     rows = [
         [one.method, one.kind, one.number, one.status, _short(one.truth), _short(one.value), one.covers95]
         for one in trials
@@ -215,7 +221,7 @@ def table_of(trials: Sequence[Trial], counts: dict[Kind, int], methods: Sequence
     ]
     return {
         "charact": charact.__version__,
-        "series": dict(counts),
+        "series": counts,
         "seed": f"[series, {SERIES}, place of the kind]",
         "quick": [told(trials, method) for method in methods],
         "chains": [told(trials, method, quick=False) for method in methods],
@@ -229,20 +235,29 @@ def _short(value: float | None) -> float | None:
 
 
 def main() -> None:
-    """Run the study, print it and write the table."""
+    """Run the study part by part, print it and write the table; a run that is stopped goes on where it was."""
     parser = argparse.ArgumentParser(prog="python -m charact.study.bloom_coverage", description=__doc__)
     parser.add_argument("--share", type=float, default=1.0, help="share of the series, 1: all")
     parser.add_argument("--methods", default="", help="names of bloom methods, commas between; all by default")
     parser.add_argument("--workers", type=int, default=1, help="processes")
+    parser.add_argument("--trials", type=Path, default=Path("study"), help="folder that keeps what is measured")
     parser.add_argument("--out", type=Path, default=TABLE, help="table to write")
     asked = parser.parse_args()
     methods = tuple(asked.methods.split(",")) if asked.methods else tuple(of_kind("bloom"))
     counts: dict[Kind, int] = {kind: max(1, round(asked.share * count)) for kind, count in COUNTS.items()}
-    found = table_of(study(counts, methods, workers=asked.workers), counts, methods)
+    asked.trials.mkdir(parents=True, exist_ok=True)
+    trials: list[Trial] = []
+    for block in range(BLOCKS):
+        kept = asked.trials / f"bloom-coverage-{block}.json"
+        if not kept.is_file():
+            new = measured_block(block, counts, methods, workers=asked.workers)
+            kept.write_text(json.dumps([asdict(one) for one in new]), encoding="utf-8")
+        trials += [Trial(**one) for one in json.loads(kept.read_text())]
+        text = json.dumps(table_of(trials, methods), allow_nan=False).replace("], [", "],\n[")
+        asked.out.write_text(text + "\n", encoding="utf-8")
+    found = table_of(trials, methods)
     for part in ("quick", "chains"):
         print(json.dumps(found[part], indent=1))
-    text = json.dumps(found, allow_nan=False).replace("], [", "],\n[")
-    asked.out.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

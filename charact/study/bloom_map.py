@@ -31,9 +31,9 @@ TABLE = Path(__file__).resolve().parent / "tables" / "bloom_map.json"
 METHOD, QUANTITY = "halo-profile", "halo_diameter"
 CELLS, REPEATS = 2000, 1
 # Cells that are measured before the table is written again.
-PART = 100
+PART = 50
 # Series of the map are smaller than those of the scope at large: it holds five times as many.
-WIDEST_PX, MOST_FRAMES, SHOWN = 45.0, 8, 4
+WIDEST_PX, MOST_FRAMES, SHOWN = 40.0, 6, 3
 # What breaks series, from where it hardly matters to where nothing is left, and whether steps are even in ln.
 BREAKING: Breaking = {
     "faintest": (0.003, 30.0, True),
@@ -59,7 +59,7 @@ BREAKING: Breaking = {
     "no_darks": (0.3, 60.0, True),
 }
 # Which levels are left where there are few: all of them show the halo.
-PICKED = {1: (3,), 2: (1, 4), 3: (1, 2, 4)}
+PICKED = {1: (2,), 2: (1, 3), 3: (1, 2, 3)}
 # How fast the source moves where it is the lag that breaks, px a frame, and how far the second one is, px.
 MOVING_PX, SECOND_PX = 2.0, 20.0
 

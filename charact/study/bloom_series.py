@@ -45,7 +45,8 @@ class BloomSeries:
     def truth(self, quantity: str, stack: str | None) -> float | None:
         """Return what should be found of the session, or of the stack of a label; None: nothing is known of it."""
         overload = self.overloads[0 if stack is None else int(stack.removeprefix("point-"))]
-        return _truth(self.scene, overload, self.overloads[0]).get(quantity)
+        known = _truth(self.scene, overload, self.overloads[0]).get(quantity)
+        return known if known is not None and np.isfinite(known) else None
 
 
 @lru_cache(maxsize=32)
