@@ -14,7 +14,7 @@ from charact.bloom.series.gather import gathered
 from charact.bloom.series.likelihood import Solved
 from charact.bloom.series.shown import forms_evidence, profile_evidence
 from charact.bloom.series.spread import encircled, glare, halo_of
-from charact.bloom.series.trust import MISFIT_SHARE, own_diameters, why_no_halo
+from charact.bloom.series.trust import MISFIT_SHARE, is_uneven, own_diameters, why_no_halo
 from charact.bloom.spot import DETECTED, Spot, read_spots
 from charact.method import Context, register
 from charact.posterior import laplace, sample
@@ -31,6 +31,8 @@ WHOLE = 0.92
 WALKERS = 16
 # Draws for which derived numbers are worked out.
 DERIVED = 400
+# Standard error below which a level's own diameter counts as no better.
+LEAST_SD_PX = 0.1
 # Chance of levels' own diameters scattering as they do below which geometry does not hold.
 CONSTANT = 1e-4
 
@@ -61,7 +63,7 @@ def series_forward(session: Session, *, context: Context) -> Result:
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     told, evidence = _told(session, spots, context, fields)
-    out = [*told, *bloom_measurements(spots, square=context.sensor is None, **fields)]
+    out = [*told, *bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)]
     own = evidence.get("halo-constancy")
     halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
     series = {"bloom-series": series_evidence(spots, halos)}
@@ -91,7 +93,7 @@ def _told(
     own = own_diameters(best) if reason is None else None
     flags = _flags(best, posterior, own)
     notes = _notes(context, group, spots)
-    said = _refused(reason, fields) if reason else _halo(best, posterior, flags, notes, fields)
+    said = _refused(reason or "", fields) if own is None else _halo(best, posterior, own, flags, notes, fields)
     said += _spread(best, posterior, flags, notes, fields) + _glare(best, group, flags, notes, fields)
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
     return said, evidence
@@ -122,18 +124,22 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
 
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
     series = best.problem.series
-    if series.model_share > MISFIT_SHARE:
+    if series.model_share > MISFIT_SHARE or is_uneven(series):
         flags += ("model-misfit",)
     if own is None:
         return flags
     diameter = float(np.median(posterior["halo_diameter"]))
-    if diameter / 2.0 > WHOLE * series.geometry.radius_px[-1]:
+    if diameter / 2.0 > WHOLE * series.radius_px[-1]:
         flags += ("window-too-small",)
+    apart, freedom = _apart(own, diameter)
+    return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
+
+
+def _apart(own: tuple[Array, Array, Array], diameter: float) -> tuple[float, int]:
+    """How far the levels' own diameters lie from a common one, as chi squared with its freedom."""
     seen = np.isfinite(own[0])
-    pull = (own[0][seen] - diameter) / np.maximum(own[1][seen], 0.05)
-    if seen.sum() > 1 and chi2.sf(float(pull @ pull), int(seen.sum()) - 1) < CONSTANT:
-        flags += ("model-misfit",)
-    return flags
+    pull = (own[0][seen] - diameter) / np.maximum(own[1][seen], LEAST_SD_PX)
+    return float(pull @ pull), max(int(seen.sum()) - 1, 0)
 
 
 def _notes(context: Context, group: tuple[Spot, ...], spots: tuple[Spot, ...]) -> tuple[str, ...]:
@@ -143,10 +149,14 @@ def _notes(context: Context, group: tuple[Spot, ...], spots: tuple[Spot, ...]) -
     return notes
 
 
-def _halo(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any]
-          ) -> list[Measurement]:  # fmt: skip
-    """The halo's diameter, share, plateau and rim."""
-    draws = {"halo_diameter": posterior["halo_diameter"], "halo_fraction": posterior["halo_fraction"]}
+def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array], flags: tuple[str, ...],
+          notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """The halo's diameter, share, plateau and rim; the diameter's interval is wider where levels scatter more."""
+    middle = float(np.median(posterior["halo_diameter"]))
+    apart, freedom = _apart(own, middle)
+    wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
+    draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
+    draws |= {"halo_fraction": posterior["halo_fraction"]}
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     draws |= {"halo_plateau": halo.plateau, "halo_rim": halo.rim}
     return [
@@ -158,7 +168,7 @@ def _halo(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: 
 def _spread(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
             fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
     """Radii that hold half and nine tenths of the light."""
-    reach = float(best.problem.series.geometry.radius_px[-1])
+    reach = float(best.problem.series.radius_px[-1])
     radii = encircled(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
     out = []
     for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):

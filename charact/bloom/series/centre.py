@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 from charact.bloom.series.rings import geometry_of
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 ITERATIONS = 3
 REACH_PX = 40
+LEAST_RINGS = 6
 # Farthest that a place may move in all, px: a source is found to a pixel or two before.
 FARTHEST_PX = 3.0
 
@@ -22,7 +24,7 @@ def centred(
     *,
     pitch_ratio: float,
     full_dn: float,
-    spoiled: NDArray[np.bool_] | None,
+    spoiled: Sequence[Mask],
 ) -> tuple[float, float]:
     """Move a place so that the light of all images is even about it.
 
@@ -37,7 +39,7 @@ def centred(
     full_dn
         Highest code; pixels near it say nothing of the side they are on.
     spoiled
-        Pixels to leave out.
+        Pixels of each image to leave out.
 
     Notes
     -----
@@ -59,15 +61,15 @@ def _step(
     col: float,
     pitch_ratio: float,
     full_dn: float,
-    spoiled: NDArray[np.bool_] | None,
+    spoiled: Sequence[Mask],
 ) -> tuple[float, float]:
     """How far the place is off, column pitches."""
-    geometry = geometry_of(images[0].shape, row, col, pitch_ratio=pitch_ratio, spoiled=spoiled, reach_px=REACH_PX)
-    if len(geometry.radius_px) < 6:
-        return 0.0, 0.0
     normal, right = np.zeros((2, 2)), np.zeros(2)
-    direction = np.stack([np.cos(geometry.pixel_angle), np.sin(geometry.pixel_angle)])
-    for image in images:
+    for image, mask in zip(images, spoiled, strict=True):
+        geometry = geometry_of(image.shape, row, col, pitch_ratio=pitch_ratio, spoiled=mask, reach_px=REACH_PX)
+        if len(geometry.radius_px) < LEAST_RINGS:
+            return 0.0, 0.0
+        direction = np.stack([np.cos(geometry.pixel_angle), np.sin(geometry.pixel_angle)])
         value = geometry.pixels(image[None])[0]
         floor = float(np.median(value))
         mean = geometry.means(value)
@@ -78,6 +80,8 @@ def _step(
         # Rings averaged over a pixel's width hide how light bends inside them: the innermost say nothing.
         weight = use / (1.0 + np.maximum(light - floor, 0.0))
         design = -slope * direction
+        # Rings that the border cuts take part of the shift for their mean.
+        design = design - np.repeat(geometry.means(design), geometry.count.astype(int), axis=1)
         normal += (design * weight) @ design.T
         right += (design * weight) @ (value - light)
     if np.linalg.det(normal) <= 0:

@@ -56,7 +56,7 @@ def candidates(
     series: Series, *, pitch_ratio: float, sensor: Sensor | None, first_diameter_px: float
 ) -> list[Candidate]:
     """Fit all forms, the one that the data bear best first."""
-    reach = float(series.geometry.radius_px[-1])
+    reach = float(series.radius_px[-1])
 
     def form(core: Core, halo: Halo) -> Form:
         return Form(core=core, halo=halo, reach_px=reach, pitch_ratio=pitch_ratio, sensor=sensor)

@@ -43,9 +43,10 @@ def climb(problem: Problem, start: Array, *, held: tuple[int, ...] = (), iterati
         residual, slopes = _linear(problem, point)
         if gain < ENOUGH:
             break
-    normal = slopes.T @ slopes
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    covariance = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+    # A parameter that the rings say nothing of is known as its flat prior knows it.
+    normal = slopes.T @ slopes + np.diag(12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2)
+    scale = np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     return Peak(point=point, covariance=covariance, log_probability=best)
 
 

@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from charact.bloom.columns import spoiled
 from charact.bloom.series.centre import centred
 from charact.bloom.series.levels import Level, level_of, noise_of
 from charact.bloom.series.likelihood import Series, series_of
-from charact.bloom.series.rings import Geometry, geometry_of
+from charact.bloom.series.rings import geometry_of
 from charact.bloom.spot import Spot
 from charact.method import Context
 from labdata.session import Session
@@ -43,27 +42,26 @@ def gathered(session: Session, spots: tuple[Spot, ...], *, context: Context) -> 
     if len(shapes) > 1:
         return f"stacks of one source must have frames of one size, got {sorted(shapes)}"
     full = min(one.full_scale_dn for one in group)
-    mask = _spoiled(group, context)
     row, col = centred([one.image for one in group], clearest.row, clearest.col, pitch_ratio=context.pitch_ratio,
-                       full_dn=full, spoiled=mask)  # fmt: skip
-    geometry = geometry_of(clearest.image.shape, row, col, pitch_ratio=context.pitch_ratio, spoiled=mask)
-    if len(geometry.radius_px) < LEAST_RINGS:
-        return (
-            f"the source must lie {LEAST_RINGS} px or more inside the frame, got {len(geometry.radius_px)} whole rings"
-        )
-    levels = _levels(session, group, geometry, full)
-    dark = min(one.dark_dn for one in group)
-    noise = noise_of(levels, geometry, dark_dn=dark)
-    series = series_of(levels, noise, geometry, full_dn=full, rings=min(MOST_RINGS, len(geometry.radius_px)))
+                       full_dn=full, spoiled=[spoiled(one, context) for one in group])  # fmt: skip
+    levels = _levels(session, group, (row, col), full, context)
+    whole = min(len(level.mean_dn) for level in levels)
+    if whole < LEAST_RINGS:
+        return f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}"
+    noise = noise_of(levels, dark_dn=min(one.dark_dn for one in group))
+    series = series_of(levels, noise, full_dn=full, rings=min(MOST_RINGS, whole))
     return series, tuple(replace(one, row=row, col=col) for one in group)
 
 
-def _spoiled(group: tuple[Spot, ...], context: Context) -> NDArray[np.bool_] | None:
-    """Pixels that overflow or smear spoils in any of the stacks."""
-    mask = np.any([spoiled(one, context) for one in group], axis=0)
-    return mask if mask.any() else None
-
-
-def _levels(session: Session, group: tuple[Spot, ...], geometry: Geometry, full_dn: float) -> tuple[Level, ...]:
+def _levels(
+    session: Session, group: tuple[Spot, ...], place: tuple[float, float], full_dn: float, context: Context
+) -> tuple[Level, ...]:
+    """Rings of every stack, each without the pixels that overflow or smear spoils there."""
     entries = {entry.label: entry for entry in session.of_kind("point")}
-    return tuple(level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn) for one in group)
+    out = []
+    for one in group:
+        mask = spoiled(one, context)
+        geometry = geometry_of(one.image.shape, *place, pitch_ratio=context.pitch_ratio,
+                               spoiled=mask if mask.any() else None)  # fmt: skip
+        out.append(level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn))
+    return tuple(out)

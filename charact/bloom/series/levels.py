@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 LAGS = 6
 SMOOTHED = 7
 LEAST_EIGENVALUE = 0.05
+# Means of codes are known no better than this, DN.
+LEAST_SD_DN = 0.01
 # Rings of so few pixels that their neighbours share less than others.
 INNERMOST = 4
 # Share of samples at the highest code from which on a ring's scatter says nothing of its noise.
@@ -29,6 +31,8 @@ class Level:
     ----------
     label
         Its stack.
+    geometry
+        Its rings.
     mean_dn
         Ring means over all frames, codes cut at full scale among them, shape (ring,), DN.
     cut_share
@@ -40,10 +44,11 @@ class Level:
     frames
         Number of frames.
     sector_sd
-        Root mean square of the sectors' means about the ring's, shape (ring,), DN.
+        Root mean square of what sectors are brighter or darker than their ring, shape (ring,), DN.
     """
 
     label: str
+    geometry: Geometry
     mean_dn: Array
     cut_share: Array
     pixel_variance: Array
@@ -57,7 +62,8 @@ def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float)
     pixels = geometry.pixels(frames)
     image = pixels.mean(axis=0)
     mean = geometry.means(image)
-    off = geometry.sector_means(image) - mean
+    uneven = geometry.sector_means(image - _along(geometry, mean))
+    off = uneven - np.nanmean(uneven, axis=0)
     if len(frames) > 1:
         scatter = geometry.means(pixels) - mean
         variance = geometry.means(pixels.var(axis=0, ddof=1))
@@ -66,6 +72,7 @@ def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float)
         variance = geometry.means((image - _along(geometry, mean)) ** 2)
     return Level(
         label=label,
+        geometry=geometry,
         mean_dn=mean,
         cut_share=geometry.means((pixels >= full_dn).mean(axis=0)),
         pixel_variance=variance,
@@ -112,9 +119,17 @@ class Noise:
     def covariance(self, level_dn: Array, count: Array, frames: int) -> Array:
         """Return the covariance of ring means of a stack at levels, shape (ring, ring), DN^2."""
         sd = self.pixel_sd(level_dn) * np.sqrt(self.sharing[: len(count)] / count * min(self.fewer / frames, 1.0))
-        # Codes are rounded: means of many pixels cannot be known better than this.
-        sd = np.hypot(sd, 0.01)
-        return self._matrix[: len(count), : len(count)] * np.outer(sd, sd)
+        rounding = np.diag(self.rounding_sd(level_dn) ** 2 + LEAST_SD_DN**2)
+        return self._matrix[: len(count), : len(count)] * np.outer(sd, sd) + rounding
+
+    def rounding_sd(self, level_dn: Array) -> Array:
+        """Return how far rounding to whole codes moves a mean, DN: exp(-2 pi^2 s^2)/pi at most for noise of s codes.
+
+        Light that comes in rare pulses does not stir the codes between them: below a code of light only the noise
+        without light counts.
+        """
+        stirred = self.floor_dn2 + self.slope_dn * np.maximum(level_dn - self.dark_dn - 1.0, 0.0)
+        return np.exp(-2.0 * np.pi**2 * stirred) / np.pi
 
     @cached_property
     def _matrix(self) -> Array:
@@ -126,15 +141,15 @@ class Noise:
         return (vectors * np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T
 
 
-def noise_of(levels: tuple[Level, ...], geometry: Geometry, *, dark_dn: float) -> Noise:
+def noise_of(levels: tuple[Level, ...], *, dark_dn: float) -> Noise:
     """Estimate the noise that all levels of a series share."""
-    free = np.array([level.cut_share < HARDLY_CUT for level in levels])
-    floor, slope = _variance_law(levels, free, geometry.count, dark_dn)
+    free = np.array([(level.cut_share < HARDLY_CUT) & ~level.geometry.lost for level in levels])
+    floor, slope = _variance_law(levels, free, dark_dn)
     bare = Noise(
         floor_dn2=floor, slope_dn=slope, dark_dn=dark_dn, sharing=np.ones(1), correlation=np.ones(1), fewer=1.0
     )
     scaled = [
-        np.where(usable, level.scatter / (bare.pixel_sd(level.mean_dn) / np.sqrt(geometry.count)), np.nan)
+        np.where(usable, level.scatter / (bare.pixel_sd(level.mean_dn) / np.sqrt(level.geometry.count)), np.nan)
         for level, usable in zip(levels, free, strict=True)
     ]
     freedom = np.array([max(level.frames - 1, 1) for level in levels])
@@ -151,13 +166,11 @@ def noise_of(levels: tuple[Level, ...], geometry: Geometry, *, dark_dn: float) -
     )
 
 
-def _variance_law(
-    levels: tuple[Level, ...], free: NDArray[np.bool_], count: Array, dark_dn: float
-) -> tuple[float, float]:
+def _variance_law(levels: tuple[Level, ...], free: NDArray[np.bool_], dark_dn: float) -> tuple[float, float]:
     """Floor and slope of the pixels' variance over the level, the weights being those of variances."""
     mean = np.concatenate([level.mean_dn[use] for level, use in zip(levels, free, strict=True)]) - dark_dn
     variance = np.concatenate([level.pixel_variance[use] for level, use in zip(levels, free, strict=True)])
-    pixels = np.concatenate([count[use] for use in free])
+    pixels = np.concatenate([level.geometry.count[use] for level, use in zip(levels, free, strict=True)])
     if len(mean) < 3:
         return 1.0, 0.0
     design = np.stack([np.ones_like(mean), np.maximum(mean, 0.0)], axis=1)

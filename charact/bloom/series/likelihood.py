@@ -6,7 +6,7 @@ light of each level and its background are found for every point anew (Gauss-New
 really gave need not be known.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 # Standard deviations of a pixel from the highest code within which some of its codes are cut.
 NEAR_TOP = 5.0
+# Standard error of a ring that says nothing, DN.
+LOST_DN = 1e5
 STEPS = 2
 # Share of the light by which rings may be off in every form, as cameras are not round: first guess, and all tried.
 FIRST_SHARE = 0.02
@@ -43,8 +45,12 @@ class Series:
         Covariance of the ring means by noise alone, shape (level, ring, ring), DN^2.
     node_sd
         Standard deviation of a pixel at every node, shape (level, node), DN.
-    geometry
-        The rings.
+    sector_sd
+        Root mean square of what sectors are brighter or darker than their ring, shape (level, ring), DN.
+    averages
+        Takes light at the nodes to ring means, shape (level, ring, node).
+    node_px, radius_px
+        Radii of the nodes and of the rings, column pitches.
     full_dn
         Highest code, DN.
     model_share
@@ -56,7 +62,10 @@ class Series:
     cut: NDArray[np.bool_]
     own_covariance: Array
     node_sd: Array
-    geometry: Geometry
+    sector_sd: Array
+    averages: Array
+    node_px: Array
+    radius_px: Array
     full_dn: float
     model_share: float = FIRST_SHARE
 
@@ -85,30 +94,51 @@ class Series:
     @cached_property
     def white_averages(self) -> Array:
         """Takes light at the nodes to whitened ring means, shape (level, ring, node)."""
-        return self.whitener @ self.geometry.averages
+        return self.whitener @ self.averages
 
     @cached_property
     def onto_nodes(self) -> Array:
         """Takes transforms to light at the nodes, shape (frequency, node)."""
-        return onto_nodes(self.geometry.node_px)
+        return onto_nodes(self.node_px)
 
 
-def series_of(levels: tuple[Level, ...], noise: Noise, geometry: Geometry, *, full_dn: float, rings: int) -> Series:
+PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages")
+
+
+def some(series: Series, which: NDArray[np.bool_]) -> Series:
+    """Return some levels of a series."""
+    labels = tuple(label for label, one in zip(series.labels, which, strict=True) if one)
+    return replace(series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL})
+
+
+def series_of(levels: tuple[Level, ...], noise: Noise, *, full_dn: float, rings: int) -> Series:
     """Gather the innermost rings of all levels."""
-    geometry = geometry.within(rings)
+    geometries = [level.geometry.within(rings) for level in levels]
+    first = geometries[0]
     data = np.array([level.mean_dn[:rings] for level in levels])
-    nodes = np.array([np.interp(geometry.node_px, geometry.radius_px, one) for one in data])
+    nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
     return Series(
         labels=tuple(level.label for level in levels),
         data=data,
         cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
         own_covariance=np.array(
-            [noise.covariance(one, geometry.count, level.frames) for one, level in zip(data, levels, strict=True)]
+            [
+                _own_covariance(one, level.frames, of, noise)
+                for one, level, of in zip(data, levels, geometries, strict=True)
+            ]
         ),
         node_sd=noise.pixel_sd(nodes),
-        geometry=geometry,
+        sector_sd=np.array([level.sector_sd[:rings] for level in levels]),
+        averages=np.array([one.averages for one in geometries]),
+        node_px=first.node_px,
+        radius_px=first.radius_px,
         full_dn=full_dn,
     )
+
+
+def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: Noise) -> Array:
+    out = noise.covariance(data, geometry.count, frames)
+    return out + np.diag(np.where(geometry.lost, LOST_DN**2, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,12 +205,11 @@ class Problem:
 
     def _of_uncut_rings(self, parts: Array) -> Array:
         """First amplitudes, from the rings that are not cut, each with its own variance alone."""
-        rings = np.tensordot(self.series.geometry.averages, parts, (1, 1))
+        rings = np.einsum("lin,knp->likp", self.series.averages, parts, optimize=True)
         own = np.diagonal(self.series.covariance(self.series.model_share), axis1=1, axis2=2)
         weight = ~self.series.cut / own
-        products = np.einsum("ikp,imp->ikmp", rings, rings)
-        normal = np.asarray(np.tensordot(weight, products, (1, 0)), np.float64)
-        return _solved(normal, np.tensordot(weight * self.series.data, rings, (1, 0)))
+        normal = np.einsum("li,likp,limp->lkmp", weight, rings, rings, optimize=True)
+        return _solved(normal, np.einsum("li,likp->lkp", weight * self.series.data, rings, optimize=True))
 
     def _white(
         self, parts: Array, amplitudes: Array, which: NDArray[np.intp] | slice = slice(None)
@@ -216,7 +245,7 @@ class Problem:
     def rings(self, points: Array) -> Array:
         """Ring means that the form expects, cut codes as read, shape (level, ring, point), DN."""
         light = np.einsum("knp,lkp->lnp", self.parts(points), self.solved(points).amplitudes)
-        return self.series.geometry.averages @ self.read(light, self.series.node_sd)[0]
+        return self.series.averages @ self.read(light, self.series.node_sd)[0]
 
     def share_of_misfit(self, point: Array) -> tuple[float, float]:
         """Share of the light by which rings are off that makes a point most likely, and the log-likelihood then."""

@@ -11,6 +11,8 @@ Mask = NDArray[np.bool_]
 # Farthest ring, column pitches, and share of a ring that must lie inside the frame for it to count.
 REACH_PX = 90
 LEAST_SHARE = 0.34
+# Share of a ring's pixels that must be left unspoiled for it to say anything.
+LEAST_LEFT = 0.3
 # Nodes of the radius on which light is worked out: fine where a core is steep, coarser beyond.
 FINE_PX, COARSE_PX, FINE_TO_PX = 0.125, 0.4, 8.0
 SECTORS = 16
@@ -32,6 +34,8 @@ class Geometry:
         Mean radius of each ring, column pitches, shape (ring,).
     count
         Pixels of each ring, shape (ring,).
+    lost
+        Rings most of whose pixels are spoiled: they have them all and say nothing, shape (ring,).
     node_px
         Radii at which light is worked out, column pitches, shape (node,).
     averages
@@ -46,6 +50,7 @@ class Geometry:
     first: NDArray[np.int64]
     radius_px: Array
     count: Array
+    lost: Mask
     node_px: Array
     averages: Array
     pixel_radius_px: Array
@@ -61,6 +66,7 @@ class Geometry:
             first=self.first[:rings],
             radius_px=self.radius_px[:rings],
             count=self.count[:rings],
+            lost=self.lost[:rings],
             node_px=self.node_px[nodes],
             averages=self.averages[:rings, nodes],
             pixel_radius_px=self.pixel_radius_px[:size],
@@ -126,8 +132,12 @@ def geometry_of(
     enough = np.bincount(ring[inside], minlength=reach_px) > LEAST_SHARE * whole
     reach = int(np.argmin(enough)) if not enough.all() else reach_px
     kept = ring < reach
+    lost = np.zeros(reach, bool)
     if spoiled is not None:
-        kept &= ~spoiled[rows, cols].ravel()
+        clean = kept & ~spoiled[rows, cols].ravel()
+        left = np.bincount(ring[clean], minlength=reach) / np.bincount(ring[kept], minlength=reach)
+        lost = left < LEAST_LEFT
+        kept &= clean | lost[np.minimum(ring, reach - 1)]
     order = np.flatnonzero(kept)
     order = order[np.argsort(ring[order], kind="stable")]
     numbers, first, count = np.unique(ring[order], return_index=True, return_counts=True)
@@ -140,6 +150,7 @@ def geometry_of(
         first=first,
         radius_px=np.add.reduceat(radius[order], first) / count,
         count=count.astype(float),
+        lost=lost,
         node_px=nodes,
         averages=_averages(radius[order], np.repeat(np.arange(len(numbers)), count), nodes, len(numbers)),
         pixel_radius_px=radius[order],

@@ -1,6 +1,5 @@
 """What a report draws of a fitted series: rings with their model, forms with their criterion, diameters by level."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.bloom.series.choice import Candidate
 from charact.bloom.series.climb import climb
-from charact.bloom.series.likelihood import Problem, Series
+from charact.bloom.series.likelihood import Problem, Series, some
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -26,7 +25,7 @@ def profile_evidence(best: Candidate, posterior: Posterior, own: tuple[Array, Ar
     data: dict[str, Any] = {
         "figure": "point-profile",
         "label": list(series.labels),
-        "radius_px": [series.geometry.radius_px.tolist()] * len(series.labels),
+        "radius_px": [series.radius_px.tolist()] * len(series.labels),
         "mean_dn": series.data.tolist(),
         "sd_dn": sd.tolist(),
         "used": (~series.cut).tolist(),
@@ -103,9 +102,3 @@ def foretelling(candidate: Candidate) -> float | None:
         peak = climb(Problem(series=some(series, seen), form=candidate.form), candidate.peak.point)
         total += float(Problem(series=some(series, ~seen), form=candidate.form).solved(peak.point[None]).chi2.sum())
     return total / series.data.size
-
-
-def some(series: Series, which: NDArray[np.bool_]) -> Series:
-    """Return some levels of a series."""
-    kept = {name: getattr(series, name)[which] for name in ("data", "cut", "own_covariance", "node_sd")}
-    return replace(series, labels=tuple(np.array(series.labels)[which]), **kept)

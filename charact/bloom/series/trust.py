@@ -1,13 +1,12 @@
 """Whether a fitted disc is a halo: its edge is tied to one place, and every level alone has it there."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.choice import Candidate
-from charact.bloom.series.climb import climb
-from charact.bloom.series.likelihood import Problem, Series
+from charact.bloom.series.climb import climb, slopes_at
+from charact.bloom.series.likelihood import Problem, Series, some
+from charact.bloom.series.rings import SECTORS
 
 Array = NDArray[np.float64]
 
@@ -19,6 +18,9 @@ OFF, OFF_COST = (0.8, 1.25), 12.5
 SEEN_LEVEL = 8.0
 # Share of the light by which rings are off from which on the form is called wrong.
 MISFIT_SHARE = 0.12
+# Sectors that differ by this share of their ring's light, and by so many standard errors, in rings on end, show
+# something besides the source; rings nearer than this are too small to be divided.
+UNEVEN_SHARE, UNEVEN_SD, UNEVEN_RINGS, INNERMOST_PX = 0.5, 4.0, 3, 6.0
 
 
 def why_no_halo(found: list[Candidate]) -> str | None:
@@ -56,9 +58,10 @@ def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
     names = best.form.names
     held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "elastic_share", "halo_fraction"))
     at, share = names.index("halo_diameter"), names.index("halo_fraction")
-    out = np.full((3, len(best.problem.series.data)), np.nan)
-    for one in range(out.shape[1]):
-        alone = Problem(series=only(best.problem.series, one), form=best.form)
+    number = np.arange(len(best.problem.series.data))
+    out = np.full((3, len(number)), np.nan)
+    for one in number:
+        alone = Problem(series=some(best.problem.series, number == one), form=best.form)
         seen = _significance(alone, best.peak.point, share)
         out[2, one] = seen
         if seen > SEEN_LEVEL:
@@ -66,14 +69,6 @@ def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
             free = [i for i in range(len(names)) if i not in held]
             out[0, one], out[1, one] = peak.point[at], _sd(alone, peak.point, free, at)
     return out[0], out[1], out[2]
-
-
-def only(series: Series, one: int) -> Series:
-    """Return one level of a series."""
-    parts = {
-        name: getattr(series, name)[one : one + 1] for name in ("labels", "data", "cut", "own_covariance", "node_sd")
-    }
-    return replace(series, **parts)
 
 
 def _significance(alone: Problem, point: Array, share: int) -> float:
@@ -86,9 +81,17 @@ def _significance(alone: Problem, point: Array, share: int) -> float:
 
 def _sd(alone: Problem, point: Array, free: list[int], at: int) -> float:
     """Standard error of one of the free parameters."""
-    from charact.bloom.series.climb import slopes_at
-
     slopes = slopes_at(alone, point)[:, free]
     covariance = np.linalg.pinv(slopes.T @ slopes)
     place = free.index(at)
     return float(np.sqrt(max(covariance[place, place], 0.0)))
+
+
+def is_uneven(series: Series) -> bool:
+    """Whether rings of some level are much brighter on one side than on the other: two sources, a tail, a border."""
+    variance = SECTORS * np.diagonal(series.own_covariance, axis1=1, axis2=2)
+    excess = np.maximum(series.sector_sd**2 - variance, 0.0)
+    clear = (excess > UNEVEN_SD**2 * variance) & (excess > (UNEVEN_SHARE * series.light) ** 2)
+    clear &= ~series.cut & (series.radius_px > INNERMOST_PX)
+    on_end = np.array([np.convolve(one, np.ones(UNEVEN_RINGS)) for one in clear])
+    return bool(on_end.max() >= UNEVEN_RINGS)
