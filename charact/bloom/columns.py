@@ -27,6 +27,8 @@ ROUND_SHARE = 0.05
 # Columns beside those that are bright in the source's own rows into which video or smear carries their light.
 BESIDE_PX = 3
 LEAST_HALF_WIDTH_PX = 5
+# Noise of a frame that rounding leaves without any, DN.
+ROUNDED_DN = 0.02
 # Light of the source that is so many times the streak's or smear's is not spoiled by it.
 HARMLESS = 30.0
 
@@ -161,7 +163,9 @@ def _beside(image: Array, dx: Array, dy: Array, radius: Array) -> tuple[Array, A
     scatter = np.where(full.all(axis=0), sd.max(axis=0), np.where(full[0], sd[0], sd[1]))
     grid = np.arange(reach)
     least = float(np.median(scatter[known])) if len(known) else 1.0
-    return np.interp(grid, known, light[known]), np.maximum(np.interp(grid, known, scatter[known]), 0.5 * least)
+    return np.interp(grid, known, light[known]), np.maximum(
+        np.interp(grid, known, scatter[known]), max(0.5 * least, ROUNDED_DN)
+    )
 
 
 def _block_factor(image: Array) -> float:

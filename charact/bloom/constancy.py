@@ -13,10 +13,13 @@ from charact.bloom.depression import depressions, does_not_fit, faintest, has_fa
 from charact.bloom.over_time import OverTime, over_time
 from charact.bloom.passing import change, travel_px
 from charact.bloom.recovery import goes_out, recoveries
-from charact.bloom.spot import Spot
+from charact.bloom.spot import DETECTED, Spot
 from charact.method import Context
 from labdata.measurement import Measurement
 from labdata.session import Session
+
+# Least side of a frame that holds a source and a background beside it, px.
+LEAST_SIDE_PX = 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +68,10 @@ def constancy(session: Session, spots: tuple[Spot, ...], context: Context, **fie
     below it. Afterglow of a source at rest changes no mean and is not flagged.
     """
     ratio = context.pitch_ratio
-    watched = tuple(over_time(spot, session.stack(spot.label).read(), ratio) for spot in spots)
-    flags = {one.label: _in_time(one) for one in watched}
+    shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= LEAST_SIDE_PX]
+    watched = tuple(over_time(spot, session.stack(spot.label).read(), ratio) for spot in shown)
+    flags: dict[str, tuple[str, ...]] = {spot.label: () for spot in spots}
+    flags |= {one.label: _in_time(one) for one in watched}
     for label, told in _between(watched, flags, _dark_variance(session)).items():
         flags[label] += told
     out = [*depressions(watched, flags, **fields), *recoveries(watched, context.seed, **fields)]

@@ -12,8 +12,8 @@ Array = NDArray[np.float64]
 
 # Standard errors at which a fall of the background, or a dark that does not fit, is seen.
 SEEN = 4.0
-# Background over dark in its standard errors below which its fall has no decibels.
-LEAST_ERRORS = 10.0
+# Background over dark, in its standard errors and in DN, below which its fall has no decibels.
+LEAST_ERRORS, LEAST_DN = 10.0, 0.2
 # Least misfit of a dark that does harm, DN and share of the background.
 HARM_DN, HARM_SHARE = 0.3, 0.1
 # Relative error of a variance beyond its scatter: the gain of a plate falls a little with the light.
@@ -70,7 +70,7 @@ def depressions(watched: tuple[OverTime, ...], flags: dict[str, tuple[str, ...]]
 
 def _reason(reference: OverTime, stack: OverTime) -> str | None:
     for one in (reference, stack):
-        if one.background_dn < LEAST_ERRORS * one.background_sd_dn:
+        if one.background_dn < max(LEAST_ERRORS * one.background_sd_dn, LEAST_DN):
             return f"the background of {one.label} is {one.background_dn:.3g} DN over dark: too faint to see it fall"
     if has_fallen(stack, reference):
         return "the background is brighter than that of the faintest stack: the source's own light lies on it"

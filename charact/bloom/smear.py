@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.columns import Upright, upright
+from charact.bloom.columns import ROUNDED_DN, Upright, upright
 from charact.bloom.grain import Grain, grain_of
 from charact.bloom.spot import DETECTED, Spot
 from charact.method import Context
@@ -42,6 +42,7 @@ LIGHT_SD, MOST_LIGHT_SD = 0.03, 0.3
 LEAST_RATIO = 2.5
 # Relative standard error of the source's light beyond which a ratio to it is none.
 LEAST_KNOWN = 0.25
+NARROW = "the frame is too narrow: there are no columns far from the source to hold those of its core against"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,6 +157,8 @@ def core_of(spots: tuple[Spot, ...], context: Context) -> Core | str:
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
     light, value = _light(spot) or 1.0, value * near.sum()
     noise = np.hypot(sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1))
+    if np.isinf(noise):
+        return NARROW
     if not value > 0 or noise > LEAST_KNOWN * value:
         return "the light that the core's columns gather is known too badly: the unsaturated stacks are too faint"
     return Core(half_width_px=half, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label)
@@ -177,8 +180,10 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
     places = np.arange(len(along))
     inside = (places >= reach) & (places < len(along) - reach) & (np.abs(places - col) > reach + half)
     others = everywhere[inside] if inside.sum() >= 4 * reach else everywhere[np.abs(places - col) > reach + half]
-    spread = 1.4826 * float(np.median(np.abs(others))) if len(others) else float("nan")
-    return float(everywhere[col]), max(spread, float(np.std(others)) if len(others) else float("nan"))
+    if len(others) < reach:
+        return float(everywhere[col]), float("inf")
+    spread = max(1.4826 * float(np.median(np.abs(others))), float(np.std(others)))
+    return float(everywhere[col]), max(spread, ROUNDED_DN / np.sqrt(rows.sum()))
 
 
 def _smear_of(spot: Spot, core: Core, context: Context) -> Smear | str:
@@ -195,6 +200,8 @@ def _smear_of(spot: Spot, core: Core, context: Context) -> Smear | str:
     if even > LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn):
         return "the columns are near full scale from top to bottom: smear cannot be told from a streak"
     level, sd = _contrast(found.excess_dn, far, half, col)
+    if np.isinf(sd):
+        return NARROW
     # Halo and wing add noise to these columns that those farther off do not have.
     sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
     uneven = False
