@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from labdata.session import Session
 
 SessionFolder = Annotated[Path, typer.Argument(help="Folder of a session.")]
+SessionFolders = Annotated[list[Path], typer.Argument(help="Folders of sessions.")]
 FITTED = "fitted.toml"
 
 
@@ -26,7 +27,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def noise(
-    session: SessionFolder,
+    sessions: SessionFolders,
     method: options.MethodName = "auto",
     within: options.Within = 2.0,
     quick: options.Quick = False,
@@ -35,11 +36,19 @@ def noise(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """Noise and gain from flats and darks.
+    """Noise and gain from flats and darks, of one session or of many.
+
+    Of many, each prints its own result (with --json one object a line); one that fails does not stop the others, and
+    the exit code is 1 if any gave no number.
 
     Example: charact noise ccd12 --json
     """
-    _analyse("noise", session, method, within, quick, seed, as_json, events, scheduler)
+    from charact.cli.many import each
+
+    def one(session: Path) -> None:
+        _analyse("noise", session, method, within, quick, seed, as_json, events, scheduler)
+
+    each(sessions, one, as_json=as_json, events=events)
 
 
 def bloom(
