@@ -68,11 +68,26 @@ def halo_rings(diameter_px: float, elastic_share: float, count: int = RINGS) -> 
     energy, and arccos(x)/x if it is uniform. In the angle of x = sin(angle) the weight of their rings is sin(angle) and
     (pi/2 - angle) cos(angle): nothing is singular.
     """
+    angle, weight = _angles(count, 0.0, 0.5 * np.pi)
+    return 0.5 * diameter_px * np.sin(angle), weight * _weight(angle, elastic_share)
+
+
+def halo_share_between(first: float, last: float, elastic_share: float) -> float:
+    """Return the share of a halo's light between two radii, each a share of the halo's own."""
+    angle, weight = _angles(RINGS, float(np.arcsin(first)), float(np.arcsin(last)))
+    return float(weight @ _weight(angle, elastic_share))
+
+
+def _angles(count: int, first: float, last: float) -> tuple[Array, Array]:
+    """Angles and weights of the quadrature by Gauss and Legendre."""
     node, weight = _nodes(count)
-    angle = 0.25 * np.pi * (node + 1.0)
-    elastic, uniform = np.sin(angle), (0.5 * np.pi - angle) * np.cos(angle)
-    share = 0.25 * np.pi * weight * (elastic_share * elastic + (1.0 - elastic_share) * uniform)
-    return 0.5 * diameter_px * np.sin(angle), share
+    half = 0.5 * (last - first)
+    return first + half * (node + 1.0), half * weight
+
+
+def _weight(angle: Array, elastic_share: float) -> Array:
+    """Light of a halo per angle."""
+    return elastic_share * np.sin(angle) + (1.0 - elastic_share) * (0.5 * np.pi - angle) * np.cos(angle)
 
 
 def rings_blurred(radius_px: Array, rings: tuple[Array, Array], sigma_px: float) -> Array:

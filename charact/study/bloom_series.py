@@ -9,7 +9,7 @@ import numpy as np
 
 from charact.method import Context, Method
 from charact.study.bloom_scene import BloomScene, session, truth
-from charact.study.bloom_truth import halo_truth
+from charact.study.bloom_truth import plateau_per_px2
 from charact.study.harness import Stopwatch
 from labdata.errors import BadInput
 from labdata.measurement import Measurement
@@ -56,7 +56,7 @@ def _truth(scene: BloomScene, overload: float, faintest: float) -> dict[str, flo
 
 def halo_overload(scene: BloomScene) -> float:
     """Return the overload at which the plateau of the halo meets full scale."""
-    plateau = halo_truth(scene)["halo_plateau"]
+    plateau = scene.row_pitch * scene.halo_fraction * plateau_per_px2(scene)
     return scene.span_dn / (plateau * scene.source_dn(1.0))
 
 

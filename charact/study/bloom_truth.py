@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.bloom_camera import expected
-from charact.study.bloom_light import halo_rings
+from charact.study.bloom_light import halo_share_between
 from charact.study.bloom_source import GLARE_SIDE_PX, BloomScene, optics_of, radial_halo, radial_light
 
 Array = NDArray[np.float64]
@@ -168,16 +168,20 @@ def halo_truth(scene: BloomScene) -> dict[str, float]:
     shares = {"veiling_glare": 100.0 * glare / seen, "halo_fraction": scene.halo_fraction / seen}
     if scene.halo_fraction <= 0:
         return shares
-    radius, weight = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, 2000)
-    half = 0.5 * scene.halo_diameter_px
-    first, last = (half * share for share in PLATEAU)
-    plateau = float(weight[(radius >= first) & (radius < last)].sum()) / (np.pi * (last**2 - first**2))
+    half, plateau = 0.5 * scene.halo_diameter_px, plateau_per_px2(scene)
     rim = radial_halo(scene, np.arange(RIM[0] * half, RIM[1] * half, STEP_PX)).max()
     return shares | {
         "halo_diameter": scene.halo_diameter_px,
         "halo_plateau": shares["halo_fraction"] * plateau,
         "halo_rim": float(rim) / plateau,
     }
+
+
+def plateau_per_px2(scene: BloomScene) -> float:
+    """Return the mean density of the halo's light between 0.3 and 0.7 of its radius, before any blur."""
+    first, last = (0.5 * scene.halo_diameter_px * share for share in PLATEAU)
+    share = halo_share_between(*PLATEAU, scene.halo_elastic_share)
+    return share / (np.pi * (last**2 - first**2))
 
 
 def _encircled(scene: BloomScene, share: float) -> float:
