@@ -17,11 +17,11 @@ Mask = NDArray[np.bool_]
 
 # Rows from the source on which round light is compared: nearer, it falls too steeply.
 FIRST_ROW_PX = 5.0
-# Rows averaged to see a streak, and standard errors by which they must be brighter than what lies beside the source;
-# for the mean of the outer half of a column fewer do, for there are few columns to try.
-BLOCK_ROWS = 4
-SEEN_BLOCK = 5.0
-SEEN_COLUMN = 4.0
+# Rows averaged to see a streak, and standard errors by which their mean and all but one of them must be brighter than
+# what lies beside the source; those of the mean of a column's outer half, above and below, or on one side alone.
+BLOCK_ROWS, LEAST_BLOCKS = 4, 4
+SEEN_BLOCK, FILLED = 5.0, 1.5
+SEEN_BOTH, SEEN_ONE = 3.0, 6.0
 # Share of the source's light by which cameras that are not quite round may be off.
 ROUND_SHARE = 0.05
 # Columns beside those that are bright in the source's own rows into which video or smear carries their light.
@@ -78,7 +78,12 @@ def spoiled(spot: Spot, context: Context) -> Mask:
     """
     mask = np.zeros(spot.image.shape, bool)
     found = upright(spot, context)
-    reach = np.stack([_reach(found, side) for side in (-1, 1)])
+    (above, up), (below, down) = (_reach(found, side) for side in (-1, 1))
+    # Smear lies above and below alike; where the frame has no rows on one side the other must show it the more clearly.
+    both = np.isfinite(up).all() and np.isfinite(down).all()
+    smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (SEEN_BOTH if both else SEEN_ONE)
+    far = np.abs(found.row_offset).max() + 1.0
+    reach = np.stack([np.where(smeared, far, one) for one in (above, below)])
     seen = _around(reach.max(axis=0) > 0, round(spot.col) - found.first_col)
     if not seen.any():
         return mask
@@ -180,24 +185,29 @@ def _block_factor(image: Array) -> float:
     return float(np.clip(BLOCK_ROWS * block**2 / single**2, 1.0, BLOCK_ROWS)) if single > 0 else 2.0
 
 
-def _reach(found: Upright, side: int) -> Array:
-    """How far from the source each column stays brighter than what is beside it, on one side, px; 0 where it is not."""
+def _reach(found: Upright, side: int) -> tuple[Array, Array]:
+    """How far each column stays brighter on one side of the source than what is beside it, px, 0 where it does not.
+
+    And by how many standard errors it does so on average in the outer half of its rows; NaN where there are too few.
+    """
     rows = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
     count = len(rows) // BLOCK_ROWS
     out = np.zeros(found.excess_dn.shape[1])
-    if count == 0:
-        return out
+    if count < LEAST_BLOCKS:
+        return out, np.full(out.shape, np.nan)
     rows = rows[: count * BLOCK_ROWS]
     blocks = rows.reshape(count, BLOCK_ROWS)
     excess, variance = found.excess_dn[blocks].mean(axis=1), (found.sd_dn[blocks] ** 2).mean(axis=1)
     error = np.sqrt(variance * found.block_factor / BLOCK_ROWS)
+    # A streak fills its rows; one bright pulse among dark pixels fills none but its own.
+    filled = np.partition(found.excess_dn[blocks], 1, axis=1)[:, 1] > FILLED * np.sqrt(variance)
     ends = np.abs(found.row_offset)[blocks].max(axis=1)
     for place in range(out.size):
-        bright = np.flatnonzero(excess[:, place] > SEEN_BLOCK * error[:, place])
+        bright = np.flatnonzero((excess[:, place] > SEEN_BLOCK * error[:, place]) & filled[:, place])
         out[place] = ends[bright[-1]] + BLOCK_ROWS if len(bright) else 0.0
     outer = slice(count // 2, None)
-    whole = excess[outer].mean(axis=0) > SEEN_COLUMN * np.sqrt((error[outer] ** 2).mean(axis=0) / (count - count // 2))
-    return np.where(whole, np.abs(found.row_offset).max() + 1.0, out)
+    noise = np.sqrt(np.maximum((error[outer] ** 2).mean(axis=0), excess[outer].var(axis=0)) / (count - count // 2))
+    return out, excess[outer].mean(axis=0) / noise
 
 
 def _around(bright: Mask, place: int) -> Mask:

@@ -18,6 +18,8 @@ LEAST_ERRORS, LEAST_DN = 10.0, 0.2
 HARM_DN, HARM_SHARE = 0.3, 0.1
 # Relative error of a variance beyond its scatter: the gain of a plate falls a little with the light.
 VARIANCE_SHARE = 0.03
+# Variance below which rounding makes noise no straight line of the light (EMVA 1288), DN^2.
+QUANTISED = 0.24
 SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "em_gain", "gain_control")
 BOUND = "glare of the source raises the background: the gain fell by at least so much"
 DECIBEL = 20.0 / np.log(10.0)
@@ -92,7 +94,7 @@ def misfit_of_dark(stacks: tuple[OverTime, ...], dark_variance: float | None) ->
     Noise in time grows with the light from that of darkness on. The level at which its line, drawn through background
     and halo, comes down to the noise of the dark frames is the level without light, whatever the dark frames' mean.
     """
-    if dark_variance is None:
+    if dark_variance is None or dark_variance < QUANTISED:
         return None
     found = [one for one in (_without_light(stack, dark_variance) for stack in stacks) if one is not None]
     if not found:

@@ -212,22 +212,24 @@ def _smear_of(spot: Spot, core: Core, context: Context) -> Smear | str:
 
 
 def _far_rows(found: Upright, middle: slice, grain: Grain) -> Mask:
-    """Rows beyond streak and halo: what they hold is as even as the frame's last rows."""
+    """Rows beyond the streak, without those that the halo makes noisy: what they hold is even."""
     excess = found.excess_dn[:, middle].max(axis=1)
     noise = np.sqrt(grain.floor_variance)
     quiet = found.sd_dn[:, middle].max(axis=1) < NOISY * max(noise, float(np.median(found.sd_dn[[0, -1]])))
     out = np.zeros(len(excess), bool)
     for side in (-1, 1):
-        rows = np.flatnonzero(found.row_offset * side > 0)[::-side]
-        if len(rows) < LEAST_SIDE:
+        rows = np.flatnonzero(found.row_offset * side > 0)[::side]
+        held = rows[quiet[rows]]
+        if len(held) < LEAST_SIDE:
             continue
-        last = excess[rows[: max(LEAST_SIDE, len(rows) // 4)]]
+        last = excess[held[-max(LEAST_SIDE, len(held) // 4) :]]
         level = float(np.median(last))
         spread = max(noise, 1.4826 * float(np.median(np.abs(last - level))))
         over = excess[rows] > level + 6.0 * spread
-        stop = np.flatnonzero(over | ~quiet[rows])
+        run = np.flatnonzero(over[:-1] & over[1:])
         # Two rows more: the last pixels of a streak are partly filled.
-        out[rows[: max(0, stop[0] - 2) if len(stop) else len(rows)]] = True
+        beyond = rows[run[-1] + 4 :] if len(run) else rows
+        out[beyond[quiet[beyond]]] = True
     return out
 
 
