@@ -66,6 +66,8 @@ def _reason(spot: Spot, name: str) -> str:
     level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
     if level is not None:
         return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
+    if not spot.dark_known:
+        return "the dark level is unknown, and so is the background over it: a dark frame tells it"
     if not spot.light.even:
         return "the light still falls at the border of the frame: the background behind the source is not seen"
     if not spot.light.lit:

@@ -85,7 +85,7 @@ def fit_of(profile: Profile) -> Fit | None:
     radius, mean = profile.radius_px[profile.used], profile.mean_dn[profile.used]
     if len(radius) < LEAST_RINGS:
         return None
-    root = np.linalg.inv(np.linalg.cholesky(profile.covariance()))
+    root = np.asarray(np.linalg.inv(np.linalg.cholesky(profile.covariance())), np.float64)
 
     def residual(logs: Array) -> Array:
         return root @ (mean - _design(radius, logs) @ _heights(root, radius, mean, logs))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from charact.cli import options
+from charact.cli.one_picture import bloom_of_picture, is_picture, must_be_a_session
 from charact.cli.output import bad_input_ends, say, show
 from charact.cli.progress import progress_bar
 
@@ -64,8 +65,13 @@ def bloom(
 ) -> None:
     """Halo and blooming extent from point sources; a map of the share of each pixel that is blooming.
 
+    A bare picture instead of a session is read for what one frame can tell.
+
     Example: charact bloom day1 --map bloom.png
     """
+    if map_to is None and is_picture(session):
+        bloom_of_picture(session, method=method, within=within, quick=quick, seed=seed, as_json=as_json, events=events)
+        return
     drawn = None
     if map_to is not None:
         from functools import partial
@@ -125,6 +131,7 @@ def measured_and_kept(
     from labdata import document
     from labdata.session import open_session
 
+    must_be_a_session(folder)
     opened = open_session(folder)
     with progress_bar(events=events) as progress, spread_over(scheduler) as spread:
         result = measure_session(
