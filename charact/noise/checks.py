@@ -4,7 +4,7 @@ import numpy as np
 
 from charact.method import Context
 from charact.noise.findings import Finding, flags_of
-from charact.noise.gain.series import CLIPPED_SHARE, Series
+from charact.noise.gain.series import CLIPPED_SHARE, GAINS, Series
 from charact.noise.hidden import Effect
 from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
 from charact.noise.stack.level import Level
@@ -46,6 +46,7 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
         found.append(("no-darks", f"no dark frames: levels are counted from the {series.reference}"))
     if series.left_out:
         found.append((None, f"left out, at another gain or of a single frame: {', '.join(series.left_out)}"))
+        found += _chosen(series)
     found += _steadiness(series)
     found += _light(series)
     found += _codes(series)
@@ -56,6 +57,17 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
         word = "level" if left == 1 else "levels"
         found.append(("too-few-frames", f"only {left} {word} inside the linear range: the law cannot be checked"))
     return found
+
+
+def _chosen(series: Series) -> list[Finding]:
+    """At which of several gains the numbers hold."""
+    here = series.flats[0].conditions
+    known = [f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None]
+    return (
+        [(None, f"numbers are of the flats at {', '.join(known)}: most flats, or the brightest of equally many")]
+        if known
+        else []
+    )
 
 
 def _unlike(series: Series) -> list[Finding]:

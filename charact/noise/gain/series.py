@@ -94,11 +94,19 @@ def gain_of(conditions: Conditions) -> tuple[float | None, ...]:
 
 
 def longest_series(flats: list[Level]) -> list[Level]:
-    """The flats of the gain that most of them were taken at, in order of rising level."""
+    """The flats of the gain that most of them were taken at, in order of rising level.
+
+    Of gains with as many, the one with the brightest flat that is not cut by the highest code: its noise stands
+    furthest above that of the camera and above its steps.
+    """
+
+    def worth(group: list[Level]) -> tuple[int, float]:
+        return len(group), max((flat.mean_dn for flat in group if flat.high_share <= CLIPPED_SHARE), default=-np.inf)
+
     groups: dict[tuple, list[Level]] = {}
     for flat in flats:
         groups.setdefault(gain_of(flat.conditions), []).append(flat)
-    chosen = max(groups.values(), key=len) if groups else []
+    chosen = max(groups.values(), key=worth) if groups else []
     return sorted(chosen, key=lambda level: level.mean_dn)
 
 

@@ -134,3 +134,17 @@ def test_darks_alone_that_are_cut_at_zero_are_flagged(in_memory, seed, method):
     cut = FrameStack(data=np.clip(np.rint(np.random.default_rng(seed).normal(1.0, 3.0, (4, 96, 128))), 0, None))
     result = noise.measure(session(in_memory, [(cut, PLAIN)], []), method=method, context=Context(seed=1, quick=True))
     assert all("clipped" in m.flags for m in result.find("read_noise") + result.find("dark_signal"))
+
+
+def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_named(in_memory, seed):
+    """Three flats at each of three voltages: the first are dim, the last are cut by the highest code."""
+    rng = np.random.default_rng(seed)
+    flats = [
+        (frames(rng, share * level, highest=1000.0), Conditions(mcp_v=volts))
+        for volts, share in ((600.0, 0.1), (700.0, 1.0), (800.0, 10.0))
+        for level in LEVELS
+    ]
+    found = noise.measure(session(in_memory, plain(rng, (0.0,)), flats), method="variance", context=Context(quick=True))
+    (gain,) = found.find("system_gain")
+    assert any("mcp_v 700" in note for note in gain.notes)
+    assert gain.value == pytest.approx(0.5, rel=0.05)
