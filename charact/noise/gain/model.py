@@ -167,7 +167,8 @@ def _with_gain(drawn: Posterior, summary: Summary, rng: np.random.Generator) -> 
     independently.
     """
     power, count = drawn["power"], len(drawn.draws)
-    factor = summary.lag.factor + summary.lag.factor_sd * rng.standard_normal(count)
+    few = rng.standard_normal(count) if np.isinf(summary.lag.freedom) else rng.standard_t(summary.lag.freedom, count)
+    factor = summary.lag.factor + summary.lag.factor_sd * few
     variance = summary.variance_dn + summary.variance_sd_dn * rng.standard_normal(count)
     derived = np.stack([power * factor, variance / power, factor], axis=1)
 

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 # Levels whose covariance over signal departs by more than this share and this many standard errors lie on no line.
 LEVEL_SHARE = 0.06
 LEVEL_ERRORS = 5.0
+# Standard errors beyond which covariance over signal is seen to rise with the signal.
+RISING_ERRORS = 3.0
 # Relative standard error beyond which the posterior is too skewed for its interval to hold what it promises.
 WIDEST_SHARE = 0.35
 # Bins of spatial frequency that the blur's five parameters need.
@@ -74,8 +76,9 @@ class OneGain:
         return _model_findings(self.summary, self.fit) + _lag_findings(self.summary, self.exposures)
 
     def departures(self) -> list[Finding]:
-        """Levels whose covariance over signal is far from that of the others."""
-        return _departures(self.series, self.levels_dn, self.levels_sd_dn)
+        """Levels whose covariance over signal is far from that of the others, or rises along them."""
+        told = self.series, self.levels_dn, self.levels_sd_dn
+        return _departures(*told) + ([] if self.white else _rising(*told))
 
 
 # From a series and its noise per DN of signal to the covariance over signal of one exposure and its standard error, DN.
@@ -115,21 +118,43 @@ def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context
     A microchannel plate tires as its current rises and takes gain and covariance gain along; both are stated for
     small signals. The share lost per DN of signal is the slope of the levels' covariance over signal.
     """
-    chosen = series.fitted
-    if chosen.sum() < 3:
+    if series.fitted.sum() < 3:
         return posterior
-    signal, weight = series.signal_dn[chosen], 1.0 / spread[chosen] ** 2
-    design = np.stack([np.ones_like(signal), signal / signal.max()])
-    covariance = np.linalg.inv(design * weight @ design.T)
-    first, slope = covariance @ (design * weight @ levels[chosen])
-    excess = float(weight @ (levels[chosen] - first - slope * design[1]) ** 2) / max(1, chosen.sum() - 2)
-    pooled = float(weight @ levels[chosen] / weight.sum())
-    rest_sd = np.sqrt(max(1.0, excess) * max(covariance[0, 0] - 1.0 / weight.sum(), 0.0)) / pooled
+    trend = _trend(series, levels, spread)
+    rest_sd = trend.first_sd / trend.pooled
     rng = np.random.default_rng([context.seed, 4])
-    factor = first / pooled + rest_sd * rng.standard_normal(len(posterior.draws))
+    factor = trend.first / trend.pooled + rest_sd * rng.standard_normal(len(posterior.draws))
     draws = posterior.draws.copy()
     draws[:, posterior.names.index("covariance_gain")] *= factor
     return replace(posterior, draws=draws)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Trend:
+    """Covariance over signal along the levels, DN: at no signal, pooled, and its change up to the brightest.
+
+    The first standard error is of the difference to the pooled one.
+    """
+
+    first: float
+    first_sd: float
+    pooled: float
+    rise: float
+    rise_sd: float
+
+
+def _trend(series: Series, levels: Array, spread: Array) -> _Trend:
+    """A straight line through the fitted levels, three at least."""
+    chosen = series.fitted
+    signal, weight = series.signal_dn[chosen], 1.0 / spread[chosen] ** 2
+    design = np.stack([np.ones_like(signal), signal / signal.max()])
+    covariance = np.linalg.inv(design * weight @ design.T)
+    first, rise = covariance @ (design * weight @ levels[chosen])
+    excess = float(weight @ (levels[chosen] - first - rise * design[1]) ** 2) / max(1, chosen.sum() - 2)
+    scatter = np.sqrt(max(1.0, excess))
+    return _Trend(first=first, first_sd=scatter * np.sqrt(max(covariance[0, 0] - 1.0 / weight.sum(), 0.0)),
+                  pooled=float(weight @ levels[chosen] / weight.sum()), rise=rise,
+                  rise_sd=scatter * np.sqrt(covariance[1, 1]))  # fmt: skip
 
 
 def blur_exponent(context: Context) -> tuple[float, float]:
@@ -204,3 +229,15 @@ def _departures(series: Series, levels, spread) -> list[Finding]:
         for i in chosen
         if abs(levels[i] - middle) > max(LEVEL_SHARE * middle, LEVEL_ERRORS * spread[i])
     ]
+
+
+def _rising(series: Series, levels, spread) -> list[Finding]:
+    """Covariance over signal that rises with the signal: a plate and charge that tire only ever lower it."""
+    if series.fitted.sum() < 3:
+        return []
+    trend = _trend(series, levels, spread)
+    if trend.rise <= RISING_ERRORS * trend.rise_sd:
+        return []
+    share = 100.0 * trend.rise / trend.pooled
+    sentence = f"covariance over signal rises by {share:.2g} % up to the brightest flat, which no tiring plate does"
+    return [("nonlinear", f"{sentence}: a gamma curve, or levels counted from a wrong dark")]

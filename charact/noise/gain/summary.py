@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.gain.glow import unseen
 from charact.noise.gain.series import Series
 from charact.noise.stack.level import Level, rows_lags
-from charact.noise.stack.spectrum import Bins
 from charact.noise.stack.temporal import independent
 
 Array = NDArray[np.float64]
@@ -34,6 +34,8 @@ class Lag:
         Whether any is there beyond its noise.
     factor, factor_sd
         Sum of the correlation over all lags, earlier and later, and its standard error: 1 without lag.
+    freedom
+        Bins, less one, whose scatter tells that error: with few of them its law is Student's.
     tested
         Whether there were frames enough to look for it.
     open
@@ -46,6 +48,7 @@ class Lag:
     seen: bool
     factor: float
     factor_sd: float
+    freedom: float
     tested: bool
     open: bool
 
@@ -91,8 +94,8 @@ def summarise(series: Series) -> Summary:
     exposures = np.array([_exposures(flat) for flat, _ in pairs])
     bins = pairs[0][0].bins
     dark = weight @ np.array([d.many.power_dn2[:, 0] for _, d in pairs])
-    fields = len(np.unique(pairs[0][0].parity))
-    lag = _lag(*_power(pairs, weight, "many"), dark, bins, interlaced=fields > 1)
+    share = weight * series.signal_dn[chosen]
+    lag = lag_of(*_power(pairs, weight, "many"), dark, [flat for flat, _ in pairs], share)
     name = "many" if lag.seen else "few"
     power, _ = _power(pairs, weight, name)
     variance = np.array([getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs])
@@ -182,38 +185,40 @@ def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
     return float(np.sqrt(square))
 
 
-def _lag(power: Array, lags: NDArray[np.int64], dark: Array, bins: Bins, *, interlaced: bool) -> Lag:
-    """Correlation in time, pooled over the bins by what the dark's power lets them know; errors from their scatter."""
+def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Level], share: Array) -> Lag:
+    """Correlation in time, pooled over the bins by what the dark's power lets them know; errors from their scatter.
+
+    Covariances at different lags come of the same frames: their errors go together bin by bin.
+    """
     if len(lags) < 2:
         none = np.empty(0)
         return Lag(lag=lags[1:], correlation=none, correlation_sd=none, seen=False, factor=1.0, factor_sd=0.0,
-                   tested=False, open=False)  # fmt: skip
+                   freedom=np.inf, tested=False, open=False)  # fmt: skip
+    bins = flats[0].bins
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     smooth = smoothed(power[:, 0], radius, bins.modes)
-    ratio = power[:, 1:] / smooth[:, None]
     known = bins.modes * (smooth / (smooth + 2.0 * np.maximum(dark, 0.0))) ** 2
-    low = (bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW) if interlaced else np.ones_like(radius, bool)
-    pooled = [_pooled(ratio[:, i], known * (low if lag % 2 else 1.0)) for i, lag in enumerate(lags[1:])]
-    value, sd = np.array(pooled).T
+    weight = np.repeat(known[:, None], len(lags) - 1, axis=1)
+    if len(np.unique(flats[0].parity)) > 1:
+        weight *= (bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW)[:, None] | (lags[1:] % 2 == 0)
+    weight /= weight.sum(axis=0)
+    ratio = power[:, 1:] / smooth[:, None]
+    value = (weight * ratio).sum(axis=0)
+    square = (weight**2).sum(axis=0)
+    # Residuals about a weighted mean are smaller than their errors, the more so the fewer the bins.
+    rest = weight * (ratio - value) / np.sqrt(np.maximum(1.0 - square, 0.1))
+    sd = np.sqrt((rest**2).sum(axis=0))
     seen = bool((value[:3] > SEEN * sd[:3]).any())
     reach = len(value) if seen else min(2, len(value))
-    parts = [
-        _pooled(ratio[:, :reach][:, chosen].sum(axis=1), known * mask)
-        for chosen, mask in ((lags[1 : reach + 1] % 2 == 0, np.ones_like(radius)), (lags[1 : reach + 1] % 2 == 1, low))
-        if chosen.any()
-    ]
     left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
-    return Lag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen,
-               factor=float(1.0 + 2.0 * sum(part[0] for part in parts)),
-               factor_sd=float(2.0 * np.hypot(np.hypot.reduce([part[1] for part in parts]), left)),
+    lacking, change = unseen(flats, share, lags, value, sd) if seen else (0.0, np.zeros(len(value)))
+    summed = 2.0 * (np.arange(len(value)) < reach)
+    own = float(np.sqrt(np.sum((rest @ (summed + change)) ** 2)))
+    factor = float(1.0 + summed @ value + lacking)
+    return Lag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen, factor=factor,
+               factor_sd=float(np.hypot(own, 2.0 * left)),
+               freedom=max(2.0, float(1.0 / square[:reach].max() - 1.0)),
                tested=True, open=seen and left > OPEN)  # fmt: skip
-
-
-def _pooled(values: Array, weight: Array) -> tuple[float, float]:
-    """Weighted mean and its standard error from the scatter."""
-    mean = float(np.average(values, weights=weight))
-    share = weight / weight.sum()
-    return mean, float(np.sqrt(np.sum(share**2 * (values - mean) ** 2) * 1.1))
 
 
 def smoothed(power: Array, radius: Array, modes: Array) -> Array:

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 # Where images are too small for a spectrum, in which alone lag is seen.
 NO_LAG = Lag(lag=np.empty(0, np.int64), correlation=np.empty(0), correlation_sd=np.empty(0), seen=False, factor=1.0,
-             factor_sd=0.0, tested=False, open=False)  # fmt: skip
+             factor_sd=0.0, freedom=np.inf, tested=False, open=False)  # fmt: skip
 
 
 def pixel_levels(series: Series, lag: Lag) -> Levels:

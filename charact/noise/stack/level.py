@@ -140,6 +140,8 @@ def _pooled(values: list[tuple[float, float]], weight: Array) -> tuple[float, fl
 
 def _mean_spectrum(runs: list[Spectrum], weight: Array) -> Spectrum:
     """Mean of the spectra of all runs over the lags that all of them have."""
+    if len(runs) == 1:
+        return runs[0]
     lags = min((run.lags for run in runs), key=len)
     power = np.average([run.power_dn2[:, : len(lags)] for run in runs], axis=0, weights=weight)
     variance = float(np.average([run.variance_dn2 for run in runs], weights=weight))

@@ -61,6 +61,33 @@ def _solved(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...
     return pairs, np.linalg.inv(np.array([[matrix[pair].mean() for matrix in centred] for pair in pairs]))
 
 
+def beyond(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]
+           ) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
+    """Return the distances beyond the last lag, and what a covariance of 1 there adds to `autocovariance`.
+
+    Returns
+    -------
+    distance
+        Exposures apart, shape (distance,).
+    added
+        What the covariance at each lag reads too much, shape (lag, distance): below zero, as centring takes away what
+        exposures share.
+    """
+    return _beyond(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
+
+
+@lru_cache(maxsize=64)
+def _beyond(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> tuple[NDArray[np.int64], Array]:
+    """The same, remembered."""
+    when = np.array(time)
+    pairs, solve = _solved(time, parity, lags, False)
+    apart = np.abs(when[:, None] - when[None, :])
+    distance = np.unique(apart[apart > lags[-1]])
+    project = centring(np.array(parity))
+    centred = [project @ (apart == one) @ project for one in distance]
+    return distance, solve @ np.array([[one[pair].mean() for one in centred] for pair in pairs])
+
+
 def independent(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64], correlation: Array, *,
                 within_parity: bool = False) -> float:  # fmt: skip
     """Return how many independent exposures know the covariance at lag 0 as well as `autocovariance` does.
@@ -74,11 +101,20 @@ def independent(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArra
     -----
     The estimate is a sum of products with weights M; for Gaussian modes its relative variance is tr(P M P R P M P R).
     """
-    pairs, solve = _solution(time, parity, lags, within_parity)
+    known = tuple(np.asarray(correlation, float).tolist())
+    return _counted(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), known, within_parity)
+
+
+@lru_cache(maxsize=64)
+def _counted(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], correlation: tuple[float, ...],
+             within_parity: bool) -> float:  # fmt: skip
+    """The same, remembered."""
+    pairs, solve = _solved(time, parity, lags, within_parity)
     weight = sum(share * pair / pair.sum() for share, pair in zip(solve[0], pairs, strict=True))
-    distance = np.abs(time[:, None] - time[None, :])
+    when = np.array(time)
+    distance = np.abs(when[:, None] - when[None, :])
     known = np.concatenate([[1.0], correlation, np.zeros(max(0, distance.max() - len(correlation)))])
-    project = centring(parity)
+    project = centring(np.array(parity))
     chain = project @ weight @ project @ known[distance]
     return float(1.0 / np.trace(chain @ chain))
 
