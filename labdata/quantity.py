@@ -79,6 +79,8 @@ QUANTITIES: dict[str, Quantity] = {
     "halo_fraction": _entry("Share of all light that lands in the halo", "1"),
     "halo_plateau": _entry("Level of the halo over the source's whole light", "1/px2"),
     "halo_rim": _entry("Level of the halo's rim over its plateau", "1"),
+    "plate_saturation_density": _entry("Density of light, as recorded, at which the plate's gain has halved", "DN"),
+    "core_compression": _entry("Light behind the plate over that of a plate at rest", "1"),
     "veiling_glare": _entry("Share of the source's light spread evenly over the frame", "%"),
     "encircled_radius_50": _entry("Radius that holds half of a source's light", "px"),
     "encircled_radius_90": _entry("Radius that holds nine tenths of a source's light", "px"),

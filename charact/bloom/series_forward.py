@@ -6,18 +6,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
+from charact.bloom.blooms import provenance
 from charact.bloom.edge import STEP_SEEN, first_radius
+from charact.bloom.finish import finished
 from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.series.choice import Candidate, candidates
 from charact.bloom.series.gather import gathered
 from charact.bloom.series.likelihood import Solved
+from charact.bloom.series.plate import TiringProblem
 from charact.bloom.series.shown import forms_evidence, profile_evidence
 from charact.bloom.series.spread import encircled, glare, halo_of
 from charact.bloom.series.trust import MISFIT_SHARE, is_uneven, own_diameters, why_no_halo
 from charact.bloom.spot import DETECTED, Spot, read_spots
 from charact.method import Context, register
-from charact.posterior import laplace, sample
+from charact.posterior import laplace, sample, weighed
+from charact.posterior.diagnostics import leans_on_bound
 from labdata.measurement import Measurement, Posterior, Result, from_draws, from_sd, refused
 from labdata.session import Session
 
@@ -25,10 +28,16 @@ Array = NDArray[np.float64]
 
 METHOD = "series-forward"
 OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
+# What needs the source's whole light, core included.
+OF_ALL_LIGHT = ("halo_fraction", "halo_plateau", "encircled_radius_50", "encircled_radius_90")
+# A best fit so near a bound, as a share of the range, is pressed against it.
+AT_BOUND = 1e-3
 # Share of the farthest ring beyond which a halo is not seen whole.
 WHOLE = 0.92
 # Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
 WALKERS = 16
+# Draws by importance, where a point takes too long for a chain, and how many must be effective.
+FIRST_DRAWS, ENOUGH = 2000, 1000.0
 # Draws for which derived numbers are worked out.
 DERIVED = 400
 # Standard error below which a level's own diameter counts as no better.
@@ -63,12 +72,7 @@ def series_forward(session: Session, *, context: Context) -> Result:
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     told, evidence = _told(session, spots, context, fields)
-    out = [*told, *bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)]
-    own = evidence.get("halo-constancy")
-    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
-    series = {"bloom-series": series_evidence(spots, halos)}
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out), evidence=series | evidence)
+    return finished(session, spots, told, evidence, began=began, context=context, **fields)
 
 
 def _told(
@@ -95,6 +99,7 @@ def _told(
     notes = _notes(context, group, spots)
     said = _refused(reason or "", fields) if own is None else _halo(best, posterior, own, flags, notes, fields)
     said += _spread(best, posterior, flags, notes, fields) + _glare(best, group, flags, notes, fields)
+    said += _plate(best, posterior, flags, notes, fields)
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
     return said, evidence
 
@@ -115,6 +120,8 @@ def _posterior(best: Candidate, context: Context) -> Posterior:
     }
     if context.quick:
         return laplace(best.problem.log_probability, **asked)
+    if isinstance(best.problem, TiringProblem):
+        return weighed(best.problem.log_probability, enough=ENOUGH, first_draws=FIRST_DRAWS, **asked)
     return sample(best.problem.log_probability, walkers=max(WALKERS, 2 * len(best.form.names)), **asked)
 
 
@@ -159,10 +166,22 @@ def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array]
     draws |= {"halo_fraction": posterior["halo_fraction"]}
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     draws |= {"halo_plateau": halo.plateau, "halo_rim": halo.rim}
+    blind = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     return [
-        from_draws(quantity, unit, draws[quantity], flags=flags, notes=notes, posterior=posterior, **fields)
+        from_draws(quantity, unit, draws[quantity], flags=blind if quantity in OF_ALL_LIGHT else flags, notes=notes,
+                   posterior=posterior, **fields)
         for quantity, unit in OF_THE_HALO
-    ]
+    ]  # fmt: skip
+
+
+def shows_core(best: Candidate, posterior: Posterior) -> bool:
+    """Whether the source's whole light is known: where every core is cut, it may be anything that makes its halo."""
+    if best.form.halo == "none":
+        return True
+    share = best.form.names.index("halo_fraction")
+    bounds = best.form.bounds[[share]]
+    pressed = np.abs(bounds - best.peak.point[share]).min() < AT_BOUND * np.ptp(bounds)
+    return not pressed and not leans_on_bound(posterior.draws[:, [share]], bounds).any()
 
 
 def _spread(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
@@ -170,6 +189,7 @@ def _spread(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes
     """Radii that hold half and nine tenths of the light."""
     reach = float(best.problem.series.radius_px[-1])
     radii = encircled(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
+    flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     out = []
     for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):
         if np.isnan(draws).any():
@@ -194,6 +214,20 @@ def _glare(best: Candidate, group: tuple[Spot, ...], flags: tuple[str, ...], not
     if found is None:
         return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
     return [from_sd("veiling_glare", "%", 100.0 * found[0], 100.0 * found[1], flags=flags, notes=notes, **fields)]
+
+
+def _plate(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
+           fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Density of light at which the plate's gain has halved, and what is left of each level's light behind it."""
+    if not isinstance(best.problem, TiringProblem):
+        reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
+        return [refused("plate_saturation_density", "DN", reason, **fields)]
+    density = 1.0 / np.maximum(posterior["plate_load"], 1e-9)
+    out = [from_draws("plate_saturation_density", "DN", density, flags=flags, notes=notes, **fields)]
+    left = best.problem.compression(posterior.draws[:DERIVED])
+    for label, draws in zip(best.problem.series.labels, left, strict=True):
+        out.append(from_draws("core_compression", "1", draws, flags=flags, stack=label, **fields))
+    return out
 
 
 def _background_sd(solved: Solved) -> Array:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.bloom.series.climb import Peak, climb
 from charact.bloom.series.forms import LEAST_DIAMETER_PX, Core, Form, Halo
 from charact.bloom.series.likelihood import Problem, Series
+from charact.bloom.series.plate import TiringForm, tired
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -17,6 +18,8 @@ CORES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
 # Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
 WORTHWHILE = 400.0
+# Levels that tell a plate that tires.
+LEAST_LEVELS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +52,7 @@ class Candidate:
     def name(self) -> str:
         """As reports call it."""
         halo = {"none": "no halo", "disc": "disc", "gaussian": "Gaussian halo"}[self.form.halo]
-        return f"{self.form.core} core, {halo}"
+        return f"{self.form.core} core, {halo}" + (", plate that tires" if isinstance(self.form, TiringForm) else "")
 
 
 def candidates(
@@ -69,7 +72,16 @@ def candidates(
     likeliest = min(out, key=lambda one: one.bic)
     out.append(fitted(series, form(likeliest.form.core, "gaussian"), []))
     least = min(one.bic for one in out)
-    return sorted((refined(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic)
+    out = sorted((refined(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic)
+    return sorted([*out, *_tired(out[0])], key=lambda one: one.bic)
+
+
+def _tired(best: Candidate) -> list[Candidate]:
+    """The best form with a plate that tires, where one level's core and another's halo can tell it."""
+    if best.form.halo != "disc" or len(best.problem.series.labels) < LEAST_LEVELS:
+        return []
+    found = tired(best.problem, best.peak)
+    return [refined(_candidate(*found))] if found else []
 
 
 def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Array]) -> list[Array]:
@@ -104,7 +116,7 @@ def refined(candidate: Candidate) -> Candidate:
 
 def _candidate(problem: Problem, peak: Peak) -> Candidate:
     share, value = problem.share_of_misfit(peak.point)
-    off = Problem(series=replace(problem.series, model_share=share), form=problem.form)
+    off = replace(problem, series=replace(problem.series, model_share=share))
     count = len(problem.form.names) + 2 * len(problem.series.data) + 1
     bic = -2.0 * value + count * float(np.log(problem.series.data.size))
     return Candidate(problem=off, peak=peak, log_likelihood=value, bic=bic)

@@ -133,15 +133,17 @@ class Form:
     def core_transform(self, points: Array) -> Array:
         """Transform of core and wing, pixel included, shape (draw, frequency)."""
         of = self.at(points)
-        core = transfer.pixel(self.pitch_ratio) * transfer.gaussian(of["core_sd"] ** 2)
-        if self.core == "tube":
-            return core * transfer.tube(of["core_frequency"], of["core_exponent"])
+        core = self.blur_transform(points)
         if self.core == "moffat":
             share = of["wing_share"][:, None]
-            return core * (1.0 - share) + share * transfer.pixel(self.pitch_ratio) * transfer.moffat(
-                of["wing_radius"], of["wing_exponent"]
-            )
-        return core
+            core = core * (1.0 - share) + share * transfer.moffat(of["wing_radius"], of["wing_exponent"])
+        return core * transfer.pixel(self.pitch_ratio)
+
+    def blur_transform(self, points: Array) -> Array:
+        """Transform of the core's blur alone, without wing and pixel, shape (draw, frequency)."""
+        of = self.at(points)
+        blur = transfer.gaussian(of["core_sd"] ** 2)
+        return blur * transfer.tube(of["core_frequency"], of["core_exponent"]) if self.core == "tube" else blur
 
     def halo_transform(self, points: Array) -> Array | None:
         """Transform of the bare halo, shape (draw, frequency); None where there is none."""

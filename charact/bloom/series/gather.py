@@ -3,20 +3,26 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.bloom.columns import spoiled
 from charact.bloom.series.centre import centred
-from charact.bloom.series.levels import Level, level_of, noise_of
+from charact.bloom.series.levels import BESIDE, Level, level_of, noise_of
 from charact.bloom.series.likelihood import Series, series_of
 from charact.bloom.series.rings import geometry_of
 from charact.bloom.spot import Spot
 from charact.method import Context
 from labdata.session import Session
 
+Array = NDArray[np.float64]
+
 # Stacks whose sources lie farther apart than this are not one series, px.
 SAME_PLACE_PX = 2.0
 # Rings that a series needs, and the most that are fitted: halos of up to 1.1 mm at the cathode end well inside them.
 LEAST_RINGS, MOST_RINGS = 14, 64
+# A core counts as cut from this share of the highest code; overflow makes it higher than wide by so much, and from so
+# far on a streak is seen as one.
+CUT, HIGHER_PX, FARTHEST_UPRIGHT_PX = 0.98, 2.0, 8.0
 
 
 def one_place(spots: tuple[Spot, ...]) -> tuple[Spot, ...]:
@@ -63,5 +69,23 @@ def _levels(
         mask = spoiled(one, context)
         geometry = geometry_of(one.image.shape, *place, pitch_ratio=context.pitch_ratio,
                                spoiled=mask if mask.any() else None)  # fmt: skip
-        out.append(level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn))
+        level = level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn)
+        upright = _upright_px(one.image, place, full_dn, context.pitch_ratio)
+        out.append(level.without_core(upright) if mask.any() or upright > 0 else level)
     return tuple(out)
+
+
+def _upright_px(image: Array, place: tuple[float, float], full_dn: float, pitch_ratio: float) -> float:
+    """How far a core reaches that is cut higher than wide, as overflow does, column pitches; 0 where it is round."""
+    row, col = round(place[0]), round(place[1])
+    cut = image >= CUT * full_dn
+    high, wide = _run(cut[:, col], row) * pitch_ratio, float(_run(cut[row], col))
+    return min(high / 2.0, FARTHEST_UPRIGHT_PX) + BESIDE if high > wide + HIGHER_PX else 0.0
+
+
+def _run(line: NDArray[np.bool_], at: int) -> int:
+    """Length of the run of true values through a place."""
+    if not line[at]:
+        return 0
+    ends = np.flatnonzero(~np.concatenate([[False], line, [False]]))
+    return int(ends[ends > at + 1][0] - ends[ends <= at][-1] - 1) if len(ends) else 0

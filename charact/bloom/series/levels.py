@@ -1,6 +1,6 @@
 """One level of a point series as ring means, with the noise that they really have."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,8 @@ LEAST_SD_DN = 0.01
 INNERMOST = 4
 # Share of samples at the highest code from which on a ring's scatter says nothing of its noise.
 HARDLY_CUT = 1e-3
+# Rings beside a cut core into which a streak reaches before it is seen as one.
+BESIDE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +57,13 @@ class Level:
     scatter: Array
     frames: int
     sector_sd: Array
+
+    def without_core(self, reach_px: float) -> "Level":
+        """Return the level without its cut rings, those next to them, and all within a radius."""
+        cut = np.flatnonzero(self.cut_share > HARDLY_CUT)
+        lost = self.geometry.lost | (self.geometry.radius_px < reach_px)
+        lost[: int(cut[-1]) + 1 + BESIDE if len(cut) else 0] = True
+        return replace(self, geometry=replace(self.geometry, lost=lost))
 
 
 def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float) -> Level:

@@ -166,11 +166,25 @@ class Solved:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Parts:
+    """What a form gives at some points, before levels have their light.
+
+    Parameters
+    ----------
+    straight
+        Light at the nodes of one DN px^2 of source, and background, shape (amplitude, node, point).
+    """
+
+    straight: Array
+
+
+@dataclass(frozen=True, kw_only=True)
 class Problem:
     """A form put to a series."""
 
     series: Series
     form: Form
+    steps: int = STEPS
 
     def log_probability(self, points: Array) -> Array:
         """Log of the posterior with every level's own light at its best, shape (point,)."""
@@ -181,17 +195,17 @@ class Problem:
             out[inside] = prior[inside] - 0.5 * self.solved(points[inside]).chi2.sum(axis=0)
         return out
 
-    def parts(self, points: Array) -> Array:
-        """Light at the nodes of one DN px^2 of source, and background, shape (amplitude, node, point)."""
+    def parts(self, points: Array) -> Parts:
+        """Return what the form gives at points."""
         light = (self.form.transform(points) @ self.series.onto_nodes).T
-        return np.array([light, np.ones_like(light)])
+        return Parts(straight=np.array([light, np.ones_like(light)]))
 
     def solved(self, points: Array) -> Solved:
         """Find the best amplitudes of all levels at points."""
         parts = self.parts(points)
-        amplitudes = self._of_uncut_rings(parts)
+        amplitudes = self._of_uncut_rings(parts.straight)
         residual, slopes = self._white(parts, amplitudes)
-        for step in range(STEPS):
+        for step in range(self.steps):
             # Levels that are not cut are straight: they are there after one step.
             which = np.flatnonzero(self.series.cut.any(axis=1)) if step else np.arange(len(amplitudes))
             if not len(which):
@@ -203,28 +217,33 @@ class Problem:
         normal = np.einsum("lkjp,lmjp->lkmp", slopes, slopes)
         return Solved(residual=residual, amplitudes=amplitudes, normal=normal)
 
-    def _of_uncut_rings(self, parts: Array) -> Array:
+    def _of_uncut_rings(self, straight: Array) -> Array:
         """First amplitudes, from the rings that are not cut, each with its own variance alone."""
-        rings = np.einsum("lin,knp->likp", self.series.averages, parts, optimize=True)
+        rings = np.einsum("lin,knp->likp", self.series.averages, straight, optimize=True)
         own = np.diagonal(self.series.covariance(self.series.model_share), axis1=1, axis2=2)
         weight = ~self.series.cut / own
         normal = np.einsum("li,likp,limp->lkmp", weight, rings, rings, optimize=True)
         return _solved(normal, np.einsum("li,likp->lkp", weight * self.series.data, rings, optimize=True))
 
     def _white(
-        self, parts: Array, amplitudes: Array, which: NDArray[np.intp] | slice = slice(None)
+        self, parts: Parts, amplitudes: Array, which: NDArray[np.intp] | slice = slice(None)
     ) -> tuple[Array, Array]:
         """Whitened residuals, shape (level, ring, point), and slopes of the rings, (level, amplitude, ring, point)."""
-        levels, (count, nodes, points) = len(amplitudes), parts.shape
-        light = np.einsum("knp,lkp->lnp", parts, amplitudes)
+        levels, count, points = amplitudes.shape
+        nodes = len(self.series.node_px)
+        light, follows = self.light(parts, amplitudes)
         read, slope = self.read(light, self.series.node_sd[which])
         together = np.empty((levels, nodes, count + 1, points))
         together[:, :, 0] = read
-        np.multiply(slope[:, :, None], parts.transpose(1, 0, 2), out=together[:, :, 1:])
+        np.multiply(slope[:, :, None], follows, out=together[:, :, 1:])
         white = (self.series.white_averages[which] @ together.reshape(levels, nodes, -1)).reshape(
             levels, -1, count + 1, points
         )
         return self.series.white_data[which][..., None] - white[:, :, 0], white[:, :, 1:].transpose(0, 2, 1, 3)
+
+    def light(self, parts: Parts, amplitudes: Array) -> tuple[Array, Array]:
+        """Light at the nodes, (level, node, point), and how it follows the amplitudes, (.., node, amplitude, point)."""
+        return np.einsum("knp,lkp->lnp", parts.straight, amplitudes), parts.straight.transpose(1, 0, 2)
 
     def read(self, light_dn: Array, sd_dn: Array) -> tuple[Array, Array]:
         """Mean code and its slope at nodes of some light, shape (level, node, point), and noise, (level, node)."""
@@ -244,7 +263,7 @@ class Problem:
 
     def rings(self, points: Array) -> Array:
         """Ring means that the form expects, cut codes as read, shape (level, ring, point), DN."""
-        light = np.einsum("knp,lkp->lnp", self.parts(points), self.solved(points).amplitudes)
+        light, _ = self.light(self.parts(points), self.solved(points).amplitudes)
         return self.series.averages @ self.read(light, self.series.node_sd)[0]
 
     def share_of_misfit(self, point: Array) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """What a report draws of a fitted series: rings with their model, forms with their criterion, diameters by level."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.bloom.series.choice import Candidate
 from charact.bloom.series.climb import climb
-from charact.bloom.series.likelihood import Problem, Series, some
+from charact.bloom.series.likelihood import Series, some
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -99,6 +100,6 @@ def foretelling(candidate: Candidate) -> float | None:
     total = 0.0
     for fold in (0, 1):
         seen = np.arange(count) % 2 == fold
-        peak = climb(Problem(series=some(series, seen), form=candidate.form), candidate.peak.point)
-        total += float(Problem(series=some(series, ~seen), form=candidate.form).solved(peak.point[None]).chi2.sum())
+        peak = climb(replace(candidate.problem, series=some(series, seen)), candidate.peak.point)
+        total += float(replace(candidate.problem, series=some(series, ~seen)).solved(peak.point[None]).chi2.sum())
     return total / series.data.size

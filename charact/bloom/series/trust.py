@@ -1,5 +1,7 @@
 """Whether a fitted disc is a halo: its edge is tied to one place, and every level alone has it there."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,7 +63,7 @@ def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
     number = np.arange(len(best.problem.series.data))
     out = np.full((3, len(number)), np.nan)
     for one in number:
-        alone = Problem(series=some(best.problem.series, number == one), form=best.form)
+        alone = replace(best.problem, series=some(best.problem.series, number == one))
         seen = _significance(alone, best.peak.point, share)
         out[2, one] = seen
         if seen > SEEN_LEVEL:

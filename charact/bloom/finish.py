@@ -1,0 +1,50 @@
+"""What every method of blooming tells besides the halo: extents of each stack, and what did not stay as it was."""
+
+from time import perf_counter
+from typing import Any
+
+from charact.bloom.blooms import bloom_measurements, series_evidence
+from charact.bloom.constancy import constancy
+from charact.bloom.spot import Spot
+from charact.method import Context
+from labdata.measurement import Measurement, Result
+from labdata.session import Session
+
+
+def finished(
+    session: Session,
+    spots: tuple[Spot, ...],
+    of_series: list[Measurement],
+    evidence: dict[str, Any],
+    *,
+    began: float,
+    context: Context,
+    **fields: Any,
+) -> Result:
+    """Add extents, streaks, depressions and flags of inconstancy to what a method says of the series.
+
+    Parameters
+    ----------
+    session, spots
+        The session and its point sources.
+    of_series, evidence
+        Measurements of the method, of all stacks together or with their stack's label, and what the report draws.
+    began
+        Clock when the method began, s.
+    context
+        What the method was told.
+    fields
+        Method and provenance.
+    """
+    steady = constancy(session, spots, context, **fields)
+    extents = bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
+    told = [_flagged(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in [*of_series, *extents]]
+    own = evidence.get("halo-constancy")
+    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
+    drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | steady.evidence
+    seconds = perf_counter() - began
+    return Result(measurements=tuple(m.with_(seconds=seconds) for m in [*told, *steady.measurements]), evidence=drawn)
+
+
+def _flagged(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:
+    return measurement if measurement.status == "refused" else measurement.with_(flags=flags)
