@@ -1,6 +1,6 @@
 """Halo and blooming around a point source that is far too bright."""
 
-from charact.bloom import gaussian, halo_profile, radial_profile, series_forward, threshold
+from charact.bloom import extended, gaussian, halo_profile, radial_profile, series_forward, threshold
 from charact.bloom.frame import measure_frame
 from charact.method import Context, choose
 from labdata.errors import BadInput
@@ -11,14 +11,14 @@ __all__ = ["gaussian", "halo_profile", "measure", "measure_frame", "radial_profi
 
 
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
-    """Measure halo diameter, bloom diameter and streak length from the point sources of a session.
+    """Measure halo diameter, bloom diameter and streak length from the point sources of a session, else from its edges.
 
     Parameters
     ----------
     session
-        Session with at least one stack of kind "point".
+        Session with at least one stack of kind "point", or, for the halo alone, of kind "edge".
     method
-        "auto" or the name of a registered method of kind "bloom".
+        "auto" or the name of a registered method of kind "bloom"; "lit-edge" for edges.
     within_percent
         Tolerance that the automatic choice must meet, percent.
     context
@@ -29,6 +29,8 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     BadInput
         If the session has no point source, or the method is unknown.
     """
+    if method == extended.METHOD or (method == "auto" and session.of_kind("edge") and not session.of_kind("point")):
+        return extended.lit_edge(session, context=context)
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
         raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")

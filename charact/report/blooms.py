@@ -103,6 +103,34 @@ def exposure(data: Data) -> tuple[np.ndarray, str]:
     return np.arange(1, len(data["label"]) + 1, dtype=float), "stack, in order (1)"
 
 
+def lit_edge(data: Data) -> Any:
+    """Brightness across the edge of a lit area at every level, with the model; where the halo ends is marked.
+
+    Reads `label`, and for each of these a list per level: `distance_px`, `mean_dn`, `sd_dn`, `used`, `model_dn`;
+    `edge_px`, the true edge on the scale of the distances, and `halo_diameter_px`.
+    """
+    figure, grid = panels(2, 1, size=(5.8, 4.8), sharex=True, height_ratios=(2.2, 1.0))
+    upper, lower = grid[:, 0]
+    for colour, number in zip(COLOURS * 2, _spaced(len(data["label"])), strict=False):
+        at, mean, sd, model = (
+            np.asarray(data[key][number], float) for key in ("distance_px", "mean_dn", "sd_dn", "model_dn")
+        )
+        used = np.asarray(data["used"][number], bool)
+        dots(upper, at[used], mean[used], sd[used], color=colour, label=str(data["label"][number]))
+        dots(upper, at[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        line(upper, at[used], model[used], color=colour, linewidth=1)
+        dots(lower, at[used], (mean - model)[used] / np.maximum(sd[used], 1e-9), color=colour)
+    end = data["edge_px"] + data["halo_diameter_px"] / 2.0
+    for axes in (upper, lower):
+        axes.axvline(data["edge_px"], color=INK, linewidth=0.9, label="edge")
+        axes.axvline(end, color=INK, linestyle="--", linewidth=0.9, label="end of the halo")
+    upper.set(ylabel="mean of the strip (DN)", yscale="log")
+    upper.legend(ncols=2)
+    lower.axhspan(-2.0, 2.0, color=INK, alpha=0.08, linewidth=0)
+    lower.set(xlabel="distance from the edge (column pitches, px)", ylabel="data - model\n(standard errors)")
+    return figure
+
+
 # Quantity: what the level is, colour and marker.
 EXTENTS = {
     "bloom_diameter": ("half of full scale", DATA, "o"),

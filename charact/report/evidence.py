@@ -21,6 +21,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "bloom-series": ("bloom", blooms.bloom_series),
     "halo-constancy": ("bloom", blooms.halo_constancy),
     "bloom-forms": ("bloom", blooms.forms),
+    "lit-edge": ("bloom", blooms.lit_edge),
     "bloom-smear": ("bloom", blooms.smear),
     "bloom-frames": ("bloom", bloom_pictures.bloom_frames),
     "bloom-map": ("bloom", bloom_pictures.bloom_map),

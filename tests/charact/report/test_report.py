@@ -287,6 +287,10 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
         "bloom-map": {
             "signal_dn": np.ones((20, 20)), "fraction": np.ones((20, 20)), "sd": np.ones((20, 20)), "near_px": 3.0,
         },
+        "lit-edge": {
+            "label": ["a"], "distance_px": [[1, 2]], "mean_dn": [[5, 4]], "sd_dn": [[1, 1]], "used": [[True, True]],
+            "model_dn": [[5, 4]], "edge_px": 0.0, "halo_diameter_px": 3.0,
+        },
         "joint-mtf": {"kind": ["edge", "bars"], "target": ["edge", "bars-0.1"], "residuals_sd": [spread, [0.3]]},
         "constancy": {
             "slopes": {"row_px": 0.0}, "row_px": spread, "mtf50_cy_per_px": spread, "sd_cy_per_px": spread,
