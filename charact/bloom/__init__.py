@@ -1,13 +1,13 @@
 """Halo and blooming around a point source that is far too bright."""
 
-from charact.bloom import extended, gaussian, halo_profile, radial_profile, series_forward, threshold
+from charact.bloom import extended, gaussian, radial_profile, series_forward, threshold
 from charact.bloom.frame import measure_frame
 from charact.method import Context, choose
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
-__all__ = ["gaussian", "halo_profile", "measure", "measure_frame", "radial_profile", "series_forward", "threshold"]
+__all__ = ["gaussian", "measure", "measure_frame", "radial_profile", "series_forward", "threshold"]
 
 
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:

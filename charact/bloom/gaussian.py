@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
+from charact.bloom.blooms import provenance
+from charact.bloom.finish import finished
 from charact.bloom.profile import Profile, profile_of, reach_of
 from charact.bloom.spot import DETECTED, read_spots
 from charact.method import Context, register
@@ -61,10 +62,7 @@ def gaussian(session: Session, *, context: Context) -> Result:
     profiles = [profile_of(s, reach_of(s), context=context) for s in spots if s.significance > DETECTED]
     fits = [found for profile in profiles if (found := fit_of(profile)) is not None]
     out = [_halo(fits, **fields)]
-    out += bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
-                  evidence={"bloom-series": series_evidence(spots)})  # fmt: skip
+    return finished(session, spots, out, {}, began=began, context=context, **fields)
 
 
 def _halo(fits: list[Fit], **fields: Any) -> Measurement:

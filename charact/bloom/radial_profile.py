@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
+from charact.bloom.blooms import provenance
 from charact.bloom.edge import STEP_SEEN, edge_radius
+from charact.bloom.finish import finished
 from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.spot import DETECTED, read_spots
 from charact.method import Context, register
@@ -40,10 +41,7 @@ def radial_profile(session: Session, *, context: Context) -> Result:
     profiles = [profile_of(s, reach_of(s), context=context) for s in spots if s.significance > DETECTED]
     seen = [(radius, score) for radius, score in map(edge_radius, profiles) if score > STEP_SEEN]
     out = [_halo(seen, **fields)]
-    out += bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
-                  evidence={"bloom-series": series_evidence(spots)})  # fmt: skip
+    return finished(session, spots, out, {}, began=began, context=context, **fields)
 
 
 def _halo(seen: list[tuple[float, float]], **fields: Any) -> Measurement:

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
+from charact.bloom.blooms import provenance
+from charact.bloom.finish import finished
 from charact.bloom.spot import Spot, read_spots
 from charact.method import Context, register
 from labdata.measurement import Measurement, Result, from_sd, refused
@@ -47,10 +48,7 @@ def threshold(session: Session, *, context: Context) -> Result:
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     out = [_halo(spots, **fields)]
-    out += bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
-                  evidence={"bloom-series": series_evidence(spots)})  # fmt: skip
+    return finished(session, spots, out, {}, began=began, context=context, **fields)
 
 
 def _halo(spots: tuple[Spot, ...], **fields: Any) -> Measurement:

@@ -28,7 +28,7 @@ from charact.study.harness import Row, judged
 from labdata.measurement import Measurement
 
 TABLE = Path(__file__).resolve().parent / "tables" / "bloom_map.json"
-METHOD, QUANTITY = "halo-profile", "halo_diameter"
+METHOD, QUANTITY = "series-forward", "halo_diameter"
 CELLS, REPEATS = 2000, 1
 # Cells that are measured before the table is written again.
 PART = 50

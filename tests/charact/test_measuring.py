@@ -14,7 +14,7 @@ def context() -> Context:
 
 
 def test_a_halo_of_four_gaps_sets_the_gap(context: Context) -> None:
-    halo = from_sd("halo_diameter", "px", 48.0, 0.1, method="halo-profile")
+    halo = from_sd("halo_diameter", "px", 48.0, 0.1, method="series-forward")
     gap = _knowing_halo(context, Result(measurements=(halo,))).sensor.photocathode.gap_mm
     mm_per_px = 11.0e-3 * float(context.sensor.taper.demagnification)
     assert gap.value == pytest.approx(48.0 * mm_per_px / 4.0, rel=1e-12)
@@ -24,8 +24,8 @@ def test_a_halo_of_four_gaps_sets_the_gap(context: Context) -> None:
 @pytest.mark.parametrize(
     "halo",
     [
-        refused("halo_diameter", "px", "no halo", method="halo-profile"),
-        from_sd("halo_diameter", "px", 48.0, 0.1, method="halo-profile", flags=("saturated",)),
+        refused("halo_diameter", "px", "no halo", method="series-forward"),
+        from_sd("halo_diameter", "px", 48.0, 0.1, method="series-forward", flags=("saturated",)),
     ],
 )
 def test_a_halo_that_is_not_sound_tells_nothing(context: Context, halo) -> None:

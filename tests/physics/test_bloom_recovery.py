@@ -47,7 +47,7 @@ def test_the_halo_is_four_gaps_wide_over_two_decades_of_light(seed):
         )
     session = Session(folder=Path("."), name="simulated", stacks=tuple(stacks), interlaced=True)
     context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
-    result = bloom.measure(session, method="halo-profile", context=context)
+    result = bloom.measure(session, method="series-forward", context=context)
     (halo,) = result.find("halo_diameter")
     low, high = halo.interval68
     known = truth.quantities(sensor, SETTINGS)["halo_diameter"]

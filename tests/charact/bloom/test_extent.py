@@ -17,7 +17,7 @@ from labdata.measurement import Measurement
 from labdata.sensors import load_sensor
 
 QUICK = Context(seed=1, quick=True)
-METHODS = ["halo-profile", "threshold"]
+METHODS = ["series-forward", "threshold"]
 LEVELS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 
 

@@ -31,7 +31,7 @@ def series(point, in_memory, rng, lights=LIGHTS, **settings):
 def test_the_diameter_before_blur_is_found_behind_a_saturated_core(point, in_memory, seed, diameter_px, elastic_share):
     rng = np.random.default_rng(seed)
     session = series(point, in_memory, rng, diameter_px=diameter_px, elastic_share=elastic_share)
-    halo = halo_of(bloom.measure(session, method="halo-profile", context=QUICK))
+    halo = halo_of(bloom.measure(session, method="series-forward", context=QUICK))
     assert halo.status == "ok"
     assert abs(errors(halo, diameter_px)) < 4.5
     assert (halo.interval68[1] - halo.interval68[0]) / 2 < 0.03 * diameter_px
@@ -39,7 +39,7 @@ def test_the_diameter_before_blur_is_found_behind_a_saturated_core(point, in_mem
 
 def test_the_chain_finds_it_too(point, in_memory, seed):
     session = series(point, in_memory, np.random.default_rng(seed))
-    halo = halo_of(bloom.measure(session, method="halo-profile", context=Context(seed=1)))
+    halo = halo_of(bloom.measure(session, method="series-forward", context=Context(seed=1)))
     assert halo.posterior.sampler == "emcee"
     assert abs(errors(halo, 40.0)) < 4.5
 
@@ -47,7 +47,7 @@ def test_the_chain_finds_it_too(point, in_memory, seed):
 def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
     """Two decades of light: each level's own diameter agrees with the common one."""
     session = series(point, in_memory, np.random.default_rng(seed), lights=(3e3, 3e4, 3e5), frames=8)
-    result = bloom.measure(session, method="halo-profile", context=QUICK)
+    result = bloom.measure(session, method="series-forward", context=QUICK)
     levels = result.evidence["halo-constancy"]
     assert len(levels["halo_diameter_px"]) >= 2
     for own, (low, high) in zip(levels["halo_diameter_px"], levels["interval95_px"], strict=True):
@@ -60,13 +60,13 @@ def test_the_steepest_step_lies_near_the_edge(point, in_memory, seed):
     assert halo.value == pytest.approx(40.0, abs=3.0)
 
 
-@pytest.mark.parametrize("method", ["halo-profile", "radial-profile", "threshold", "gaussian"])
+@pytest.mark.parametrize("method", ["series-forward", "radial-profile", "threshold", "gaussian"])
 def test_a_source_without_halo_is_refused_one(point, in_memory, seed, method):
     session = series(point, in_memory, np.random.default_rng(seed), halo_fraction=0.0)
     assert halo_of(bloom.measure(session, method=method, context=QUICK)).status == "refused"
 
 
-@pytest.mark.parametrize("method", ["halo-profile", "radial-profile", "threshold", "gaussian"])
+@pytest.mark.parametrize("method", ["series-forward", "radial-profile", "threshold", "gaussian"])
 @pytest.mark.parametrize("kind", ["uniform", "normal", "sparse"])
 def test_pure_noise_has_neither_halo_nor_bloom(in_memory, seed, method, kind):
     rng = np.random.default_rng(seed)

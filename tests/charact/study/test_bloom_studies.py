@@ -105,7 +105,7 @@ def test_streak_and_halo_are_told_apart_where_columns_overflow_and_smear():
         overloads = tuple(float(one) for one in halo_overload(spoilt) * np.array([0.003, 0.03, 0.3, 1.5]))
         series = BloomSeries(scene=spoilt, overloads=overloads)
         drawn = series.session_drawn(np.random.default_rng(7))
-        found, _ = measured(of_kind("bloom")["halo-profile"], series, drawn, seed=7, quick=True)
+        found, _ = measured(of_kind("bloom")["series-forward"], series, drawn, seed=7, quick=True)
         assert found is not None
         sure = {(one.quantity, one.stack): one for one in found if one.status == "ok"}
         assert sure["halo_diameter", None].value == pytest.approx(40.0, abs=1.0)
