@@ -74,15 +74,19 @@ def constancy(session: Session, spots: tuple[Spot, ...], context: Context, **fie
     flags |= {one.label: _in_time(one) for one in watched}
     for label, told in _between(watched, flags, _dark_variance(session)).items():
         flags[label] += told
-    out = [*depressions(watched, flags, **fields), *recoveries(watched, context.seed, **fields)]
+    # A source that leaves its place has not gone out.
+    still = tuple(one for one in watched if "lag" in flags[one.label])
+    out = [*depressions(watched, flags, **fields), *recoveries(still, context.seed, **fields)]
     return Constancy(flags=flags, measurements=tuple(out), evidence={"bloom-constancy": _evidence(watched, flags)})
 
 
 def _in_time(watched: OverTime) -> tuple[str, ...]:
     """Flags of one stack's frames."""
+    if travel_px(watched) > 0:
+        return ("drift",)
     if goes_out(watched) is not None:
         return ("lag",)
-    return ("drift",) if travel_px(watched) > 0 or change(watched) > 0 else ()
+    return ("drift",) if change(watched) > 0 else ()
 
 
 def _between(

@@ -20,8 +20,9 @@ TILE_PX, FAR_SHARE, COLUMNS_PX = 6, 0.4, 16
 TILE_APART = 4.0
 # Share of full scale from which on a pixel may be cut, and up to which it follows the light.
 CUT_SHARE, LINEAR_SHARE = 0.95, 0.6
-# Pixels about the source in which its middle is sought beyond the contour of half its height.
-ABOUT_PX = 5
+# Pixels about the source in which its middle is sought beyond the contour of half its height: far, for it may move;
+# and standard deviations of a pixel by which what counts stands out of the background.
+ABOUT_PX, ABOVE = 24, 5.0
 # Levels over background at which the noise in time is read, DN, distance from the source within which it is not, px,
 # and parts of the circle whose scatter tells its error.
 LEVELS_DN = (3.0, 6.0, 12.0, 24.0, 48.0)
@@ -104,7 +105,7 @@ def over_time(spot: Spot, stack: FrameStack, row_pitch: float) -> OverTime:
         background_dn=float(level.mean()),
         background_sd_dn=float(np.hypot(level.std(ddof=1) / np.sqrt(level.size), scatter)),
         background_by_frame_dn=by_frame,
-        centre_px=_centres(data, mean, spot),
+        centre_px=_centres(data, mean, float(np.sqrt(np.median(_tiles(variance)[tiles]))), spot),
         light_by_frame=light,
         light_noise=noise,
         **_noise(data, mean, variance, radius, np.arctan2(down, along), tiles, spot),
@@ -130,16 +131,24 @@ def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
     return take & (np.abs(level - middle) <= TILE_APART * max(spread, 1e-3))
 
 
-def _centres(data: NDArray, mean: Array, spot: Spot) -> Array:
+def _centres(data: NDArray, mean: Array, noise_dn: float, spot: Spot) -> Array:
     """Middle of what is brighter than half the peak, or half of full scale, in each frame."""
     row, col = round(spot.row), round(spot.col)
     span = spot.full_scale_dn - spot.dark_dn
     near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
-    threshold = spot.dark_dn + 0.5 * min(float(near.max()) - spot.dark_dn, span)
+    floor = float(np.median(mean))
+    threshold = max(min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + ABOVE * noise_dn)
     half = int(np.ceil(0.5 * spot.bloom_px)) + ABOUT_PX
-    first, left = max(0, row - half), max(0, col - half)
-    cut = data[:, first : row + half + 1, left : col + half + 1].astype(np.float64)
-    weight = np.clip(cut - threshold, 0.0, 0.2 * span)
+    near = _middles(data, threshold, 0.2 * span, (row - half, col - half), (row + half + 1, col + half + 1))
+    # Where frames show nothing near, the source has gone out, or elsewhere.
+    return near if np.isfinite(near).all() else _middles(data, threshold, 0.2 * span, (0, 0), mean.shape)
+
+
+def _middles(data: NDArray, threshold: float, most: float, begin: tuple[int, int], end: tuple[int, ...]) -> Array:
+    """Middle of what lies above a threshold inside a window of each frame, NaN where nothing does."""
+    first, left = max(0, begin[0]), max(0, begin[1])
+    cut = data[:, first : end[0], left : end[1]].astype(np.float64)
+    weight = np.clip(cut - threshold, 0.0, most)
     total = weight.sum(axis=(1, 2))
     rows = (weight.sum(axis=2) @ (first + np.arange(cut.shape[1]))) / np.where(total > 0, total, np.nan)
     cols = (weight.sum(axis=1) @ (left + np.arange(cut.shape[2]))) / np.where(total > 0, total, np.nan)
