@@ -204,6 +204,9 @@ def light_of(conditions: Conditions) -> float | None:
 
 def _light(series: Series) -> list[Finding]:
     """Whether the signal follows the light between the levels that are fitted."""
+    # What turns the gain up for all levels alike no flat betrays: it is taken from whoever states it.
+    if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in series.flats):
+        return [("agc", "an automatic gain or brightness control was on")]
     chosen = np.flatnonzero(series.fitted)
     light = [light_of(series.flats[i].conditions) for i in chosen]
     if len(chosen) < 2 or any(value is None or value <= 0 for value in light):

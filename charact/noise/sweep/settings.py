@@ -205,7 +205,7 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
         dark_variance_dn2=None if dark is None else dark.variance_dn2,
         dark_variance_sd_dn2=0.0 if dark is None else dark.variance_sd_dn2,
         dark=None if dark is None else dark.label,
-        findings=tuple(_findings(one, flats, value, knob, context)),
+        findings=tuple(_findings(one, value, knob, context)),
     )
     return setting if least >= QUANTISED_DN2 else _quantised(setting, least, knob)
 
@@ -236,12 +236,10 @@ def _white_gain(one: OneGain, context: Context) -> Array:
     return standard.gain_line(one.series, context=replace(context, quick=True), allowance=allowance).slope
 
 
-def _findings(one: OneGain, flats: list[Level], value: float, knob: Knob, context: Context) -> list[Finding]:
+def _findings(one: OneGain, value: float, knob: Knob, context: Context) -> list[Finding]:
     """What speaks against a setting, with the setting named; remarks that flag nothing stay with its own gain."""
     found = [entry for entry in series_findings(one.series, context=context) if entry[0] not in OF_ONE_SERIES]
     found += one.findings()
-    if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in flats):
-        found.append(("agc", "an automatic gain or brightness control was on"))
     return [(flag, f"at {knob.text(value)}: {sentence}") for flag, sentence in found if flag is not None]
 
 

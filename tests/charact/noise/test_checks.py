@@ -107,6 +107,15 @@ def test_a_mean_that_stays_while_the_light_changes_betrays_automatic_gain(pulses
         assert "agc" in gain_of(noise.measure(in_memory(stacks), method=method, context=QUICK)).flags
 
 
+@pytest.mark.parametrize("control", ["automatic_gain", "brightness_control"])
+def test_an_automatic_gain_that_the_session_states_is_flagged_though_no_flat_betrays_it(pulses, series, seed, control):
+    """A gain that all levels share alike is no other than the camera's own."""
+    session = series(pulses(), np.random.default_rng(seed), (5.0, 15.0, 30.0), frames=4)
+    told = tuple(replace(s, conditions=replace(s.conditions, **{control: True})) for s in session.stacks)
+    for method in METHODS:
+        assert "agc" in gain_of(noise.measure(replace(session, stacks=told), method=method, context=QUICK)).flags
+
+
 def test_levels_beyond_the_variance_peak_are_left_out(pulses, series, seed):
     camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, full_scale_dn=4095.0)
     levels = (400.0, 1200.0, 2500.0, 4000.0, 5500.0, 7000.0, 8400.0)
