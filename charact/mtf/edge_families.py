@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from charact.mtf.edge_checks import response_curvature
 from charact.mtf.edge_maps import EdgeMaps
 from charact.mtf.edge_profile import Profile
+from charact.mtf.evidence import Evidence
 from charact.mtf.families import Family, Wide
 from charact.mtf.optics import Known
 
@@ -20,6 +21,8 @@ SHIFT_PX = 6.0
 # Half frequencies among which the first guess is taken, cycles per pixel.
 GUESSES = np.exp(np.linspace(np.log(0.01), np.log(1.8), 40))
 ITERATIONS = 30
+# Steps after which one of several starts is chosen.
+FIRST_ITERATIONS = 5
 # Gain in -2 ln of the posterior from which on a step is not worth another.
 SETTLED = 2e-3
 # A parameter's finite difference, share of the width of its bounds.
@@ -95,6 +98,7 @@ class FamilyFitter:
     def __init__(self, profile: Profile, known: Known) -> None:
         self.profile = profile
         self.maps = EdgeMaps(profile, known)
+        self._evidences: dict[float, Evidence] = {}
 
     @property
     def power(self) -> float:
@@ -111,8 +115,15 @@ class FamilyFitter:
         overlap = white @ self.maps.data
         return float(GUESSES[int(np.argmax(overlap**2 / np.sum(white**2, axis=1)))])
 
-    def fit(self, family: Family, start: Array, slope_sd_per_px: float, *, iterations: int = ITERATIONS) -> FamilyFit:
+    def fit(self, family: Family, start: Array, slope_sd_per_px: float) -> FamilyFit:
         """Fit a form from a starting point (shift and the form's parameters)."""
+        point, here = self._climbed(family, start, slope_sd_per_px, ITERATIONS)
+        return self._fitted(family, point, here, self.bounds(family), slope_sd_per_px)
+
+    def _climbed(
+        self, family: Family, start: Array, slope_sd_per_px: float, iterations: int
+    ) -> tuple[Array, "_Linearised"]:
+        """Return where so many steps lead from a starting point, and the model there."""
         bounds = self.bounds(family)
         prior = self._prior(family, slope_sd_per_px)
         point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), 1e-3
@@ -130,7 +141,7 @@ class FamilyFitter:
                 damping = damping * 30.0
                 if damping > 1e9:
                     break
-        return self._fitted(family, point, here, bounds, slope_sd_per_px)
+        return point, here
 
     def _prior(self, family: Family, slope_sd_per_px: float) -> tuple[Array, Array]:
         """Return mean and precision of the Gaussian part of every parameter's prior, linear ones last."""
@@ -251,9 +262,9 @@ class FamilyFitter:
         apart = [
             i for i in order if abs(np.log(starts[i][-wide.after_size] / starts[order[0]][-wide.after_size])) > 0.5
         ]
-        begun = [self.fit(family, starts[i], slope, iterations=5) for i in (order[0], *apart[:1])]
-        best = min(begun, key=lambda one: one.cost)
-        return None if best.cost > hopeless_cost else self.fit(family, best.point, slope)
+        begun = [self._climbed(family, starts[i], slope, FIRST_ITERATIONS) for i in (order[0], *apart[:1])]
+        point, reached = min(begun, key=lambda one: one[1].cost)
+        return None if reached.cost > hopeless_cost else self.fit(family, point, slope)
 
     def _wide_starts(self, fit: FamilyFit, wide: Wide) -> tuple[Array, Array]:
         """Return gains in chi squared from light beyond the core, to first order, and where to begin its fits.
@@ -331,9 +342,15 @@ class FamilyFitter:
         spread, levels = self.spread_of(fit), self.maps.levels
         return response_curvature(self.profile, self.maps.root, spread, tangents, levels, shape_sd)
 
+    def _evidence(self, slope_sd_per_px: float) -> Evidence:
+        """Return what the data say under a prior of the slopes, made once for all forms."""
+        if slope_sd_per_px not in self._evidences:
+            self._evidences[slope_sd_per_px] = self.profile.evidence(self.maps.grid, slope_sd_per_px)
+        return self._evidences[slope_sd_per_px]
+
     def log_probability(self, family: Family, slope_sd_per_px: float) -> Callable[[Array], Array]:
         """Return the log-probability of shift and form, vectorised, from the data kept as a few matrices."""
-        evidence = self.profile.evidence(self.maps.grid, slope_sd_per_px)
+        evidence = self._evidence(slope_sd_per_px)
         bounds, grid, fixed = self.bounds(family), self.maps.grid, self.maps.fixed
 
         def log_probability(theta: Array) -> Array:

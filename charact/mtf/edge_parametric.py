@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context, register
 from charact.mtf import edge_checks
+from charact.mtf.curve import FINE, falls_to
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_forms import Weighed, departs, fitted_forms, wides
@@ -24,6 +25,8 @@ from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 
 Array = NDArray[np.float64]
+# A form, draws of its posterior and how many of them count.
+Drawn = tuple[Family, Posterior, int]
 
 METHOD = "edge-parametric"
 # Share of the evidence for light wider than the window from which on the window is too small.
@@ -36,6 +39,9 @@ DRAWS, QUICK_DRAWS = 1000, 500
 MAX_STEPS = 3000
 # Half frequency of a core, cycles per pixel, from which on the aperture hides it, and its posterior is no parabola.
 SHARP = 0.5
+# Standard error of ln MTF50 from which on the posteriors are no parabolas either, that from which on the interval is
+# too wide to be trusted whatever its tails, and how many draws tell it.
+UNSURE, HOPELESS, TELLING = 0.1, 0.15, 100
 # Effective draws from a form that is not the most probable one, of which only some are wanted.
 ENOUGH = 1000.0
 # The same where the answer is wanted quickly, and draws to begin with.
@@ -85,7 +91,9 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     reason = no_edge(best.chi2, fitter.power, best.free) or too_blurred(profile, float(np.exp(best.point[1])))
     if reason:
         return nothing(METHOD, reason, edge.where, context, began)
-    drawn = _drawn(fitter, fits, context)
+    drawn = _drawn(fitter, fits, context, parabolic=context.quick)
+    if context.quick and _unsure(drawn[0], known):
+        drawn = _drawn(fitter, fits, context, parabolic=False)
     outcome = Outcome(
         method=METHOD,
         edge=edge,
@@ -115,22 +123,37 @@ def _fitted(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitt
     return fitter, fits
 
 
-def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context) -> list[tuple[Family, Posterior, int]]:
+def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context, *, parabolic: bool) -> list[Drawn]:
     """Return draws of every form and how many of them count."""
     total = sum(one.share for one in fits)
-    wanted = QUICK_DRAWS if context.quick else DRAWS
+    wanted = QUICK_DRAWS if parabolic else DRAWS
     out = []
     for number, one in enumerate(fits):
         count = max(1, round(wanted * one.share / total))
-        posterior = _posterior(fitter, one.fit, fits[0].fit.noise_scale, context, number, wanted)
+        posterior = _posterior(fitter, one.fit, fits[0].fit.noise_scale, context, number, wanted, parabolic=parabolic)
         out.append((one.fit.family, posterior, count))
     return out
 
 
+def _unsure(drawn: Drawn, known: Known) -> bool:
+    """Tell whether MTF50 is so uncertain under a form that parabolas about the peaks do not tell its tails."""
+    form, posterior, _ = drawn
+    half = falls_to(FINE, np.abs(known(FINE)) * form.modulus(posterior.draws[:TELLING, 1:], FINE), 0.5)
+    half = half[np.isfinite(half)]
+    return half.size > 0 and bool(UNSURE < np.std(np.log(half)) < HOPELESS)
+
+
 def _posterior(
-    fitter: FamilyFitter, fit: FamilyFit, noise_scale: float, context: Context, number: int, draws: int
+    fitter: FamilyFitter,
+    fit: FamilyFit,
+    noise_scale: float,
+    context: Context,
+    number: int,
+    draws: int,
+    *,
+    parabolic: bool,
 ) -> Posterior:
-    """Draw from one form's posterior: by Markov chain, or quickly from the curvature."""
+    """Draw from one form's posterior: by Markov chain or importance, or from the curvature where a parabola serves."""
     asked = {
         "names": ("edge_shift_px", *fit.family.parameters),
         "units": ("px", *(unit for unit, _ in fit.family.parameters.values())),
@@ -140,7 +163,7 @@ def _posterior(
         "bounds": fitter.bounds(fit.family),
         "draws": draws,
     }
-    if context.quick and np.exp(fit.point[1]) < SHARP:
+    if parabolic and np.exp(fit.point[1]) < SHARP:
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
     else:
         known = fitter.log_probability(fit.family, fit.slope_sd_per_px)

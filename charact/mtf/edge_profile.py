@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
 PLATEAU_FROM_PX = 10.0
 SHADING_LENGTH_PX = 10.0
+LEAST_SHADED_PX = 1.4 * SHADING_LENGTH_PX
 DEFECT_SD = 8.0
 # A pixel off by less than this share of the step moves nothing, and bins of a steep edge leave as much over.
 LEAST_DEFECT = 0.02
@@ -287,12 +288,15 @@ def with_shading(profile: Profile, left_over: Array) -> Profile:
 
 
 def _shading(profile: Profile, left_over: Array) -> float:
-    """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins."""
+    """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins.
+
+    In a plateau not much longer than an undulation all but a thousandth of it is bend, of which nothing is told.
+    """
     excess, weight, scatter = 0.0, 0.0, 0.0
     for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
-        if np.count_nonzero(side) < 12:
-            continue
         place = profile.distance[side]
+        if place.size < 12 or np.ptp(place) < LEAST_SHADED_PX:
+            continue
         design = np.stack([np.ones_like(place), place, place**2], axis=1)
         project = np.eye(place.size) - design @ np.linalg.pinv(design)
         left = project @ left_over[side]

@@ -22,6 +22,10 @@ from labdata.measurement import Measurement, Posterior, Provenance, Result, from
 
 Array = NDArray[np.float64]
 
+# Half width of the 68 % interval over the value from which on the posterior's tails depend on what was taken for
+# possible before the data, and no interval can be trusted at four standard errors.
+LEAST_SURE = 0.15
+
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
@@ -112,7 +116,7 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
         )
         return refused(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_with_peaks(common, kept))
+    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_if_sure(_with_peaks(common, kept), kept))
 
 
 def _pinned(frequency: float, draws: Array, common: dict) -> Measurement:
@@ -131,6 +135,14 @@ def _with_peaks(common: dict, draws: Array) -> dict:
     if not has_several_peaks(draws[:, None]):
         return common
     return {**common, "flags": (*common["flags"], "several-modes")}
+
+
+def _if_sure(common: dict, draws: Array) -> dict:
+    """Return what measurements share, flagged where the 68 % interval of this one is too wide for its tails."""
+    low, middle, high = np.quantile(draws, [0.158655, 0.5, 0.841345])
+    if high - low < 2.0 * LEAST_SURE * middle:
+        return common
+    return {**common, "flags": tuple(dict.fromkeys((*common["flags"], "low-signal")))}
 
 
 def edge_angle(edge: FoundEdge, common: dict) -> Measurement:

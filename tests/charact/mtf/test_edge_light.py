@@ -7,6 +7,7 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge_find import find_edge
+from charact.mtf.edge_profile import with_shading
 from charact.mtf.grain_form import form_of
 from labdata.frames import FrameStack
 
@@ -123,3 +124,13 @@ def test_noise_of_no_smooth_form_keeps_its_own_correlation(seed):
     # Errors of a correlation under this noise, by Bartlett: sqrt(sum rho^2 / pairs), at most 0.04 here.
     for x, y in ((1, 0), (0, 1), (1, 1), (2, 0), (0, 3), (3, 3)):
         assert correlation[14 + y, 14 + x] == pytest.approx(truth(x, y), abs=0.12)
+
+
+@pytest.mark.parametrize("cols", [48, 150])
+def test_ripples_are_no_undulations_many_times_their_size(cols, seed):
+    """What a bend leaves over of a plateau of 13 px is a fiftieth of an undulation, and not to be blown up to one."""
+    frame = frame_of(4.0, rows=110, cols=cols) + 10.0 * np.random.default_rng(seed).standard_normal((110, cols))
+    profile = find_edge(FrameStack(data=frame[None]), None, QUICK).profile
+    ripples, waves = (height * np.sin(2 * np.pi * profile.distance / px) for height, px in ((6.0, 5.0), (45.0, 40.0)))
+    assert with_shading(profile, ripples).shading_sd < 3 * 6.0
+    assert with_shading(profile, waves).shading_sd > 10.0 or cols < 100
