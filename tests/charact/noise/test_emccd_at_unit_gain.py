@@ -1,5 +1,7 @@
 """A real CCD of known gain: an EMCCD at unit gain, 3 x 3 px (Ryan et al. 2021, 10.1038/s41598-021-97759-6)."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tifffile
@@ -27,6 +29,24 @@ def test_the_gain_of_a_real_ccd_covers_what_its_authors_found(levels, tmp_path):
     assert gain.value == pytest.approx(1.0 / PHOTOELECTRONS_PER_COUNT, rel=0.025)
     # There are frames of no dark, and it is said.
     assert "no-darks" in gain.flags
+
+
+def test_a_map_of_mean_bias_is_no_sample_of_dark_noise(levels, shared_data, tmp_path):
+    """A mean of many darks does not change in time: given as a dark it is named, subtracts no noise and moves no slope.
+
+    Gaussian frames made of the authors' bias and read-noise maps do not bring the gain to theirs either: 0.253.
+    """
+    session = import_frames(levels[:3], tmp_path / "session", kind="flat", name_pattern=None)
+    bias = import_frames([shared_data / "emccd_ryan2021" / "1x-gain_no-signal_S0.tif"], tmp_path / "bias",
+                         kind="dark", name_pattern=None)  # fmt: skip
+    both = replace(session, stacks=(*session.stacks, *bias.stacks))
+    without, with_map = (
+        noise.measure(one, method="variance", context=Context(seed=1, quick=True)).find("system_gain")[0]
+        for one in (session, both)
+    )
+    assert with_map.value == without.value and with_map.interval95 == without.interval95
+    assert "no-darks" in with_map.flags
+    assert any(bias.stacks[0].label in note for note in with_map.notes)
 
 
 def test_the_rest_of_the_difference_is_light_that_drifts(levels, shared_data):
