@@ -11,6 +11,7 @@ Mask = NDArray[np.bool_]
 # Farthest ring, column pitches, and share of a ring that must lie inside the frame for it to count.
 REACH_PX = 90
 LEAST_SHARE = 0.34
+INNERMOST = 3
 # Share of a ring's pixels that must be left unspoiled for it to say anything.
 LEAST_LEFT = 0.3
 # Nodes of the radius on which light is worked out: fine where a core is steep, coarser beyond.
@@ -130,6 +131,8 @@ def geometry_of(
     inside = ring < reach_px
     whole = np.pi * (2 * np.arange(reach_px) + 1) / pitch_ratio
     enough = np.bincount(ring[inside], minlength=reach_px) > LEAST_SHARE * whole
+    # The innermost rings are a few pixels each, more or fewer as the place lies among them.
+    enough[:INNERMOST] |= np.bincount(ring[inside], minlength=reach_px)[:INNERMOST] > 0
     reach = int(np.argmin(enough)) if not enough.all() else reach_px
     kept = ring < reach
     lost = np.zeros(reach, bool)
