@@ -15,6 +15,8 @@ from labdata.sensor import Sensor
 
 # Standard deviation of the number of pixels inside a circle thrown at random over them, over the root of its radius.
 COUNTING = 0.84
+# Width of a 95 % interval, px and share of the diameter, from which on the noise all but hides where light ends.
+VAGUE_PX, VAGUE = 3.0, 0.3
 LEVELS = {
     "bloom_diameter": "half of full scale",
     "bloom_diameter_background": "twice the background over dark",
@@ -51,7 +53,8 @@ def flags_of(spot: Spot, extent: Extent) -> tuple[str, ...]:
     """What is to be distrusted of an extent."""
     flags = () if spot.dark_known else ("no-darks",)
     flags += ("window-too-small",) if extent.touches_border else ()
-    flags += ("low-signal",) if not extent.determined and not extent.pulled else ()
+    wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(VAGUE_PX, VAGUE * extent.diameter_px)
+    flags += ("low-signal",) if wide or not (extent.determined or extent.pulled) else ()
     inside = [extent.region[round(one.row), round(one.col)] for one in spot.others]
     flags += ("several-targets",) if any(inside) else ()
     # A background below the dark level is none: one of both was taken otherwise.

@@ -115,12 +115,14 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
         weight = lever**2 / (noise.sd(base + mean) ** 2 / noise.frames + (INEXACT * mean) ** 2)
         working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
         weighted = basis * weight[:, None]
-        normal = np.linalg.pinv(weighted.T @ basis, hermitian=True)
+        normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
         beta = normal @ (weighted.T @ working)
         linear = basis @ beta
     residual = weight * (working - linear)
     scores = basis * residual[:, None]
     covariance = normal @ _scatter(scores, polar.sector[pixels], noise.tied) @ normal
+    # What the noise of pixels makes it at least, for a scatter of few sectors may happen to be small.
+    covariance = max(covariance, noise.tied * normal, key=lambda one: float(one[0, 0]))
     return _solved(beta, covariance, radius, terms)
 
 

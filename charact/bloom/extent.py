@@ -29,7 +29,7 @@ PULLED_PX, PULLED_NEAR, PULLED_FAR = 2.0, 0.4, 0.1
 # Share of a ring that must lie inside the frame.
 LEAST_WHOLE = 0.3
 # What the fit of a smooth contour may be off by, px and share of the radius.
-FIT_PX, FIT_SHARE = 0.03, 0.0015
+FIT_PX, FIT_SHARE = 0.025, 0.001
 # Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
 PRECISE_PX, NARROW = 0.04, 0.5
 # Parts of a pixel, along rows and columns, where a region is counted, and the error of a sharp edge between pixels, px.
@@ -167,7 +167,7 @@ def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int =
     near = float(view.signal[view.polar.radius < 1.5].max(initial=-np.inf))
     radius, profile = view.profile
     usable = int(np.argmin(np.append(view.rings.whole, 0.0) > LEAST_WHOLE))
-    if near < visible:
+    if near < visible or visible <= 0:
         return None
     first = _crossings(radius[:usable], profile[None, :usable], visible)[0]
     sectors = ~_pulled(view, visible, first)

@@ -12,10 +12,13 @@ Array = NDArray[np.float64]
 # Shares of full scale between which the noise of the light is read, and the fewest pixels that tell it.
 LIGHT = (0.1, 0.7)
 FEWEST = 8
+LEAST_LIGHT_DN = 1.0
+# Times by which what is well lit is brighter than what is faint, lest a line through both be no line.
+APART = 1.5
 # Variance of rounding, DN^2.
 ROUNDING = 1.0 / 12.0
-# Fall of the rings, share of full scale a px, beyond which they say nothing of the noise of a single frame.
-STEEP = 0.02
+# Fall of the rings a px, share of their level and of full scale, beyond which a single frame's noise is not read.
+STEEP, STEEP_FAINT = 0.015, 0.004
 SMOOTHING_PX = 1.0
 # Rows that share no noise.
 APART_ROWS = 3
@@ -67,14 +70,16 @@ def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: P
         variance = frames.var(axis=0, ddof=1, dtype=np.float64)
     else:
         # Where rings fall steeply, differences say nothing of noise; along columns they do even in a streak.
-        level = np.abs(np.gradient(profile))[polar.ring] < STEEP * top
+        level = (np.abs(np.gradient(profile)) < np.maximum(STEEP * profile, STEEP_FAINT * top))[polar.ring]
         level[:APART_ROWS] = level[-APART_ROWS:] = False
         around = 0.5 * (np.roll(signal, APART_ROWS, axis=0) + np.roll(signal, -APART_ROWS, axis=0))
         variance = np.where(level, (signal - around) ** 2 / 1.5, np.nan)
     faint = signal <= np.median(signal)
     spread = [float(np.median(np.abs(one[faint] - expected[faint]))) for one in (smooth, signal)]
     tied = max(1.0, (spread[0] / max(spread[1], 1e-6)) ** 2 * 4.0 * np.pi * SMOOTHING_PX**2)
-    return _line(variance.ravel(), signal.ravel(), top, len(frames), tied)
+    # A single frame's pixels are not chosen by their own noise.
+    of = signal if len(frames) > 1 else expected
+    return _line(variance.ravel(), of.ravel(), top, len(frames), tied)
 
 
 def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) -> Noise:
@@ -83,13 +88,16 @@ def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) 
     variance, signal = variance[known], signal[known]
     faint = signal <= np.median(signal)
     lit = (signal > LIGHT[0] * top) & (signal < LIGHT[1] * top)
+    at_faint, of_faint = float(np.maximum(signal[faint], 0.0).mean()), float(variance[faint].mean())
     if lit.sum() < FEWEST:
         # All of the noise is laid to the light, as intensified cameras have it.
-        lit = signal >= np.quantile(signal, 0.99)
+        slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, LEAST_LIGHT_DN)
+        return Noise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
     # Medians: pixels at the end of a streak, or across which a source moves, vary more than by their noise.
-    low = _median_share(max(frames - 1, 1))
-    at_faint, of_faint = float(np.maximum(signal[faint], 0.0).mean()), float(variance[faint].mean())
-    at_lit, of_lit = float(np.median(signal[lit])), float(np.median(variance[lit])) / low
+    at_lit = float(np.median(signal[lit]))
+    of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
+    if at_lit < APART * at_faint:
+        return Noise(floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied)
     slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
     return Noise(floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied)
 

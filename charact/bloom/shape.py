@@ -7,6 +7,8 @@ from labdata.measurement import Interval
 
 # Fewer pixels than this have no shape.
 FEWEST = 12
+# Sectors of a shallow contour scatter less than its axes do; and no fit of a smooth contour is rounder than this.
+WIDER, LEAST_SD = 1.3, 0.004
 
 
 def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:
@@ -29,7 +31,7 @@ def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, I
         return None
     if extent.contour is not None and not extent.pulled:
         oval = float(np.hypot(*extent.contour.oval))
-        sd = float(np.hypot(extent.contour.oval_sd, 0.004))
+        sd = float(np.hypot(WIDER * extent.contour.oval_sd, LEAST_SD))
         centre = float(np.sqrt(max(oval**2 - sd**2, 0.0)))
         return _around(centre, sd)
     from skimage import measure
