@@ -1,5 +1,7 @@
 """The forward model of a point series: its light is that of closed forms, its rings are read as cameras read them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -167,7 +169,7 @@ def test_a_plate_that_tires_is_told_by_its_density_and_leaves_the_halo(saturatio
     assert abs(errors(density, saturation_dn)) < 4.5
     assert abs(errors(only(result, "halo_fraction"), scene.halo_fraction)) < 4.5
     left = [one.value for one in result.find("core_compression")]
-    assert all(one > other for one, other in zip(left, left[1:], strict=False))
+    assert all(one > other for one, other in pairwise(left))
     assert 0.9 < left[0] <= 1.0 and left[-1] < 0.1
 
 
