@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from charact.bloom.columns import ROUNDED_DN, Upright, upright
 from charact.bloom.grain import Grain, grain_of
 from charact.bloom.spot import DETECTED, Spot
+from charact.bloom.streak import FULL_SHARE
 from charact.method import Context
 from labdata.measurement import Measurement, from_sd, refused
 
@@ -29,7 +30,7 @@ CORE_SHARE = 0.25
 LEAST_ROWS, LEAST_SIDE = 16, 6
 # Rows where the source's own light adds so much to the noise of a pixel are left out.
 NOISY = 1.3
-# Share of full scale that no unsaturated source and no smear exceeds.
+# Share of full scale that no unsaturated source exceeds, and from which on light even along a column may be a streak.
 LINEAR_SHARE = 0.65
 # Standard errors at which smear is seen in a stack; and those by which two stacks, or above and below, may differ, two
 # stacks by some share besides.
@@ -196,9 +197,10 @@ def _smear_of(spot: Spot, core: Core, context: Context) -> Smear | str:
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
     if far.sum() < LEAST_ROWS:
         return "the source's streak or its halo reaches the frame's top and bottom: smear cannot be told from them"
-    even = spot.image[far, middle].mean() - spot.dark_dn
-    if even > LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn):
-        return "the columns are near full scale from top to bottom: smear cannot be told from a streak"
+    # One column that is full from end to end is enough: a streak's columns are of unlike length.
+    even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
+    if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
+        return "the columns are bright from top to bottom: smear cannot be told from a streak"
     level, sd = _contrast(found.excess_dn, far, half, col)
     if np.isinf(sd):
         return NARROW

@@ -51,6 +51,13 @@ def test_a_streak_over_the_whole_column_is_not_called_smear(seed):
     assert found.status == "refused" and "streak" in found.reason
 
 
+def test_one_full_column_among_shorter_ones_is_not_called_smear(seed):
+    """A core whose middle column spills to the frame's ends and whose outer ones do not."""
+    scene = BloomScene(frames=4, full_well_dn=272.0, core_sigma_px=1.73, halo_fraction=0.15)
+    found = smear_of(scene, np.random.default_rng(seed), (0.4, 4.0, 40.0))
+    assert found.status == "refused", found
+
+
 def test_a_plate_that_tires_is_not_taken_for_less_smear(seed):
     """Light on the columns no longer follows the stated light: never a number that passes for sure."""
     scene = BloomScene(frames=4, smear_fraction=3e-3, plate_saturation_dn=2000.0)
