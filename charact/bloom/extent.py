@@ -189,6 +189,19 @@ def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int =
     return _composed(view, level_dn, visible, contour, sectors, shift, rng)
 
 
+def contour_at(view: View, level: float) -> tuple[Contour, bool] | None:
+    """Return the contour of a level over dark, DN, and whether no sector is pulled; None where there is none."""
+    visible = float(seen(np.array([level]), view.noise, view.top)[0][0])
+    first = _crossings(view.profile[0], view.profile[1][None], visible)[0]
+    if np.isinf(first):
+        return None
+    sectors = ~_pulled(view, visible, first)
+    if sectors.sum() < SECTORS // 3:
+        return None
+    found = fit_contour(view.signal, view.polar, view.profile, level, max(first, 0.7), view.noise, view.top, sectors)
+    return None if found is None else (found, bool(sectors.all()))
+
+
 def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
     """Radius where each profile first falls below a level, shape (draw,); inf where it never does."""
     level = np.broadcast_to(np.asarray(level, float).reshape(-1, 1), (len(means), 1))

@@ -74,8 +74,8 @@ def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: P
         level[:APART_ROWS] = level[-APART_ROWS:] = False
         around = 0.5 * (np.roll(signal, APART_ROWS, axis=0) + np.roll(signal, -APART_ROWS, axis=0))
         variance = np.where(level, (signal - around) ** 2 / 1.5, np.nan)
-    faint = signal <= np.median(signal)
-    spread = [float(np.median(np.abs(one[faint] - expected[faint]))) for one in (smooth, signal)]
+    faint = (signal <= np.median(signal[::2, ::2]))[::2, ::2]
+    spread = [float(np.median(np.abs(one - expected)[::2, ::2][faint])) for one in (smooth, signal)]
     tied = max(1.0, (spread[0] / max(spread[1], 1e-6)) ** 2 * 4.0 * np.pi * SMOOTHING_PX**2)
     # A single frame's pixels are not chosen by their own noise.
     of = signal if len(frames) > 1 else expected
