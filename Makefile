@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock clean
+.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -81,6 +81,10 @@ mtf-peers: $(READY)
 docs: $(READY)
 	$(BIN)/python docs/tree.py
 	$(BIN)/python docs/pictures.py
+
+# Pictures of docs/bloom.md, from scenes whose truth is known; half a minute on one core.
+bloom-pictures: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/bloom_pictures.py
 
 # The simulator's tiers: worst moment error against frames a second, chart and tables into docs.
 frontier: $(READY)

@@ -33,6 +33,10 @@ LIT = 2.0
 NOISE_LAG_PX, NOISE_GROUPS = 4, 8
 # Share of a pixel's signal that a source of unknown light may make up before the pixel is unknown, too; ring width, px.
 REACHED, RING_PX = 0.05, 2.0
+# By so much a halo's radius may be off, and so far from a patch its own blurred edge is out of the way, px.
+SMALLER_PX, PATCH_MARGIN_PX = 0.5, 4.0
+# Just beside a patch the share turns on where its edge is, which clipped pixels hide to a pixel.
+PATCH_SD = 0.12
 # The least standard deviation of a fraction: light is counted pixel by pixel.
 LEAST_SD = 0.003
 # Share of the highest code over dark from which on a pixel counts as clipped.
@@ -146,6 +150,9 @@ def bloom_map(
     variance = np.maximum(square / count - mean**2, 0.0) + of_noise**2 + LEAST_SD**2
     unknown = image < LIT * noise
     for source in sources:
+        if source.known and source.shape == "patch":
+            rows, cols = np.divmod(source.region, lattice.shape[1])
+            variance += PATCH_SD**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
         if not source.known:
             unknown |= _reached(source, image, spread.centre(), lattice, halo_px)
     return BloomMap(
@@ -271,14 +278,21 @@ def _near_transform(frequency: Array, near_px: float) -> Array:
 def _reached(source: Source, image: NDArray, one: Spread, lattice: Lattice, halo_px: float) -> Mask:
     """Pixels of which a source of unknown light may make up more than `REACHED`: no ring holds less than its light."""
     rows, cols = np.divmod(source.region, lattice.shape[1])
-    near = _within(rows, cols, halo_px, lattice)
-    radius = lattice.distance(source.row, source.col)
-    glare = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
-    share = (1.0 - glare) * lattice.pitch_ratio * np.maximum(radial(radius, profiles(one)[0]), 0.0) + glare
-    ring = (radius / RING_PX).astype(int).ravel()
+    near, away = _within(rows, cols, halo_px, lattice), lattice.distance(source.row, source.col)
+    veil = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
+    if source.shape == "point":
+        profile = profiles(one)[0] * lattice.pitch_ratio
+        # A halo a little smaller than thought would let more light pass for the same signal.
+        share, least = radial(away, profile), radial(away + SMALLER_PX, profile)
+        clear = ~_within(rows, cols, SMALLER_PX + 1.0, lattice)
+    else:
+        share = least = lattice.patch(source.lit, one.transfer(lattice.frequency)[0])
+        clear = ~_within(rows, cols, PATCH_MARGIN_PX, lattice)
+    share, least = np.maximum(share, 0.0) + veil, np.maximum(least, 0.0) + veil
+    ring = (away / RING_PX).astype(int).ravel()
     count = np.bincount(ring)
-    signal, of_unit = (np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, share))
-    told = np.bincount(ring, near.ravel()) == 0
+    signal, of_unit = (np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, least))
+    told = np.bincount(ring, ~clear.ravel()) == 0
     most = (signal[told] / np.maximum(of_unit[told], 1e-12)).min(initial=np.inf)
     return near | (most * share > REACHED * np.maximum(image, 1e-6))
 

@@ -8,33 +8,46 @@ kink.
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.lit_edge import Strips
 from charact.bloom.model import core_transfer, halo_transfer
+from charact.bloom.spread import moffat_transfer
 
 Array = NDArray[np.float64]
 
-NAMES = ("halo_diameter", "elastic_share", "halo_fraction", "edge_offset", "core_spread", "core_frequency",
-         "core_exponent")  # fmt: skip
-UNITS = ("px", "1", "1", "px", "px2", "cy/px", "1")
-# A tube's core has all of them, a Gaussian one the first five, none without a halo.
-GAUSSIAN = 5
+NAMES = ("halo_diameter", "elastic_share", "halo_fraction", "edge_offset", "core_spread")
+UNITS = ("px", "1", "1", "px", "px2")
+GAUSSIAN = len(NAMES)
 LEAST_DIAMETER_PX = 12.0
 MOST_FRACTION = 0.6
 # Beyond 0..1 by a little: a wall at 0 would push the diameter of a halo without rim to one side.
 ELASTIC_SHARE = (-0.15, 1.15)
-SPREAD_PX2, CUT_OFF, EXPONENT = (0.05, 25.0), (0.03, 2.0), (0.7, 2.5)
+SPREAD_PX2 = (0.05, 25.0)
 # Share of the light over the background by which a model of straight edges may be off in a strip.
 MODEL_SHARE = 0.004
 # Frequencies: enough for 160 px from the edge.
 HIGHEST_CY_PER_PX, NODES = 0.75, 280
 # Starts that are followed to their peak.
 CLIMBS = 2
-# Core of image tubes at large: cut-off, cy/px, and exponent, mean and standard deviation.
-TUBE = ((0.4, 0.3), (1.3, 0.3))
+Core = Literal["gaussian", "tube", "moffat"]
+# What a core has besides its Gaussian: name, unit, bounds, first guess, and mean and standard deviation of a prior.
+# Image tubes at large; a Moffat wing whose light is spread as (1 + r^2/a^2)^-b.
+BESIDES: dict[Core, tuple[tuple[str, str, tuple[float, float], float, tuple[float, float] | None], ...]] = {
+    "gaussian": (),
+    "tube": (
+        ("core_frequency", "cy/px", (0.03, 2.0), 0.4, (0.4, 0.3)),
+        ("core_exponent", "1", (0.7, 2.5), 1.3, (1.3, 0.3)),
+    ),
+    "moffat": (
+        ("wing_share", "1", (0.0, 0.7), 0.1, None),
+        ("wing_radius", "px", (0.7, 12.0), 3.0, None),
+        ("wing_exponent", "1", (1.2, 4.0), 2.0, None),
+    ),
+}
 
 
 @cache
@@ -55,13 +68,13 @@ class Problem:
     width_px
         Width of the lit area, column pitches; inf for a half plane.
     walls
-        Bounds of all parameters that there may be, shape (parameter, 2).
+        Bounds of the parameters that every core has, shape (parameter, 2).
     white
         For each level the matrix that whitens its used strips.
     waves
         For each level sine and cosine of every frequency at its strips, shape (frequency, strip).
-    tube
-        Whether the core has a tube's cut-off besides its Gaussian.
+    core
+        Family of the core.
     halo
         Whether there is a halo.
     """
@@ -71,23 +84,23 @@ class Problem:
     walls: Array
     white: tuple[Array, ...]
     waves: tuple[tuple[Array, Array], ...]
-    tube: bool = False
+    core: Core = "gaussian"
     halo: bool = True
 
     @property
     def bounds(self) -> Array:
         """Of the parameters, shape (parameter, 2)."""
-        return self.walls[: len(self.names)]
+        return np.array([*self.walls, *(bounds for _, _, bounds, _, _ in BESIDES[self.core])])
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the parameters."""
-        return NAMES if self.tube else NAMES[:GAUSSIAN]
+        return (*NAMES, *(name for name, *_ in BESIDES[self.core]))
 
     @property
     def units(self) -> tuple[str, ...]:
         """Of the parameters."""
-        return UNITS[: len(self.names)]
+        return (*UNITS, *(unit for _, unit, *_ in BESIDES[self.core]))
 
     def log_probability(self, points: Array) -> Array:
         """Log of the posterior with light and background of every level at their best, shape (point,)."""
@@ -114,8 +127,8 @@ class Problem:
         return short / max(0.03 * strips.least_light_dn, 1e-9)
 
     def _prior_residuals(self, points: Array) -> Array:
-        mean, sd = np.array(TUBE).T
-        return (points[:, GAUSSIAN:] - mean) / sd if self.tube else np.zeros((len(points), 0))
+        known = [(place, *prior) for place, (*_, prior) in enumerate(BESIDES[self.core], GAUSSIAN) if prior]
+        return np.array([(points[:, place] - mean) / sd for place, mean, sd in known]).reshape(-1, len(points)).T
 
     def fitted(self, one: int, points: Array) -> tuple[Array, Array]:
         """Chi squared of one level at some points, shape (point,), and its light and background, (point, 2)."""
@@ -133,10 +146,9 @@ class Problem:
 
     def shape(self, one: int, points: Array) -> Array:
         """Light across an edge of unit brightness, shape (point, strip)."""
-        diameter, elastic, fraction, offset, spread = points[:, :GAUSSIAN].T
+        diameter, elastic, fraction, offset, _ = points[:, :GAUSSIAN].T
         frequency = nodes()[0]
-        cut_off, exponent = points[:, GAUSSIAN:].T if self.tube else np.tile([[np.inf], [1.0]], len(points))
-        transfer = core_transfer(frequency, cut_off, exponent, spread) * np.sinc(frequency)
+        transfer = self._core(points) * np.sinc(frequency)
         if self.halo:
             halo = halo_transfer(frequency, diameter, elastic)
             transfer = transfer * (1.0 - fraction[:, None] + fraction[:, None] * halo)
@@ -144,6 +156,17 @@ class Problem:
         if not np.isfinite(self.width_px):
             return near
         return near - self._step(one, transfer, -self.width_px - offset)
+
+    def _core(self, points: Array) -> Array:
+        """Transfer of the core, shape (point, frequency)."""
+        frequency, spread = nodes()[0], points[:, GAUSSIAN - 1]
+        none = np.full(len(points), np.inf), np.ones(len(points))
+        cut_off, exponent = points[:, GAUSSIAN:].T if self.core == "tube" else none
+        core = core_transfer(frequency, cut_off, exponent, spread)
+        if self.core != "moffat":
+            return core
+        share, radius, power = points[:, GAUSSIAN:].T
+        return core * (1.0 - share[:, None]) + share[:, None] * moffat_transfer(frequency, radius, power)
 
     def _step(self, one: int, transfer: Array, at: Array) -> Array:
         """A step at some places seen through a transfer: 1/2 - integral of T sin(2 pi f (x - x0)) / pi f."""
@@ -167,7 +190,7 @@ def problem_of(
         turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
         waves.append((np.sin(turn), np.cos(turn)))
     widest = max(2.0 * room_px, LEAST_DIAMETER_PX + 4.0)
-    walls = [[LEAST_DIAMETER_PX, widest], ELASTIC_SHARE, [0.0, MOST_FRACTION], offset_px, SPREAD_PX2, CUT_OFF, EXPONENT]
+    walls = [[LEAST_DIAMETER_PX, widest], ELASTIC_SHARE, [0.0, MOST_FRACTION], offset_px, SPREAD_PX2]
     return Problem(strips=strips, width_px=width_px, walls=np.array(walls), white=tuple(white), waves=tuple(waves))
 
 
@@ -191,7 +214,8 @@ def climbed(problem: Problem, *, diameter_px: float | None = None) -> Peak:
     if diameter_px is not None:
         diameters = np.array([diameter_px])
     starts = np.array([[d, w, 0.1, offset, s] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)])
-    points = np.concatenate([starts, np.tile([0.4, 1.3], (len(starts), 1))], axis=1) if problem.tube else starts
+    besides = [first for *_, first, _ in BESIDES[problem.core]]
+    points = np.concatenate([starts, np.tile(besides, (len(starts), 1))], axis=1)
     order = np.argsort(problem.log_probability(points))[::-1]
     free = np.ones(points.shape[1], bool)
     free[0] = problem.halo and diameter_px is None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.edge_halo import Peak, Problem, climbed, problem_of
+from charact.bloom.edge_halo import BESIDES, Peak, Problem, climbed, problem_of
 from charact.bloom.lit_edge import DARK_PX, Line, Strips, edge_line, strips_of
 from charact.method import Context, register
 from charact.posterior import laplace, weighed
@@ -31,6 +31,8 @@ WHOLE = 0.85
 VAGUE = 0.1
 LEAST_STRIPS = 24
 MISFIT = 1e-4
+# Criterion up to which another core is as good, and standard errors by which it may then disagree on the halo.
+RIVAL, APART = 10.0, 3.0
 
 
 @register(
@@ -161,22 +163,24 @@ class _Found:
     problem: Problem
     peak: Peak
     gain: float
+    rivals: tuple[Peak, ...]
 
 
 def _chosen(strips: tuple[Strips, ...], line: Line) -> _Found:
-    """Fit a Gaussian and a tube's core with and without a halo; the Bayesian information criterion chooses."""
+    """Fit cores of all families with and without a halo; the Bayesian information criterion chooses."""
     offset = OFFSET_OF_CUT_PX if all(one.cut for one in strips) else OFFSET_PX
     number = float(np.log(sum(one.used.sum() for one in strips)))
     plain = problem_of(strips, width_px=line.width_px, room_px=_room(line), offset_px=offset)
     fits: dict[bool, list[tuple[float, Problem, Peak]]] = {True: [], False: []}
     for halo in (True, False):
-        for tube in (False, True):
-            problem = replace(plain, tube=tube, halo=halo)
+        for core in BESIDES:
+            problem = replace(plain, core=core, halo=halo)
             peak = climbed(problem)
             free = len(peak.point) - (0 if halo else 3)
             fits[halo].append((free * number - 2.0 * peak.log_probability, problem, peak))
     (bic, problem, peak), without = min(fits[True], key=lambda one: one[0]), min(fits[False], key=lambda one: one[0])
-    return _Found(problem=problem, peak=peak, gain=without[0] - bic)
+    rivals = tuple(other for value, _, other in fits[True] if other is not peak and value < bic + RIVAL)
+    return _Found(problem=problem, peak=peak, gain=without[0] - bic, rivals=rivals)
 
 
 def _room(line: Line) -> float:
@@ -217,7 +221,10 @@ def _misfit(found: _Found) -> tuple[str, ...]:
     problem, point = found.problem, found.peak.point
     total = sum(float(problem.fitted(one, point[None])[0][0]) for one in range(len(problem.strips)))
     freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(point)
-    return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < MISFIT else ()
+    sd = np.sqrt(np.diag(found.peak.covariance))[[0, 2]]
+    # Cores that fit about as well must say the same of the halo.
+    apart = [np.abs(rival.point[[0, 2]] - point[[0, 2]]) > APART * sd for rival in found.rivals]
+    return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < MISFIT or np.any(apart) else ()
 
 
 def _evidence(found: _Found, strips: tuple[Strips, ...]) -> dict[str, Any]:

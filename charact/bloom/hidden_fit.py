@@ -21,7 +21,7 @@ STREAK_PX = 2
 MODEL_SHARE, MODEL_PX = 0.05, 0.25
 # Most pixels of a group of sources that enter the fit, and how many of them share their noise.
 MOST_PIXELS, SHARING = 4000, 10.0
-ROUNDS = 5
+ROUNDS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,12 +51,12 @@ def surroundings(
     from scipy import ndimage
 
     spoilt = np.asarray(ndimage.binary_dilation(clipped, np.ones((2 * margin + 1,) * 2, bool)), bool)
-    near = np.zeros(signal.shape, bool)
+    away = np.ones(signal.shape, bool)
     for region in regions:
-        row, col = lattice.middle(region)
-        far = reach + 0.5 * lattice.extent(region)
-        near |= lattice.distance(row, col) < far
+        _, col = lattice.middle(region)
+        away.ravel()[region] = False
         spoilt[:, np.abs(np.arange(signal.shape[1]) - col) <= STREAK_PX] = True
+    near = np.asarray(ndimage.distance_transform_edt(away, sampling=(lattice.pitch_ratio, 1.0))) < reach
     open_px = np.flatnonzero(near & ~spoilt)
     step = -(-len(open_px) // MOST_PIXELS) if len(open_px) else 1
     open_px = open_px[::step]
@@ -91,11 +91,12 @@ def templates(
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Light of the sources of a group, DN px, its standard errors, and the rms misfit."""
+    """Light of the sources of a group, DN px, its standard errors, and the misfit: of the usual pixel, and rms."""
 
     light: Array
     sd: Array
     misfit: float
+    rms: float
 
 
 def fit(templates: Array, around: Surroundings) -> Fit:
@@ -112,8 +113,9 @@ def fit(templates: Array, around: Surroundings) -> Fit:
         pull = (design / scale @ best - around.signal) / around.sd
         counted = (around.floor == 0) | (pull < 0)
         weight = counted / around.sd * np.minimum(1.0, np.sqrt(2.0 / np.maximum(np.abs(pull), 1e-9)))
-    rest = pull[counted]
-    misfit = float(np.sqrt(np.mean(np.minimum(rest**2, 100.0))))
+    # Half of the pixels may show other things of the scene.
+    misfit = 1.4826 * float(np.median(np.abs(pull[counted])))
+    rms = float(np.sqrt(np.mean(np.minimum(pull[counted] ** 2, 100.0))))
     normal = (design / scale * weight[:, None]).T @ (design / scale * weight[:, None])
     covariance = np.linalg.pinv(normal) * SHARING * max(misfit, 0.3) ** 2
-    return Fit(light=(best / scale)[:-1], sd=(np.sqrt(np.diag(covariance)) / scale)[:-1], misfit=misfit)
+    return Fit(light=(best / scale)[:-1], sd=(np.sqrt(np.diag(covariance)) / scale)[:-1], misfit=misfit, rms=rms)

@@ -32,6 +32,8 @@ AMBIGUOUS, UNLIKE = 1.6, 1.3
 LEAST_PIXELS, LEAST_PATCH_PX = 40, 9
 # The halo shows where it is at least so far inside its edge, px; a patch is at least so many halos wide.
 INSIDE_PX, WIDER = 2.0, 1.3
+# Width that overflow has at most, px.
+STREAK_PX = 7
 # By so many px a lit patch may be smaller than what it clips.
 SMALLER_PX = 2
 
@@ -164,7 +166,7 @@ def _with_light(
             found = fit(templates(other, centre, 0, lattice, around), around)
             if point is not None and _alike(point, found, one):
                 reason = "what is around it fits a point behind its halo and a lit patch about as well"
-            if found.misfit < best.misfit:
+            if found.rms < best.rms:
                 guesses, best = other, found
     if best.misfit > MISFIT:
         reason = f"what is around it departs from the spread by {best.misfit:.1f} times what noise and model allow"
@@ -176,9 +178,8 @@ def _with_light(
 def _alike(point: Fit, patch: Fit, one: int) -> bool:
     """Whether two guesses at a source fit about as well and yet differ in its light."""
     low, high = sorted((point.light[one], patch.light[one]))
-    return high > UNLIKE * low and max(point.misfit, patch.misfit) < AMBIGUOUS * max(
-        min(point.misfit, patch.misfit), 1.0
-    )
+    better, worse = sorted((point.rms, patch.rms))
+    return high > UNLIKE * low and worse < AMBIGUOUS * max(better, 1.0)
 
 
 def _patches(region: NDArray[np.int64], lattice: Lattice) -> Iterator[Guess]:
@@ -203,8 +204,18 @@ def _possible(region: NDArray[np.int64], around: Surroundings, lattice: Lattice,
     inside = np.hypot((rows - row) * lattice.pitch_ratio, cols - col) < halo_px - INSIDE_PX
     if inside.sum() * around.thinned >= LEAST_PIXELS:
         return "point"
-    wide = 2.0 * np.sqrt(len(region) * lattice.pitch_ratio / np.pi)
-    return "patch" if wide > WIDER * 2.0 * halo_px else ""
+    return "patch" if _longest(region, lattice) > WIDER * 2.0 * halo_px else ""
+
+
+def _longest(region: NDArray[np.int64], lattice: Lattice) -> float:
+    """Longer side of the box around some pixels, column pitches, without the narrow streak of an overflow."""
+    from scipy import ndimage
+
+    rows, cols = np.divmod(region, lattice.shape[1])
+    mask = np.zeros((np.ptp(rows) + 1, np.ptp(cols) + 1), bool)
+    mask[rows - rows.min(), cols - cols.min()] = True
+    down, across = np.nonzero(ndimage.binary_opening(mask, np.ones((STREAK_PX, STREAK_PX), bool)))
+    return float(max((np.ptp(down) + 1) * lattice.pitch_ratio, np.ptp(across) + 1)) if len(down) else 0.0
 
 
 def _with_draws(

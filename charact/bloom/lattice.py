@@ -82,11 +82,6 @@ class Lattice:
         rows, cols = np.divmod(region, self.shape[1])
         return float(rows.mean()), float(cols.mean())
 
-    def extent(self, region: NDArray[np.int64]) -> float:
-        """Diagonal of the box around some pixels, column pitches."""
-        rows, cols = np.divmod(region, self.shape[1])
-        return float(np.hypot((np.ptp(rows) + 1) * self.pitch_ratio, np.ptp(cols) + 1))
-
     def at_border(self, region: NDArray[np.int64]) -> bool:
         """Whether some pixels reach the border of the frame."""
         rows, cols = np.divmod(region, self.shape[1])

@@ -110,7 +110,8 @@ class Spread:
         core = core_transfer(frequency, self.core_frequency_cy_per_px, self.core_exponent, self.core_spread_px2)
         wing, share = np.asarray(self.wing_share)[:, None], self.halo_share[:, None]
         if wing.any():
-            core = core * (1.0 - wing) + wing * self._wing_transfer(frequency)
+            of = moffat_transfer(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
+            core = core * (1.0 - wing) + wing * of
         halo = _halo_transfer(frequency, self.halo_diameter_px, self.elastic_share)
         return core * (1.0 - share + share * halo)
 
@@ -118,14 +119,6 @@ class Spread:
     def halo_share(self) -> Array:
         """Share of the light that is not glare in the halo, shape (draw,)."""
         return self.halo_fraction / (1.0 - np.asarray(self.glare_fraction))
-
-    def _wing_transfer(self, frequency: Array) -> Array:
-        """Transform of a Moffat profile: 2 (x/2)^m K_m(x) / Gamma(m), x = 2 pi f a, m = b - 1."""
-        from scipy.special import gamma, kv
-
-        order = np.asarray(self.wing_exponent)[:, None] - 1.0
-        x = np.maximum(2.0 * np.pi * frequency * np.asarray(self.wing_radius_px)[:, None], 1e-6)
-        return np.minimum(2.0 * (x / 2.0) ** order * kv(order, x) / gamma(order), 1.0)
 
     def density(self, radius_px: ArrayLike) -> Array:
         """Return how much of a point's light lands on a pixel so far from it, 1/px2, shape (draw, radius).
@@ -142,6 +135,23 @@ class Spread:
             2.0 * np.pi * np.outer(frequency, np.asarray(radius_px, float))
         )
         return np.maximum(self.transfer(frequency) @ kernel, 0.0)
+
+
+def moffat_transfer(frequency: Array, radius_px: Array, exponent: Array) -> Array:
+    """Return the transform of (1 + r^2/a^2)^-b, 2 (x/2)^m K_m(x) / Gamma(m) with x = 2 pi f a and m = b - 1.
+
+    Parameters
+    ----------
+    frequency
+        Cycles per column pitch, shape (frequency,).
+    radius_px, exponent
+        a and b, shape (draw,).
+    """
+    from scipy.special import gamma, kv
+
+    order = exponent[:, None] - 1.0
+    x = np.maximum(2.0 * np.pi * frequency * radius_px[:, None], 1e-6)
+    return np.minimum(2.0 * (x / 2.0) ** order * kv(order, x) / gamma(order), 1.0)
 
 
 def _halo_transfer(frequency: Array, diameter: Array, elastic: Array) -> Array:

@@ -110,27 +110,32 @@ def bloom_map(data: Data) -> Any:
     """A frame, the share of every pixel's signal that is blooming, and that share's standard deviation.
 
     Reads `signal_dn`, `fraction`, `sd` (row, col), NaN where nothing is said, `near_px`, `sources` (mappings with
-    `row`, `col`, `known`), and `aspect`, row pitch over column pitch.
+    `row`, `col`, `known`), `aspect`, row pitch over column pitch, and `truth` (row, col) where the true share is known.
     """
-    signal, fraction, sd = (np.asarray(data[key], float) for key in ("signal_dn", "fraction", "sd"))
+    signal, sd = np.asarray(data["signal_dn"], float), np.asarray(data["sd"], float)
     aspect = float(data.get("aspect") or 1.0)
-    tall = signal.shape[0] * aspect > 0.8 * signal.shape[1]
-    figure, grid = panels(1 if tall else 3, 3 if tall else 1, size=(12.5, 3.6) if tall else (7.0, 13.0))
-    frame, share, spread = grid.ravel()
-    light = frame.imshow(np.log10(np.maximum(signal, 1.0)), cmap="gray", aspect=aspect)
-    figure.colorbar(light, ax=frame, shrink=0.75, label="log10 of the signal over dark (DN)")
-    for axes, image, top, words in (
-        (share, fraction, 1.0, f"share that entered farther than {data['near_px']:g} px away (1)"),
-        (spread, sd, max(0.02, float(np.nanquantile(sd, 0.99)) if np.isfinite(sd).any() else 1.0),
-         "standard deviation of the share (1)"),
-    ):  # fmt: skip
+    finite = np.isfinite(sd)
+    most = max(0.02, float(np.quantile(sd[finite], 0.99)) if finite.any() else 1.0)
+    share = f"share that entered farther than {data['near_px']:g} px away (1)"
+    shown = [
+        ("frame", np.log10(np.maximum(signal, 1.0)), "gray", None, "log10 of the signal over dark (DN)"),
+        ("blooming (grey: unknown)", data["fraction"], "magma", 1.0, share),
+        ("how well it is known", sd, "magma", most, "standard deviation of the share (1)"),
+    ]
+    if data.get("truth") is not None:
+        shown.insert(2, ("true share", data["truth"], "magma", 1.0, share))
+    cols = 2 if len(shown) == 4 else 3
+    rows = -(-len(shown) // cols)
+    tall = 4.4 * min(1.3, max(0.5, signal.shape[0] * aspect / signal.shape[1])) + 0.4
+    figure, grid = panels(rows, cols, size=(4.6 * cols, tall * rows))
+    for axes, (title, image, colours, top, words) in zip(grid.ravel(), shown, strict=True):
         axes.set_facecolor("#9a9a9a")
-        drawn = axes.imshow(image, cmap="magma", vmin=0.0, vmax=top, aspect=aspect)
-        figure.colorbar(drawn, ax=axes, shrink=0.75, label=words)
-    for axes, title in ((frame, "frame"), (share, "blooming (grey: unknown)"), (spread, "how well it is known")):
+        low = None if top is None else 0.0
+        drawn = axes.imshow(np.asarray(image, float), cmap=colours, vmin=low, vmax=top, aspect=aspect)
+        figure.colorbar(drawn, ax=axes, shrink=0.8, label=words)
         axes.set(title=title, xlabel="column (px)", ylabel="row (px)")
         axes.grid(False)
     for source in data.get("sources", ()):
         mark, colour = ("+", THIRD) if source["known"] else ("x", WARN)
-        frame.plot(source["col"], source["row"], mark, color=colour, markersize=9, markeredgewidth=1.6)
+        grid[0, 0].plot(source["col"], source["row"], mark, color=colour, markersize=9, markeredgewidth=1.6)
     return figure

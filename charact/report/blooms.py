@@ -164,10 +164,22 @@ def bloom_series(data: Data) -> Any:
     if not label.startswith("stack"):
         axes.set_xscale("log")
     axes.set(xlabel=label, ylabel="diameter or length (column pitches, rows; px)")
-    axes.set_ylim(bottom=0.0)
+    _set_height(axes, data)
     lines = ", lines: foretold by the fit" if foretold else ""
     axes.legend(title=f"diameter at{lines}" if any(shown) else None, alignment="left")
     return figure
+
+
+def _set_height(axes: Any, data: Data) -> None:
+    """A linear scale shows step and plateau; where one level reaches far beyond the others, a logarithmic one does."""
+    told = data.get("measured", {})
+    values = [one[0] for quantity in told.values() for one in quantity.values()]
+    usual = [one[0] for one in told.get("bloom_diameter", {}).values()] + [(data.get("halo_px") or [0.0])[0]]
+    if values and max(values) > 2.0 * max(usual):
+        axes.set_yscale("log")
+        axes.set_ylim(2.0, 1.3 * max(values))
+    else:
+        axes.set_ylim(bottom=0.0)
 
 
 def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, foretold: Any) -> bool:
