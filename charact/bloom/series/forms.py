@@ -124,20 +124,27 @@ class Form:
 
     def transform(self, points: Array) -> Array:
         """Transform of all light of a point, shape (draw, frequency)."""
-        core, halo = self.core_transform(points), self.halo_transform(points)
-        if halo is None:
-            return core
-        fraction = self.at(points)["halo_fraction"][:, None]
-        return core * (1.0 - fraction + fraction * halo)
+        return self.core_transform(points) * self.haloed(points)
 
     def core_transform(self, points: Array) -> Array:
         """Transform of core and wing, pixel included, shape (draw, frequency)."""
+        return self.winged(self.blur_transform(points), points) * transfer.pixel(self.pitch_ratio)
+
+    def winged(self, blur: Array, points: Array) -> Array:
+        """Give a blur the wing of a Moffat core, shape (draw, frequency)."""
+        if self.core != "moffat":
+            return blur
         of = self.at(points)
-        core = self.blur_transform(points)
-        if self.core == "moffat":
-            share = of["wing_share"][:, None]
-            core = core * (1.0 - share) + share * transfer.moffat(of["wing_radius"], of["wing_exponent"])
-        return core * transfer.pixel(self.pitch_ratio)
+        share = of["wing_share"][:, None]
+        return blur * (1.0 - share) + share * transfer.moffat(of["wing_radius"], of["wing_exponent"])
+
+    def haloed(self, points: Array) -> Array:
+        """What the halo does to the transform of a core, shape (draw, frequency), or 1."""
+        halo = self.halo_transform(points)
+        if halo is None:
+            return np.ones((1, 1))
+        fraction = self.at(points)["halo_fraction"][:, None]
+        return 1.0 - fraction + fraction * halo
 
     def blur_transform(self, points: Array) -> Array:
         """Transform of the core's blur alone, without wing and pixel, shape (draw, frequency)."""

@@ -48,7 +48,8 @@ class TiringForm(Form):
 
     def before(self, points: Array) -> Array:
         """Transform of the light that arrives at the plate, halo and wing included, shape (draw, frequency)."""
-        return self.transform(points) / np.maximum(self.behind(points), 1e-12)
+        share = self.at(points)["post_gain_share"][:, None]
+        return self.winged(self.blur_transform(points) ** (1.0 - share), points) * self.haloed(points)
 
     @property
     def neighbourhood_px(self) -> float:
