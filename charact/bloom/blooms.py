@@ -114,7 +114,7 @@ def _saturated(spot: Spot, sensor: Sensor | None, **common: Any) -> list[Measure
         pixel_mm2 = side_mm**2 * spot.row_pitch
         units |= {"mm2": pixel_mm2, "mrad2": pixel_mm2 / (1e-3 * float(sensor.optics.focal_length_mm)) ** 2}
     if spot.clip is None:
-        return [refused("saturated_area", unit, _reason(spot, "bloom_diameter_clip"), **common) for unit in units]
+        return [refused("saturated_area", "px", _reason(spot, "bloom_diameter_clip"), **common)]
     value, draws = spot.clip.area / spot.row_pitch, np.pi / 4.0 * spot.clip.draws**2 / spot.row_pitch
     if spot.clip.pulled:
         # Streaks fill whole pixels: those are counted.

@@ -186,7 +186,7 @@ def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int =
         contour = _settled(view, level, max(middle, 0.7), sectors)
     if contour is None:
         return _open(view, level_dn, crossings) if sectors.all() else _counted(view, level_dn, visible)
-    return _composed(view, level_dn, visible, contour, sectors, shift, rng)
+    return _composed(view, level_dn, visible, contour, sectors, level_sd)
 
 
 def contour_at(view: View, level: float) -> tuple[Contour, bool] | None:
@@ -274,8 +274,7 @@ def _settled(view: View, level: float, radius: float, sectors: Mask) -> Contour 
     return found
 
 
-def _composed(view: View, level_dn: float, visible: float, contour: Contour, sectors: Mask, shift: Array,
-              rng: np.random.Generator) -> Extent:  # fmt: skip
+def _composed(view: View, level_dn: float, visible: float, contour: Contour, sectors: Mask, level_sd: float) -> Extent:
     """The contour's area, with pixels counted instead where sectors are pulled."""
     inside = contour.inside(view.polar)
     area, variance, region = contour.area, contour.area_sd**2, inside
@@ -290,8 +289,8 @@ def _composed(view: View, level_dn: float, visible: float, contour: Contour, sec
         region = inside | (extra > 0.5)
     radius = float(np.sqrt(area / np.pi))
     sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * (FIT_PX + FIT_SHARE * radius))
-    moved = 2.0 * np.pi * radius * shift / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
-    areas = area + sd * rng.standard_normal(DRAWS) - moved
+    moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
+    areas = area + float(np.hypot(sd, moved)) * NORMAL
     return Extent(
         level_dn=level_dn,
         area=float(area),
