@@ -31,8 +31,8 @@ WHOLE = 0.85
 VAGUE = 0.1
 LEAST_STRIPS = 24
 MISFIT = 1e-4
-# Criterion up to which another core is as good, and standard errors by which it may then disagree on the halo.
-RIVAL, APART = 10.0, 3.0
+# Criterion up to which another core counts, by the weight exp(-criterion / 2).
+RIVAL = 10.0
 
 
 @register(
@@ -82,7 +82,7 @@ def _measured(
         return _refused(reason, fields), evidence
     context.progress("posterior of the halo beside an edge", 0.7)
     posterior = _posterior(found.problem, found.peak, context)
-    diameter = posterior["halo_diameter"]
+    diameter, fraction = _averaged(found, posterior, context)
     if diameter.std() > VAGUE * float(np.median(diameter)):
         return _refused("the edge tells the halo's diameter to no better than a tenth: a fainter level, not cut, says "
                         "where the edge is", fields), evidence  # fmt: skip
@@ -97,7 +97,7 @@ def _measured(
             refused("halo_fraction", "1", "every level is cut: nothing says how bright the lit side is", **fields)
         )
     else:
-        out.append(from_draws("halo_fraction", "1", posterior["halo_fraction"], **common))
+        out.append(from_draws("halo_fraction", "1", fraction, **common))
     return out, evidence
 
 
@@ -163,7 +163,7 @@ class _Found:
     problem: Problem
     peak: Peak
     gain: float
-    rivals: tuple[Peak, ...]
+    rivals: tuple[tuple[float, Problem, Peak], ...]
 
 
 def _chosen(strips: tuple[Strips, ...], line: Line) -> _Found:
@@ -179,7 +179,7 @@ def _chosen(strips: tuple[Strips, ...], line: Line) -> _Found:
             free = len(peak.point) - (0 if halo else 3)
             fits[halo].append((free * number - 2.0 * peak.log_probability, problem, peak))
     (bic, problem, peak), without = min(fits[True], key=lambda one: one[0]), min(fits[False], key=lambda one: one[0])
-    rivals = tuple(other for value, _, other in fits[True] if other is not peak and value < bic + RIVAL)
+    rivals = tuple((value - bic, of, other) for value, of, other in fits[True] if value < bic + RIVAL)
     return _Found(problem=problem, peak=peak, gain=without[0] - bic, rivals=rivals)
 
 
@@ -215,16 +215,24 @@ def _posterior(problem: Problem, peak: Peak, context: Context) -> Posterior:
     return (laplace if context.quick else weighed)(problem.log_probability, **asked)
 
 
+def _averaged(found: _Found, best: Posterior, context: Context) -> tuple[Array, Array]:
+    """Draws of the halo's diameter and share, of each core as many as its weight says, shape (draw,)."""
+    weight = np.exp([-0.5 * over for over, _, _ in found.rivals])
+    count = np.rint(len(best.draws) * weight / weight.sum()).astype(int)
+    parts = [
+        (best if peak is found.peak else _posterior(problem, peak, context)).draws[:number]
+        for number, (_, problem, peak) in zip(count, found.rivals, strict=True)
+    ]
+    return tuple(np.concatenate([part[:, column] for part in parts]) for column in (0, 2))  # pyright: ignore[reportReturnType]
+
+
 def _misfit(found: _Found) -> tuple[str, ...]:
     from scipy.stats import chi2
 
     problem, point = found.problem, found.peak.point
     total = sum(float(problem.fitted(one, point[None])[0][0]) for one in range(len(problem.strips)))
     freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(point)
-    sd = np.sqrt(np.diag(found.peak.covariance))[[0, 2]]
-    # Cores that fit about as well must say the same of the halo.
-    apart = [np.abs(rival.point[[0, 2]] - point[[0, 2]]) > APART * sd for rival in found.rivals]
-    return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < MISFIT or np.any(apart) else ()
+    return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < MISFIT else ()
 
 
 def _evidence(found: _Found, strips: tuple[Strips, ...]) -> dict[str, Any]:
