@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.extent import View
 from charact.bloom.polar import SECTORS
+from charact.bloom.view import View
 
 Array = NDArray[np.float64]
 

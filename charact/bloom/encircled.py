@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.background import Background
-from charact.bloom.extent import DRAWS, View
+from charact.bloom.extent import DRAWS
 from charact.bloom.polar import SECTORS
+from charact.bloom.view import View
 
 Array = NDArray[np.float64]
 

@@ -6,15 +6,15 @@ pulled are counted pixel by pixel.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.contour import Contour, fit_contour
-from charact.bloom.pixel_noise import SMOOTHING_PX, Noise, noise_of, seen
-from charact.bloom.polar import SECTORS, Polar, Rings, polar_of, rings_of
+from charact.bloom.pixel_noise import seen
+from charact.bloom.polar import SECTORS
+from charact.bloom.view import View
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,38 +39,6 @@ NEAR_PX = 2.5
 # Noise over the level up to which pixels are counted without smoothing.
 SHARP = 0.12
 NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAWS)])
-
-
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """A mean frame as seen from a source.
-
-    Parameters
-    ----------
-    signal
-        Mean frame over dark, shape (row, col), DN.
-    smooth
-        The same smoothed by one pixel.
-    dark_dn
-        Level without light, DN.
-    top
-        Highest code over dark, DN.
-    polar, rings, noise
-        Places of the pixels, sums over cells, and noise of a pixel.
-    """
-
-    signal: Array
-    smooth: Array
-    dark_dn: float
-    top: float
-    polar: Polar
-    rings: Rings
-    noise: Noise
-
-    @cached_property
-    def profile(self) -> tuple[Array, Array]:
-        """Radius and mean signal of the rings, what pulls few sectors left out."""
-        return self.rings.radius, self.rings.median()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,37 +80,6 @@ class Extent:
     def determined(self) -> bool:
         """Whether the noise leaves one contour."""
         return self.contour is not None
-
-
-def view_of(frames: NDArray, dark_dn: float, full_scale_dn: float, row: float, col: float, row_pitch: float) -> View:
-    """Prepare frames for extents around (row, col).
-
-    Parameters
-    ----------
-    frames
-        Shape (frame, row, col), DN.
-    dark_dn, full_scale_dn
-        Level without light and highest code, DN.
-    row, col
-        Centre of the source, px.
-    row_pitch
-        Row pitch over column pitch.
-    """
-    from scipy import ndimage
-
-    signal = frames.mean(axis=0, dtype=np.float64) - dark_dn
-    polar = polar_of((signal.shape[0], signal.shape[1]), row, col, row_pitch)
-    rings, top = rings_of(signal, polar), full_scale_dn - dark_dn
-    smooth = np.asarray(ndimage.gaussian_filter(signal, SMOOTHING_PX))
-    return View(
-        signal=signal,
-        smooth=smooth,
-        dark_dn=dark_dn,
-        top=top,
-        polar=polar,
-        rings=rings,
-        noise=noise_of(frames, signal, smooth, top, polar, rings),
-    )
 
 
 def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:

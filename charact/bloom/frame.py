@@ -14,10 +14,10 @@ import numpy as np
 from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
 from charact.bloom.edge import STEP_SEEN, edge_radius
 from charact.bloom.encircled import REACH_PX, SHARES, encircled
-from charact.bloom.extent import view_of
 from charact.bloom.place import Place
 from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.spot import DETECTED, Spot, read_spots, spot_of
+from charact.bloom.view import view_of
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack

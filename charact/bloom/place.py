@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.extent import View, contour_at
+from charact.bloom.extent import contour_at
+from charact.bloom.view import View
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.background import Background, background_of
-from charact.bloom.extent import Extent, extent_at, view_of
+from charact.bloom.extent import Extent, extent_at
 from charact.bloom.place import NEAR_PX, Place, brightest, lit_at, middle, others
+from charact.bloom.view import view_of
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack

@@ -5,8 +5,9 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from charact import bloom
-from charact.bloom.extent import extent_at, view_of
+from charact.bloom.extent import extent_at
 from charact.bloom.spot import read_spots
+from charact.bloom.view import view_of
 from charact.method import Context
 from charact.study.bloom_camera import stack
 from charact.study.bloom_scene import session
