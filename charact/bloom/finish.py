@@ -5,6 +5,7 @@ from typing import Any
 
 from charact.bloom.blooms import bloom_measurements, series_evidence
 from charact.bloom.constancy import constancy
+from charact.bloom.smear import smear_measurement
 from charact.bloom.spot import Spot
 from charact.method import Context
 from labdata.measurement import Measurement, Result
@@ -37,11 +38,13 @@ def finished(
         Method and provenance.
     """
     steady = constancy(session, spots, context, **fields)
+    smear, of_smear = smear_measurement(spots, context, **fields)
     extents = bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
-    told = [_flagged(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in [*of_series, *extents]]
+    said = [*of_series, smear, *extents]
+    told = [_flagged(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in said]
     own = evidence.get("halo-constancy")
     halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
-    drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | steady.evidence
+    drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
     seconds = perf_counter() - began
     return Result(measurements=tuple(m.with_(seconds=seconds) for m in [*told, *steady.measurements]), evidence=drawn)
 

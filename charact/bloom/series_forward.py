@@ -30,6 +30,9 @@ METHOD = "series-forward"
 OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
 # What needs the source's whole light, core included.
 OF_ALL_LIGHT = ("halo_fraction", "halo_plateau", "encircled_radius_50", "encircled_radius_90")
+# Relative error of the light's shares and of the plate's density for rings that are off by a share of their light: what
+# simulated cameras show whose blur is not round.
+OFF_LIGHT, OFF_PLATE = 3.0, 6.0
 # A best fit so near a bound, as a share of the range, is pressed against it.
 AT_BOUND = 1e-3
 # Share of the farthest ring beyond which a halo is not seen whole.
@@ -167,12 +170,19 @@ def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array]
     draws |= {"halo_fraction": posterior["halo_fraction"]}
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     draws |= {"halo_plateau": halo.plateau, "halo_rim": halo.rim}
+    for quantity in ("halo_fraction", "halo_plateau"):
+        draws[quantity] = draws[quantity] * _as_round(best, len(draws[quantity]), OFF_LIGHT, posterior.seed)
     blind = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     return [
         from_draws(quantity, unit, draws[quantity], flags=blind if quantity in OF_ALL_LIGHT else flags, notes=notes,
                    posterior=posterior, **fields)
         for quantity, unit in OF_THE_HALO
     ]  # fmt: skip
+
+
+def _as_round(best: Candidate, draws: int, times: float, seed: int) -> Array:
+    """Factors that stand for taking a source as round whose rings are off by a share of their light, shape (draw,)."""
+    return np.exp(times * best.problem.series.model_share * np.random.default_rng(seed).standard_normal(draws))
 
 
 def shows_core(best: Candidate, posterior: Posterior) -> bool:
@@ -224,6 +234,7 @@ def _plate(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes:
         reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
         return [refused("plate_saturation_density", "DN", reason, **fields)]
     density = 1.0 / np.maximum(posterior["plate_load"], 1e-9)
+    density = density * _as_round(best, len(density), OFF_PLATE, posterior.seed)
     out = [from_draws("plate_saturation_density", "DN", density, flags=flags, notes=notes, **fields)]
     left = best.problem.compression(posterior.draws[:DERIVED])
     for label, draws in zip(best.problem.series.labels, left, strict=True):

@@ -34,6 +34,7 @@ def observations(session: Session, sensor: Sensor, result: Result, levels: tuple
     reference_v = float(sensor.microchannel_plate.reference_v)
     found = transfers(session, sensor, result) + noises(session, sensor, result, levels)
     found += [_halo(m) for m in trusted(result, "halo_diameter")]
+    found += [_halo_share(m) for m in trusted(result, "halo_fraction")]
     found += [_levels(levels, reference_v)] if levels else []
     return tuple(found)
 
@@ -42,6 +43,11 @@ def _halo(m: Measurement) -> Observed:
     sd = float(np.hypot(sd_of(m), HALO_MODEL_SD_PX))
     speaks_of = ("photocathode.gap_mm", "taper.demagnification")
     return one("halo diameter", m.value or 0.0, sd, forward.halo_diameter_px, speaks_of)
+
+
+def _halo_share(m: Measurement) -> Observed:
+    speaks_of = ("photocathode.halo_fraction",)
+    return one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values["photocathode.halo_fraction"], speaks_of)
 
 
 def _levels(levels: tuple[Level, ...], reference_v: float) -> Observed:
