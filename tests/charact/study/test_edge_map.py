@@ -42,7 +42,7 @@ def test_what_the_map_shows(table):
     """No crash; in scope 95 % ok, as narrow as 1.3 times the bound; misses at most 5 % and three standard errors.
 
     Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000. The map has one in
-    1,500, and this keeps it from getting worse.
+    1,900, and this keeps it from getting worse.
     """
     summary = table["quick"]["summary"]
     inside = summary["by_axis"]["none"]
@@ -51,8 +51,8 @@ def test_what_the_map_shows(table):
     assert summary["median_sd_over_bound"] <= 1.3
     assert summary["missed_standard_errors_over_5_percent"] <= 3.0
     assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
-    assert summary["silent"] <= summary["ok"] / 1500
-    assert inside["silent"] <= inside["ok"] / 2500
+    assert summary["silent"] <= summary["ok"] / 1900
+    assert inside["silent"] <= inside["ok"] / 2800
     assert len(summary["worst"]) == 10
 
 
