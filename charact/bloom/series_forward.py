@@ -21,7 +21,7 @@ from charact.bloom.spot import DETECTED, Spot, read_spots
 from charact.method import Context, register
 from charact.posterior import laplace, sample, weighed
 from charact.posterior.diagnostics import leans_on_bound
-from labdata.measurement import Measurement, Posterior, Result, from_draws, from_sd, refused
+from labdata.measurement import Measurement, Posterior, Result, from_draws, refused
 from labdata.session import Session
 
 Array = NDArray[np.float64]
@@ -41,6 +41,9 @@ WHOLE = 0.92
 WALKERS = 16
 # Draws by importance, where a point takes too long for a chain, and how many must be effective.
 FIRST_DRAWS, ENOUGH = 2000, 1000.0
+# Draws for which the glare is worked out, and what belongs to it as well.
+OF_GLARE = 200
+LEAKS = "light that leaks through the target beside its pinhole counts as glare"
 # Draws for which derived numbers are worked out.
 DERIVED = 400
 # Standard error below which a level's own diameter counts as no better.
@@ -102,7 +105,7 @@ def _told(
     flags = _flags(best, posterior, own)
     notes = _notes(context, group, spots)
     said = _refused(reason or "", fields) if own is None else _halo(best, posterior, own, flags, notes, fields)
-    said += _spread(best, posterior, flags, notes, fields) + _glare(best, group, flags, notes, fields)
+    said += _spread(best, posterior, flags, notes, fields) + _glare(best, posterior, group, flags, notes, fields)
     said += _plate(best, posterior, flags, notes, fields)
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
     return said, evidence
@@ -211,20 +214,26 @@ def _spread(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes
     return out
 
 
-def _glare(best: Candidate, group: tuple[Spot, ...], flags: tuple[str, ...], notes: tuple[str, ...],
-           fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+def _glare(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], flags: tuple[str, ...],
+           notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
     """Light of the source that lies evenly over the frame, from the backgrounds of all levels."""
     settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
     if len(settings) > 1:
         return [refused("veiling_glare", "%", "the levels were taken at different gains", **fields)]
-    solved = best.problem.solved(best.peak.point[None])
-    light, background = solved.amplitudes[:, 0, 0], solved.amplitudes[:, 1, 0]
+    solved = best.problem.solved(posterior.draws[:OF_GLARE])
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
-    found = glare(light, background, _background_sd(solved), area)
-    if found is None:
+    sd = _background_sd(solved)
+    found = [
+        glare(light, background, error, area)
+        for light, background, error in zip(solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True)
+    ]
+    told = np.array([one for one in found if one is not None])
+    if not len(told):
         return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
-    return [from_sd("veiling_glare", "%", 100.0 * found[0], 100.0 * found[1], flags=flags, notes=notes, **fields)]
+    rng = np.random.default_rng(posterior.seed)
+    draws = 100.0 * (told[:, 0] + told[:, 1] * rng.standard_normal(len(told)))
+    return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
 
 
 def _plate(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
@@ -243,6 +252,7 @@ def _plate(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes:
 
 
 def _background_sd(solved: Solved) -> Array:
-    normal = solved.normal[..., 0]
+    """Standard error of each level's background, shape (level, point)."""
+    normal = solved.normal
     determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
     return np.sqrt(np.maximum(normal[:, 0, 0] / np.maximum(determinant, 1e-300), 1e-12))

@@ -47,7 +47,7 @@ def _halo(m: Measurement) -> Observed:
 
 def _halo_share(m: Measurement) -> Observed:
     speaks_of = ("photocathode.halo_fraction",)
-    return one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values["photocathode.halo_fraction"], speaks_of)
+    return one("halo fraction", m.value or 0.0, sd_of(m), lambda values: values[speaks_of[0]], speaks_of)
 
 
 def _levels(levels: tuple[Level, ...], reference_v: float) -> Observed:
