@@ -30,7 +30,7 @@ CHAINED = 10
 # Series with silent failures that the table names.
 NAMED = 20
 # Parts in which all series are measured, each a sample of them.
-BLOCKS = 20
+BLOCKS = 40
 SERIES, NOISE = 31, 32
 # Plateau of a hidden halo at the brightest level, standard deviations of a pixel of the mean frame.
 HIDDEN = (0.02, 0.3)
@@ -199,15 +199,14 @@ def _refusals(trials: Sequence[Trial]) -> dict[str, int]:
 
 
 def measured_block(block: int, counts: dict[Kind, int], methods: Sequence[str], *, workers: int = 1) -> list[Trial]:
-    """Put the methods to one of `BLOCKS` equal parts of all series, and by Markov chains to the first with a halo."""
+    """Put the methods to one of `BLOCKS` like parts of all series, and by Markov chains to one in ten with a halo."""
     with one_thread_each(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         parts = []
         for kind, count in counts.items():
             numbers = range(block, count, BLOCKS)
             parts.append(pool.map(partial(trials_of, kind, methods=methods), numbers))
             if kind == "halo":
-                chained = [number for number in numbers if number % CHAINED == 0]
-                parts.append(pool.map(partial(trials_of, kind, methods=methods, quick=False), chained))
+                parts.append(pool.map(partial(trials_of, kind, methods=methods, quick=False), numbers[::CHAINED]))
         return [trial for part in parts for found in part for trial in found]
 
 
