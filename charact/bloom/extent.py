@@ -117,7 +117,8 @@ def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int =
     shift = level_sd * rng.standard_normal(DRAWS)
     crossings = _crossings(radius[:usable], means, visible + shift[:, None])
     middle = float(np.median(crossings))
-    low, high = np.quantile(crossings, [0.025, 0.975])
+    # Draws that never fall through the level cross it at infinity, which no interpolation bears.
+    low, high = np.quantile(crossings, [0.025, 0.975], method="nearest")
     contour = None
     if high - low < max(ONE_CONTOUR[0], ONE_CONTOUR[1] * middle):
         contour = _settled(view, level, max(middle, 0.7), sectors)
