@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import charact.bloom  # noqa: F401  # registers the methods
-from charact.method.registry import of_kind
+from charact.method import choose
+from charact.method.registry import chart_table, of_kind
 from charact.study.bloom_coverage import Trial, is_silent, quantity_told, series_of, told
 from charact.study.bloom_map import BREAKING, bloom_told, cell_of, measured_cell
 from charact.study.bloom_scene import BloomScene, truth
@@ -113,3 +114,12 @@ def test_streak_and_halo_are_told_apart_where_columns_overflow_and_smear():
         assert len(streaks) >= 2
         assert all(abs((value or 0.0) - (right or 0.0)) <= 2.0 for value, right in streaks), streaks
         assert max(right or 0.0 for _, right in streaks) > 30
+
+
+def test_auto_takes_the_forward_model_from_a_chart_of_four_methods():
+    rows = {row["method"]: row for row in chart_table("halo_diameter")}
+    assert len(rows) >= 4
+    assert set(rows) <= set(of_kind("bloom"))
+    assert choose("bloom").name == "series-forward"
+    assert rows["series-forward"]["error_percent"] < 2.0
+    assert sum(row["silent"] for row in rows.values()) == 0
