@@ -13,9 +13,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.bloom import transfer
 from charact.bloom.lit_edge import Strips
-from charact.bloom.model import core_transfer, halo_transfer
-from charact.bloom.spread import moffat_transfer
 
 Array = NDArray[np.float64]
 
@@ -148,33 +147,33 @@ class Problem:
         """Light across an edge of unit brightness, shape (point, strip)."""
         diameter, elastic, fraction, offset, _ = points[:, :GAUSSIAN].T
         frequency = nodes()[0]
-        transfer = self._core(points) * np.sinc(frequency)
+        blur = self._core(points) * np.sinc(frequency)
         if self.halo:
-            halo = halo_transfer(frequency, diameter, elastic)
-            transfer = transfer * (1.0 - fraction[:, None] + fraction[:, None] * halo)
-        near = self._step(one, transfer, offset)
+            halo = transfer.disc(frequency, diameter, elastic)
+            blur = blur * (1.0 - fraction[:, None] + fraction[:, None] * halo)
+        near = self._step(one, blur, offset)
         if not np.isfinite(self.width_px):
             return near
-        return near - self._step(one, transfer, -self.width_px - offset)
+        return near - self._step(one, blur, -self.width_px - offset)
 
     def _core(self, points: Array) -> Array:
         """Transfer of the core, shape (point, frequency)."""
         frequency, spread = nodes()[0], points[:, GAUSSIAN - 1]
-        none = np.full(len(points), np.inf), np.ones(len(points))
-        cut_off, exponent = points[:, GAUSSIAN:].T if self.core == "tube" else none
-        core = core_transfer(frequency, cut_off, exponent, spread)
-        if self.core != "moffat":
+        core = transfer.gaussian(frequency, spread)
+        if self.core == "tube":
+            return core * transfer.tube(frequency, *points[:, GAUSSIAN:].T)
+        if self.core == "gaussian":
             return core
         share, radius, power = points[:, GAUSSIAN:].T
-        return core * (1.0 - share[:, None]) + share[:, None] * moffat_transfer(frequency, radius, power)
+        return core * (1.0 - share[:, None]) + share[:, None] * transfer.moffat(frequency, radius, power)
 
-    def _step(self, one: int, transfer: Array, at: Array) -> Array:
+    def _step(self, one: int, blur: Array, at: Array) -> Array:
         """A step at some places seen through a transfer: 1/2 - integral of T sin(2 pi f (x - x0)) / pi f."""
         sine, cosine = self.waves[one]
         frequency, weight = nodes()
         turn = 2.0 * np.pi * frequency * at[:, None]
-        return 0.5 - (transfer * weight * np.cos(turn) / (np.pi * frequency)) @ sine + (
-            transfer * weight * np.sin(turn) / (np.pi * frequency)
+        return 0.5 - (blur * weight * np.cos(turn) / (np.pi * frequency)) @ sine + (
+            blur * weight * np.sin(turn) / (np.pi * frequency)
         ) @ cosine  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.bloom.model import core_transfer
+from charact.bloom import transfer
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 
@@ -107,12 +107,13 @@ class Spread:
     def transfer(self, frequency_cy_per_px: ArrayLike) -> Array:
         """Return the transfer function of all light but the glare, 1 at frequency 0, shape (draw, frequency)."""
         frequency = np.asarray(frequency_cy_per_px, float)
-        core = core_transfer(frequency, self.core_frequency_cy_per_px, self.core_exponent, self.core_spread_px2)
+        core = transfer.tube(frequency, self.core_frequency_cy_per_px, self.core_exponent)
+        core = core * transfer.gaussian(frequency, self.core_spread_px2)
         wing, share = np.asarray(self.wing_share)[:, None], self.halo_share[:, None]
         if wing.any():
-            of = moffat_transfer(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
+            of = transfer.moffat(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
             core = core * (1.0 - wing) + wing * of
-        halo = _halo_transfer(frequency, self.halo_diameter_px, self.elastic_share)
+        halo = transfer.disc(frequency, self.halo_diameter_px, self.elastic_share)
         return core * (1.0 - share + share * halo)
 
     @property
@@ -135,31 +136,6 @@ class Spread:
             2.0 * np.pi * np.outer(frequency, np.asarray(radius_px, float))
         )
         return np.maximum(self.transfer(frequency) @ kernel, 0.0)
-
-
-def moffat_transfer(frequency: Array, radius_px: Array, exponent: Array) -> Array:
-    """Return the transform of (1 + r^2/a^2)^-b, 2 (x/2)^m K_m(x) / Gamma(m) with x = 2 pi f a and m = b - 1.
-
-    Parameters
-    ----------
-    frequency
-        Cycles per column pitch, shape (frequency,).
-    radius_px, exponent
-        a and b, shape (draw,).
-    """
-    from scipy.special import gamma, kv
-
-    order = exponent[:, None] - 1.0
-    x = np.maximum(2.0 * np.pi * frequency * radius_px[:, None], 1e-6)
-    return np.minimum(2.0 * (x / 2.0) ** order * kv(order, x) / gamma(order), 1.0)
-
-
-def _halo_transfer(frequency: Array, diameter: Array, elastic: Array) -> Array:
-    """Transform of the halo as in `charact.bloom.model`, exact: far from a bright source an error of 1e-6 shows."""
-    from scipy.special import sici
-
-    u = np.pi * diameter[:, None] * np.maximum(frequency, 1e-6)
-    return elastic[:, None] * np.sinc(u / np.pi) + (1.0 - elastic[:, None]) * sici(u)[0] / u
 
 
 @cache

@@ -5,13 +5,14 @@ A form is a list of parameters with priors and the transforms they make. Which f
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series import transfer
+from charact.bloom import transfer
+from charact.bloom.series.hankel import frequencies
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -128,7 +129,7 @@ class Form:
 
     def core_transform(self, points: Array) -> Array:
         """Transform of core and wing, pixel included, shape (draw, frequency)."""
-        return self.winged(self.blur_transform(points), points) * transfer.pixel(self.pitch_ratio)
+        return self.winged(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
 
     def winged(self, blur: Array, points: Array) -> Array:
         """Give a blur the wing of a Moffat core, shape (draw, frequency)."""
@@ -136,7 +137,7 @@ class Form:
             return blur
         of = self.at(points)
         share = of["wing_share"][:, None]
-        return blur * (1.0 - share) + share * transfer.moffat(of["wing_radius"], of["wing_exponent"])
+        return blur * (1.0 - share) + share * transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
 
     def haloed(self, points: Array) -> Array:
         """What the halo does to the transform of a core, shape (draw, frequency), or 1."""
@@ -149,15 +150,25 @@ class Form:
     def blur_transform(self, points: Array) -> Array:
         """Transform of the core's blur alone, without wing and pixel, shape (draw, frequency)."""
         of = self.at(points)
-        blur = transfer.gaussian(of["core_sd"] ** 2)
-        return blur * transfer.tube(of["core_frequency"], of["core_exponent"]) if self.core == "tube" else blur
+        blur = transfer.gaussian(frequencies(), of["core_sd"] ** 2)
+        return (
+            blur * transfer.tube(frequencies(), of["core_frequency"], of["core_exponent"])
+            if self.core == "tube"
+            else blur
+        )
 
     def halo_transform(self, points: Array) -> Array | None:
         """Transform of the bare halo, shape (draw, frequency); None where there is none."""
         of = self.at(points)
         if self.halo == "disc":
-            return transfer.disc(of["halo_diameter"], of["elastic_share"])
-        return transfer.gaussian(of["halo_sd"] ** 2) if self.halo == "gaussian" else None
+            return transfer.disc(frequencies(), of["halo_diameter"], of["elastic_share"])
+        return transfer.gaussian(frequencies(), of["halo_sd"] ** 2) if self.halo == "gaussian" else None
+
+
+@lru_cache(maxsize=4)
+def pixel_of(pitch_ratio: float) -> Array:
+    """Transform of the pixel's aperture, shape (frequency,)."""
+    return transfer.pixel(frequencies(), pitch_ratio)
 
 
 def _tube_priors(sensor: Sensor | None) -> tuple[Parameter, Parameter]:

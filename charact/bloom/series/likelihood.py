@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.forms import Form
+from charact.bloom.series.hankel import onto_nodes
 from charact.bloom.series.levels import HARDLY_CUT, Level, Noise
 from charact.bloom.series.rings import Geometry
-from charact.bloom.series.transfer import onto_nodes
 
 Array = NDArray[np.float64]
 

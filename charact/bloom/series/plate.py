@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series import transfer
+from charact.bloom import transfer
 from charact.bloom.series.climb import Peak, climb
-from charact.bloom.series.forms import Form, Parameter
+from charact.bloom.series.forms import Form, Parameter, pixel_of
+from charact.bloom.series.hankel import frequencies
 from charact.bloom.series.likelihood import Parts, Problem
 from labdata.sensor import Sensor
 
@@ -44,7 +45,7 @@ class TiringForm(Form):
     def behind(self, points: Array) -> Array:
         """Transform of what blurs behind the gain, pixel included, shape (draw, frequency)."""
         share = self.at(points)["post_gain_share"][:, None]
-        return self.blur_transform(points) ** share * transfer.pixel(self.pitch_ratio)
+        return self.blur_transform(points) ** share * pixel_of(self.pitch_ratio)
 
     def before(self, points: Array) -> Array:
         """Transform of the light that arrives at the plate, halo and wing included, shape (draw, frequency)."""
@@ -80,12 +81,12 @@ class TiringProblem(Problem):
         at = self.series.node_px
         weight = np.gradient(at)
         weight[[0, -1]] /= 2.0
-        return j0(2.0 * np.pi * transfer.frequencies()[:, None] * at) * (2.0 * np.pi * at * weight)
+        return j0(2.0 * np.pi * frequencies()[:, None] * at) * (2.0 * np.pi * at * weight)
 
     def parts(self, points: Array) -> "TiringParts":
         """Return what the form gives at points."""
         behind, before = self.form.behind(points), self.form.before(points)
-        load = before * transfer.gaussian(np.full(len(points), self.form.neighbourhood_px**2))
+        load = before * transfer.gaussian(frequencies(), np.full(len(points), self.form.neighbourhood_px**2))
         recorded, arriving, loading = ((one @ self.series.onto_nodes).T for one in (before * behind, before, load))
         return TiringParts(
             straight=np.array([recorded, np.ones_like(recorded)]),

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.forms import Form
-from charact.bloom.series.transfer import onto_nodes
+from charact.bloom.series.hankel import onto_nodes
 
 Array = NDArray[np.float64]
 

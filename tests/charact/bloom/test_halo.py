@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact import bloom
-from charact.bloom.model import halo_transfer
+from charact.bloom.transfer import disc
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -95,7 +95,7 @@ def test_the_transform_of_the_halo_is_that_of_thrown_electrons(thrown, seed):
     for share in (1.0, 0.3, 0.0):
         x, _ = thrown(rng, count, 40.0, share)
         waves = np.cos(2.0 * np.pi * frequency * x[:, None])
-        expected = halo_transfer(frequency, np.array([40.0]), np.array([share]))[0]
+        expected = disc(frequency, np.array([40.0]), np.array([share]))[0]
         assert np.all(np.abs(waves.mean(axis=0) - expected) < 4.5 * waves.std(axis=0) / np.sqrt(count))
 
 

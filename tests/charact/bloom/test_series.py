@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from charact import bloom
-from charact.bloom.series import transfer
+from charact.bloom import transfer
 from charact.bloom.series.forms import Form
+from charact.bloom.series.hankel import frequencies, onto_nodes
 from charact.bloom.series.levels import level_of, noise_of
 from charact.bloom.series.likelihood import Problem, series_of
 from charact.bloom.series.rings import geometry_of
@@ -39,11 +40,11 @@ def rings():
 
 
 def light_of(transform, rings):
-    return (transform @ transfer.onto_nodes(rings.node_px))[0]
+    return (transform @ onto_nodes(rings.node_px))[0]
 
 
 def test_a_gaussian_is_itself_over_ten_decades(rings):
-    light = light_of(transfer.gaussian(np.array([1.69])), rings)
+    light = light_of(transfer.gaussian(frequencies(), np.array([1.69])), rings)
     exact = np.exp(-(rings.node_px**2) / 3.38) / (3.38 * np.pi)
     seen = exact > 1e-11
     np.testing.assert_allclose(light[seen], exact[seen], rtol=1e-3)
@@ -51,7 +52,7 @@ def test_a_gaussian_is_itself_over_ten_decades(rings):
 
 @pytest.mark.parametrize("exponent", [1.3, 2.0, 3.5])
 def test_a_moffat_wing_is_itself_to_the_last_ring(rings, exponent):
-    light = light_of(transfer.moffat(np.array([2.5]), np.array([exponent])), rings)
+    light = light_of(transfer.moffat(frequencies(), np.array([2.5]), np.array([exponent])), rings)
     exact = (exponent - 1) / (np.pi * 2.5**2) * (1 + (rings.node_px / 2.5) ** 2) ** -exponent
     np.testing.assert_allclose(light, exact, rtol=2e-3, atol=1e-6 * exact[0])
 
@@ -62,9 +63,12 @@ def test_the_disc_is_where_thrown_electrons_land(rings, thrown, seed):
         x, y = thrown(rng, 400_000, 40.0, share)
         radius = np.hypot(x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y)))
         edges = np.arange(0.0, 30.0, 2.0)
-        blurred = transfer.disc(np.array([40.0]), np.array([share])) * transfer.gaussian(np.array([1.44]))
+        core = transfer.gaussian(frequencies(), np.array([1.44]))
+        blurred = core * transfer.disc(frequencies(), np.array([40.0]), np.array([share]))
+            frequencies(), np.array([1.44])
+        )
         at = np.arange(0.02, 30.0, 0.04)
-        light = (blurred @ transfer.onto_nodes(at))[0] * 2 * np.pi * at * 0.04
+        light = (blurred @ onto_nodes(at))[0] * 2 * np.pi * at * 0.04
         expected = np.histogram(at, bins=edges, weights=light)[0] * len(x)
         found = np.histogram(radius, bins=edges)[0]
         assert np.all(np.abs(found - expected) < 4.5 * np.sqrt(np.maximum(expected, 1.0)) + 1e-4 * len(x))

@@ -1,0 +1,77 @@
+"""Transforms of everything that spreads a point: pixel, core, wing, halo; each 1 at frequency 0.
+
+All take frequencies in cycles per column pitch, shape (frequency,), and parameters by draw, shape (draw,), and give the
+shape (draw, frequency).
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Log-arguments and orders at which the transform of Moffat wings is tabulated.
+ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
+ORDERS = np.linspace(0.02, 3.2, 160)
+# Frequency that stands for 0 where a formula divides by it.
+LEAST_CY_PER_PX = 1e-9
+
+
+def pixel(frequency: Array, pitch_ratio: float) -> Array:
+    """Transform of the pixel's aperture, averaged over all directions, shape (frequency,)."""
+    angle = (np.arange(64) + 0.5) * (np.pi / 128)
+    across, along = np.cos(angle)[:, None] * frequency, pitch_ratio * np.sin(angle)[:, None] * frequency
+    return (np.sinc(across) * np.sinc(along)).mean(axis=0)
+
+
+def gaussian(frequency: Array, variance_px2: Array) -> Array:
+    """exp(-2 pi^2 s^2 f^2)."""
+    return np.exp(-2.0 * np.pi**2 * variance_px2[:, None] * frequency**2)
+
+
+def tube(frequency: Array, cut_off: Array, exponent: Array) -> Array:
+    """exp(-(f/fc)^n), an image tube's (Johnson, SPIE 1979)."""
+    return np.exp(-((frequency / cut_off[:, None]) ** exponent[:, None]))
+
+
+def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
+    """Transform of (1 + (r/a)^2)^-b, 2^(2-b)/Gamma(b-1) u^(b-1) K_(b-1)(u), u = 2 pi a f; tabulated."""
+    with np.errstate(divide="ignore"):
+        log_argument = np.log(2.0 * np.pi * radius_px[:, None] * frequency)
+    row, weight = _four(ORDERS, exponent - 1.0)
+    lines = np.einsum("dr,dra->da", weight, _moffat_table()[row])
+    place, share = _four(ARGUMENTS, np.clip(log_argument, ARGUMENTS[0], ARGUMENTS[-1]))
+    out = sum(share[..., one] * np.take_along_axis(lines, place[..., one], axis=1) for one in range(4))
+    return np.where(log_argument < ARGUMENTS[-1], out, 0.0)
+
+
+def disc(frequency: Array, diameter_px: Array, elastic: Array) -> Array:
+    """Transform of electrons that bounced off the plate.
+
+    Those that keep their energy fall with the density 1/sqrt(1 - x^2) at the share x of the halo's radius, those that
+    keep an even share of it with arccos(x)/x: sin(u)/u and Si(u)/u, u = pi f D (physics of the gap: range 2 d e sin 2t,
+    cosine law).
+    """
+    from scipy.special import sici
+
+    u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
+    return elastic[:, None] * np.sinc(u / np.pi) + (1.0 - elastic[:, None]) * sici(u)[0] / u
+
+
+@lru_cache(maxsize=1)
+def _moffat_table() -> Array:
+    from scipy.special import gamma, kv
+
+    order, u = ORDERS[:, None], np.exp(ARGUMENTS)
+    return 2.0 ** (1.0 - order) / gamma(order) * u**order * kv(order, u)
+
+
+def _four(even: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
+    """Four neighbours on an even grid and their weights in a cubic through them, shape (.., 4)."""
+    at = (value - even[0]) / (even[1] - even[0])
+    first = np.clip(at.astype(np.intp) - 1, 0, len(even) - 4)
+    t = at - first
+    weight = np.stack([-(t - 1) * (t - 2) * (t - 3) / 6, t * (t - 2) * (t - 3) / 2, -t * (t - 1) * (t - 3) / 2,
+                       t * (t - 1) * (t - 2) / 6], axis=-1)  # fmt: skip
+    return first[..., None] + np.arange(4), weight
