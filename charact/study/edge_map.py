@@ -3,7 +3,7 @@
 `make edge-map` writes the table. A cell is one scene: blur, size, direction, noise and light, and in half of the
 cells one thing that breaks edge methods, from too little to matter to far too much.
 
-The table's rows with a median standard error over 10 % are younger than the others: they alone were measured again when
+The table's rows with a median standard error over 9 % are younger than the others: they alone were measured again when
 quick intervals of uncertain edges were drawn by importance and flagged from 15 % on.
 """
 
