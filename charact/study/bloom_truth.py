@@ -108,12 +108,12 @@ def _is_round(scene: BloomScene) -> bool:
 def _region(scene: BloomScene, picture: Array, level_dn: float) -> NDArray[np.bool_]:
     """Parts of pixels at or above a level that hang together with the source.
 
-    Between pixels the log is smooth, or, where charge fills pixels to the brim, a line.
+    Between pixels the log is smooth; where charge fills pixels to the brim, pixels count as wholes.
     """
     from scipy import ndimage
 
     log = np.log(np.maximum(picture - scene.dark_dn, 1e-6))
-    order = 3 if scene.full_well_dn is None else 1
+    order = 3 if scene.full_well_dn is None else 0
     fine = np.asarray(ndimage.zoom(log, PARTS, order=order, mode="nearest", grid_mode=True))
     above = fine >= np.log(max(level_dn - scene.dark_dn, 1e-6))
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]

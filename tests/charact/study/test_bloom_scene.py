@@ -79,6 +79,13 @@ def test_truth_by_pixels_agrees_with_truth_in_closed_form():
             assert counted[name] == pytest.approx(exact[name], abs=0.15), (overload, name)
 
 
+def test_pixels_count_as_wholes_where_charge_overflows():
+    source = BloomScene(full_well_dn=400.0)
+    picture = expected(source, 30.0)
+    counted = (picture >= source.dark_dn + 0.5 * source.span_dn).sum()
+    assert truth(source, 30.0)["bloom_diameter"] == pytest.approx(2.0 * np.sqrt(counted / np.pi))
+
+
 def test_light_of_all_parts_adds_up():
     source = BloomScene(rows=401, cols=401, wing_share=0.1, wing_exponent=3.0, glare_fraction=0.1, row_pitch=1.2)
     dark = source.dark_dn + source.background_dn
