@@ -1,5 +1,6 @@
 """Halo, core and glare from one forward model of all levels of a point series, cut codes counted as what they are."""
 
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
@@ -10,6 +11,7 @@ from charact.bloom.blooms import provenance
 from charact.bloom.edge import STEP_SEEN, first_radius
 from charact.bloom.finish import finished
 from charact.bloom.profile import profile_of, reach_of
+from charact.bloom.series.agreement import contradicted
 from charact.bloom.series.choice import Candidate, candidates
 from charact.bloom.series.gather import gathered
 from charact.bloom.series.likelihood import Solved
@@ -35,6 +37,7 @@ OF_ALL_LIGHT = ("halo_fraction", "halo_plateau", "encircled_radius_50", "encircl
 OFF_LIGHT, OFF_PLATE = 3.0, 6.0
 # A best fit so near a bound, as a share of the range, is pressed against it.
 AT_BOUND = 1e-3
+MISFIT = ("model-misfit",)
 # Share of the farthest ring beyond which a halo is not seen whole.
 WHOLE = 0.92
 # Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
@@ -78,20 +81,38 @@ def series_forward(session: Session, *, context: Context) -> Result:
     began = perf_counter()
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    told, evidence = _told(session, spots, context, fields)
-    return finished(session, spots, told, evidence, began=began, context=context, **fields)
+    told = _told(session, spots, context, fields)
+    result = finished(session, spots, told.measurements, told.evidence, began=began, context=context, **fields)
+    return result if told.best is None else _agreeing(result, told.best, told.group)
 
 
-def _told(
-    session: Session, spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]
-) -> tuple[list[Measurement], dict[str, Any]]:
+@dataclass(frozen=True, kw_only=True)
+class _Told:
+    """What a series says of all its stacks together, and by which form of which stacks."""
+
+    measurements: list[Measurement]
+    evidence: dict[str, Any]
+    best: Candidate | None = None
+    group: tuple[Spot, ...] = ()
+
+
+def _agreeing(result: Result, best: Candidate, group: tuple[Spot, ...]) -> Result:
+    """Flag extents that the fitted light does not bear out, where it fits the rings."""
+    if best.problem.series.model_share > MISFIT_SHARE:
+        return result
+    off = contradicted(best, group, result.measurements)
+    told = (one.with_(flags=MISFIT) if (one.quantity, one.stack) in off else one for one in result.measurements)
+    return replace(result, measurements=tuple(told))
+
+
+def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]) -> _Told:
     """What the series says, and what the report draws of it."""
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     if not clear:
-        return _refused("no point source stands out of its surroundings", fields), {}
+        return _Told(measurements=_refused("no point source stands out of its surroundings", fields), evidence={})
     found = gathered(session, clear, context=context)
     if isinstance(found, str):
-        return _refused(found, fields), {}
+        return _Told(measurements=_refused(found, fields), evidence={})
     series, group = found
     context.progress("forms of the source's light", 0.5)
     radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
@@ -108,7 +129,7 @@ def _told(
     said += _spread(best, posterior, flags, notes, fields) + _glare(best, posterior, group, flags, notes, fields)
     said += _plate(best, posterior, flags, notes, fields)
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
-    return said, evidence
+    return _Told(measurements=said, evidence=evidence, best=best, group=group)
 
 
 def _refused(reason: str, fields: dict[str, Any]) -> list[Measurement]:
