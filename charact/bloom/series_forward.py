@@ -263,6 +263,9 @@ def _plate(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes:
     if not isinstance(best.problem, TiringProblem):
         reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
         return [refused("plate_saturation_density", "DN", reason, **fields)]
+    load = best.form.names.index("plate_load")
+    if leans_on_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
+        flags = (*flags, "prior-bound")
     density = 1.0 / np.maximum(posterior["plate_load"], 1e-9)
     density = density * _as_round(best, len(density), OFF_PLATE, posterior.seed)
     out = [from_draws("plate_saturation_density", "DN", density, flags=flags, notes=notes, **fields)]

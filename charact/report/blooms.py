@@ -261,3 +261,28 @@ def halo_constancy(data: Data) -> Any:
     axes.set(xlabel="stack", ylabel="halo diameter (px)", xlim=(-0.5, len(data["label"]) - 0.5))
     axes.legend()
     return figure
+
+
+def constancy(data: Data) -> Any:
+    """Background of every stack over dark with 95 %, and how far the source wanders in the frames of each.
+
+    Reads `label`, `background_dn`, `background_sd_dn`, and `row_px` and `col_px`, a list per stack by frame.
+    """
+    figure, grid = panels(1, 2, size=(6.4, 3.0))
+    level, place = grid[0]
+    numbers = np.arange(len(data["label"]))
+    level.errorbar(numbers, array(data, "background_dn"), yerr=1.96 * array(data, "background_sd_dn"), fmt="o",
+                   color=DATA, markersize=4.5, linewidth=1, label="stack, 95 %")  # fmt: skip
+    level.set_xticks(numbers, [str(label) for label in data["label"]], rotation=40, ha="right")
+    level.set(xlabel="stack", ylabel="background over dark (DN)")
+    level.legend()
+    for colour, (label, rows, cols) in zip(
+        COLOURS * 4, zip(data["label"], data["row_px"], data["col_px"], strict=True), strict=False
+    ):
+        seen = np.array([(r, c) for r, c in zip(rows, cols, strict=True) if r is not None and c is not None], float)
+        if len(seen) > 1:
+            place.plot(*(seen - seen.mean(axis=0)).T[::-1], marker=".", color=colour, linewidth=0.8, label=str(label))
+    place.axhline(0.0, color=INK, linewidth=0.6)
+    place.axvline(0.0, color=INK, linewidth=0.6)
+    place.set(xlabel="source, frame by frame: column (px)", ylabel="row (px)")
+    return figure

@@ -23,6 +23,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "bloom-forms": ("bloom", blooms.forms),
     "lit-edge": ("bloom", blooms.lit_edge),
     "bloom-smear": ("bloom", blooms.smear),
+    "bloom-constancy": ("bloom", blooms.constancy),
     "bloom-frames": ("bloom", bloom_pictures.bloom_frames),
     "bloom-map": ("bloom", bloom_pictures.bloom_map),
     "photon-transfer": ("noise", noise.photon_transfer),

@@ -52,26 +52,34 @@ def _foretold(data: dict[str, Any], result: Result) -> dict[str, Any] | None:
     density = np.maximum.accumulate(spread.density(radius)[:, ::-1], axis=1)[:, ::-1]
     light = np.array(data["overload"], float)
     overload = np.geomspace(light.min(), light.max(), STEPS)
-    levels = _levels(data)
+    levels = _levels(data, _background_share(data, result, overload))
     found = {quantity: _diameters(density, radius, overload, level) for quantity, level in levels.items()}
     return {"overload": overload.tolist(), **found}
 
 
-def _levels(data: dict[str, Any]) -> dict[str, float]:
-    """Levels of the extents over the background, as shares of full scale over dark."""
+def _background_share(data: dict[str, Any], result: Result, overload: NDArray) -> NDArray:
+    """Background of every overload over dark, as a share of full scale over dark: the fit's own, else the stacks'."""
     dark, full = float(np.median(data["dark_dn"])), float(np.median(data["full_scale_dn"]))
-    levels = {"bloom_diameter": 0.5, "bloom_diameter_clip": 1.0}
-    background = data.get("background_dn")
-    known = [one for one in background if one] if isinstance(background, list) else [background] if background else []
-    if known:
-        share = (float(np.median(known)) - dark) / (full - dark)
-        levels = {name: level - share for name, level in levels.items()}
-        if share > 0:
-            levels["bloom_diameter_background"] = share
-    return {name: level for name, level in levels.items() if level > 0}
+    fitted = result.evidence.get("point-profile", {})
+    light = dict(zip(data["label"], data["overload"], strict=True))
+    own = dict(zip(fitted.get("label", ()), fitted.get("background_dn", ()), strict=False))
+    known = sorted((light[label], level) for label, level in own.items() if label in light)
+    if not known:
+        return np.zeros(len(overload))
+    at, level = np.array(known).T
+    return np.maximum(np.interp(overload, at, (level - dark) / (full - dark)), 0.0)
 
 
-def _diameters(density: NDArray, radius: NDArray, overload: NDArray, level: float) -> list[list[float]]:
+def _levels(data: dict[str, Any], background: NDArray) -> dict[str, NDArray]:
+    """Levels of the extents over the background, as shares of full scale over dark, at every overload."""
+    levels = {"bloom_diameter": 0.5 - background, "bloom_diameter_clip": 1.0 - background}
+    faint = data.get("background_dn")
+    if isinstance(faint, int | float) or (isinstance(faint, list) and any(faint)):
+        levels["bloom_diameter_background"] = background
+    return {name: level for name, level in levels.items() if (level > 0).all()}
+
+
+def _diameters(density: NDArray, radius: NDArray, overload: NDArray, level: NDArray) -> list[list[float]]:
     """Diameter at which the light of a point falls to a level, 2.5, 50 and 97.5 % over the draws."""
     out = np.empty((len(density), len(overload)))
     for number, one in enumerate(density):

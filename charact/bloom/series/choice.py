@@ -20,6 +20,8 @@ STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
 WORTHWHILE = 400.0
 # Levels that tell a plate that tires.
 LEAST_LEVELS = 3
+# By how much its criterion must be better: cameras that are not quite round make small gains of their own.
+CLEARLY_BETTER = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +83,8 @@ def _tired(best: Candidate) -> list[Candidate]:
     if best.form.halo != "disc" or len(best.problem.series.labels) < LEAST_LEVELS:
         return []
     found = tired(best.problem, best.peak)
-    return [refined(_candidate(*found))] if found else []
+    fitted_on = [refined(_candidate(*found))] if found else []
+    return [one for one in fitted_on if one.bic < best.bic - CLEARLY_BETTER]
 
 
 def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Array]) -> list[Array]:

@@ -280,6 +280,10 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
         "bloom-smear": {
             "label": ["a", "b"], "light_per_row_dn": [1.0, 2.0], "level_dn": [0.1, 0.2], "level_sd_dn": [0.1, 0.1],
         },
+        "bloom-constancy": {
+            "label": ["a", "b"], "background_dn": [1.0, 1.1], "background_sd_dn": [0.1, 0.1],
+            "row_px": [[1.0, 1.1], [1.0, None]], "col_px": [[2.0, 2.1], [2.0, None]],
+        },
         "bloom-frames": {
             "label": ["a"], "frame_dn": [np.ones((40, 40))], "row": [20.0], "col": [20.0], "dark_dn": [0.0],
             "full_scale_dn": [255.0], "halo_diameter_px": 20.0, "bloom_diameter_px": [8.0], "streak_length_px": [None],
