@@ -42,7 +42,9 @@ MISFIT = ("model-misfit",)
 WHOLE = 0.92
 # Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
 WALKERS = 16
-# Draws by importance, where a point takes too long for a chain, and how many must be effective.
+# Steps after which a chain is given up: one parameter that the rings hardly know makes it crawl.
+MOST_STEPS = 2500
+# Draws by importance, where a point or a chain takes too long, and how many must be effective.
 FIRST_DRAWS, ENOUGH = 2000, 1000.0
 # Draws for which the glare is worked out, and what belongs to it as well.
 OF_GLARE = 200
@@ -148,9 +150,12 @@ def _posterior(best: Candidate, context: Context) -> Posterior:
     }
     if context.quick:
         return laplace(best.problem.log_probability, **asked)
-    if isinstance(best.problem, TiringProblem):
-        return weighed(best.problem.log_probability, enough=ENOUGH, first_draws=FIRST_DRAWS, **asked)
-    return sample(best.problem.log_probability, walkers=max(WALKERS, 2 * len(best.form.names)), **asked)
+    if not isinstance(best.problem, TiringProblem):
+        walkers = max(WALKERS, 2 * len(best.form.names))
+        chain = sample(best.problem.log_probability, walkers=walkers, max_steps=MOST_STEPS, **asked)
+        if "not-converged" not in chain.flags:
+            return chain
+    return weighed(best.problem.log_probability, enough=ENOUGH, first_draws=FIRST_DRAWS, **asked)
 
 
 def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
