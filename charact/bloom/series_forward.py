@@ -32,9 +32,17 @@ METHOD = "series-forward"
 OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
 # What needs the source's whole light, core included.
 OF_ALL_LIGHT = ("halo_fraction", "halo_plateau", "encircled_radius_50", "encircled_radius_90")
-# Relative error of the light's shares and of the plate's density for rings that are off by a share of their light: what
-# simulated cameras show whose blur is not round.
-OFF_LIGHT, OFF_PLATE = 3.0, 6.0
+# Relative error that forms leave out of a number, of any source and as a multiple of the share of the light by which
+# rings are off: the first as closed-form series with wings show it, the second as simulated cameras do that are not round.
+LEFT_OUT = {
+    "halo_fraction": (0.012, 3.0),
+    "halo_plateau": (0.012, 3.0),
+    "halo_rim": (0.005, 1.0),
+    "encircled_radius_50": (0.006, 1.0),
+    "encircled_radius_90": (0.015, 1.0),
+    "veiling_glare": (0.05, 3.0),
+    "plate_saturation_density": (0.03, 6.0),
+}
 # A best fit so near a bound, as a share of the range, is pressed against it.
 AT_BOUND = 1e-3
 MISFIT = ("model-misfit",)
@@ -199,8 +207,8 @@ def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array]
     draws |= {"halo_fraction": posterior["halo_fraction"]}
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     draws |= {"halo_plateau": halo.plateau, "halo_rim": halo.rim}
-    for quantity in ("halo_fraction", "halo_plateau"):
-        draws[quantity] = draws[quantity] * _as_round(best, len(draws[quantity]), OFF_LIGHT, posterior.seed)
+    for quantity in ("halo_fraction", "halo_plateau", "halo_rim"):
+        draws[quantity] = draws[quantity] * _as_told(best, quantity, len(draws[quantity]), posterior)
     blind = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     return [
         from_draws(quantity, unit, draws[quantity], flags=blind if quantity in OF_ALL_LIGHT else flags, notes=notes,
@@ -209,9 +217,11 @@ def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array]
     ]  # fmt: skip
 
 
-def _as_round(best: Candidate, draws: int, times: float, seed: int) -> Array:
-    """Factors that stand for taking a source as round whose rings are off by a share of their light, shape (draw,)."""
-    return np.exp(times * best.problem.series.model_share * np.random.default_rng(seed).standard_normal(draws))
+def _as_told(best: Candidate, quantity: str, draws: int, posterior: Posterior) -> Array:
+    """Factors for what a form leaves out of a quantity: that of any, and that of a source that is not round."""
+    of_any, of_round = LEFT_OUT[quantity]
+    sd = np.hypot(of_any, of_round * best.problem.series.model_share)
+    return np.exp(sd * np.random.default_rng(posterior.seed).standard_normal(draws))
 
 
 def shows_core(best: Candidate, posterior: Posterior) -> bool:
@@ -236,6 +246,7 @@ def _spread(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes
             reason = f"some of this light lies beyond the {reach:.0f} px about the source that were looked at"
             out.append(refused(quantity, "px", reason, **fields))
         else:
+            draws = draws * _as_told(best, quantity, len(draws), posterior)
             out.append(from_draws(quantity, "px", draws, flags=flags, notes=notes, **fields))
     return out
 
@@ -259,6 +270,7 @@ def _glare(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], flags
         return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
     rng = np.random.default_rng(posterior.seed)
     draws = 100.0 * (told[:, 0] + told[:, 1] * rng.standard_normal(len(told)))
+    draws = draws * _as_told(best, "veiling_glare", len(draws), posterior)
     return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
 
 
@@ -272,7 +284,7 @@ def _plate(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes:
     if leans_on_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
         flags = (*flags, "prior-bound")
     density = 1.0 / np.maximum(posterior["plate_load"], 1e-9)
-    density = density * _as_round(best, len(density), OFF_PLATE, posterior.seed)
+    density = density * _as_told(best, "plate_saturation_density", len(density), posterior)
     out = [from_draws("plate_saturation_density", "DN", density, flags=flags, notes=notes, **fields)]
     left = best.problem.compression(posterior.draws[:DERIVED])
     for label, draws in zip(best.problem.series.labels, left, strict=True):

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 CORES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 # Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
 STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
+# Shares of electrons that keep their energy from which a disc is climbed to again.
+SHAKEN = (0.15, 0.6)
 # Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
 WORTHWHILE = 400.0
 # Levels that tell a plate that tires.
@@ -74,6 +76,7 @@ def candidates(
     likeliest = min(out, key=lambda one: one.bic)
     out.append(fitted(series, form(likeliest.form.core, "gaussian"), []))
     least = min(one.bic for one in out)
+    out = [shaken(one) if one.form.halo == "disc" and one.bic < least + WORTHWHILE else one for one in out]
     out = sorted((refined(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic)
     return sorted([*out, *_tired(out[0])], key=lambda one: one.bic)
 
@@ -107,6 +110,22 @@ def fitted(series: Series, form: Form, starts: list[Array]) -> Candidate:
         (climb(problem, tried[one], iterations=FIRST_STEPS) for one in order), key=lambda one: one.log_probability
     )
     return _candidate(problem, peak)
+
+
+def shaken(candidate: Candidate) -> Candidate:
+    """Climb again from other mixes of energies, with the core as it is and as cores are at first: wings hide halos."""
+    form, point = candidate.form, candidate.peak.point
+    at, core = form.names.index("elastic_share"), len(point) - 3
+    starts = []
+    for share in SHAKEN:
+        for first in (point[:core], form.first[:core]):
+            start = np.concatenate([first, point[core:]])
+            start[at] = share
+            starts.append(start)
+    peaks = [climb(candidate.problem, start, iterations=FIRST_STEPS) for start in starts]
+    best = max(peaks, key=lambda one: one.log_probability)
+    better = best.log_probability > climb(candidate.problem, point, iterations=FIRST_STEPS).log_probability + 1.0
+    return _candidate(candidate.problem, best) if better else candidate
 
 
 def refined(candidate: Candidate) -> Candidate:

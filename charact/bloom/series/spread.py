@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series.forms import Form
+from charact.bloom.series.forms import Form, pixel_of
 from charact.bloom.series.hankel import onto_nodes
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ class Halo:
     plateau
         Mean light between 0.3 and 0.7 of its radius over the source's whole light, 1/px^2.
     rim
-        Highest light of the blurred rim over the plateau, dimensionless.
+        Highest light of the rim, blurred by the core without its wing, over the plateau, dimensionless.
     """
 
     plateau: Array
@@ -43,7 +43,7 @@ def halo_of(form: Form, points: Array) -> Halo:
     at = np.arange(RIM[0] * radius.min(), RIM[1] * radius.max(), 0.2)
     halo = form.halo_transform(points)
     assert halo is not None
-    light = (form.core_transform(points) * halo) @ onto_nodes(at)
+    light = (form.blur_transform(points) * pixel_of(form.pitch_ratio) * halo) @ onto_nodes(at)
     near = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
     rim = np.where(near, light, -np.inf).max(axis=1)
     return Halo(plateau=of["halo_fraction"] * per_px2, rim=rim / per_px2)
