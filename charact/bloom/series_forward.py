@@ -33,7 +33,7 @@ OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau",
 # What needs the source's whole light, core included.
 OF_ALL_LIGHT = ("halo_fraction", "halo_plateau", "encircled_radius_50", "encircled_radius_90")
 # Relative error that forms leave out of a number, of any source and as a multiple of the share of the light by which
-# rings are off: the first as closed-form series with wings show it, the second as simulated cameras do that are not round.
+# rings are off: the first as closed-form series with wings show it, the second as simulated cameras do.
 LEFT_OUT = {
     "halo_fraction": (0.012, 3.0),
     "halo_plateau": (0.012, 3.0),
