@@ -117,8 +117,11 @@ def _smoothed(values: Array) -> Array:
 def _correlation(residual: Array) -> Array:
     """Correlation of the sectors' residuals between rings up to `RINGS_CORRELATED` apart, outside the core."""
     outer = residual[8:] / np.maximum(np.sqrt((residual[8:] ** 2).mean(axis=1, keepdims=True)), 1e-12)
-    return np.array([float(np.clip((outer[lag:] * outer[:-lag]).mean(), 0.0, 0.95)) for lag in
-                     range(1, RINGS_CORRELATED + 1)])  # fmt: skip
+    # A source near the border has few rings, and none that are so far apart.
+    return np.array([
+        float(np.clip((outer[lag:] * outer[:-lag]).mean(), 0.0, 0.95)) if len(outer) > lag else 0.0
+        for lag in range(1, RINGS_CORRELATED + 1)
+    ])  # fmt: skip
 
 
 def _used(mean: Array, value: Array, ring: NDArray[np.int64], spot: Spot, reach_px: int) -> NDArray[np.bool_]:

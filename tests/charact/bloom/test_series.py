@@ -13,6 +13,7 @@ from charact.bloom.series.levels import level_of, noise_of
 from charact.bloom.series.likelihood import Problem, series_of
 from charact.bloom.series.rings import geometry_of
 from charact.method import Context
+from charact.method.registry import of_kind
 from charact.study.bloom_scene import BloomScene, session
 
 QUICK = Context(seed=1, quick=True)
@@ -194,3 +195,11 @@ def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):
 def test_what_is_not_one_source_at_rest_is_flagged(scene, flag, seed):
     found = only(measured(scene, seed), "halo_diameter")
     assert found.status == "refused" or flag in found.flags
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_source_at_the_border_is_measured_or_refused_by_every_method(seed):
+    """Few rings fit beside it: no method may fall over that."""
+    drawn = session(BloomScene(row=80.0, col=6.0), [3.0, 300.0], np.random.default_rng(seed))
+    for method in of_kind("bloom"):
+        assert bloom.measure(drawn, method=method, context=QUICK).find("halo_diameter")
