@@ -32,8 +32,8 @@ LEAST_WHOLE = 0.3
 FIT_PX, FIT_SHARE = 0.025, 0.001
 # Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
 PRECISE_PX, NARROW = 0.04, 0.5
-# Parts of a pixel, along rows and columns, where a region is counted, and the error of a sharp edge between pixels, px.
-PARTS, EDGE_PX = 4, 0.5
+# Error of a sharp edge between pixels, px.
+EDGE_PX = 0.5
 # What hangs together with the source has a pixel nearer than this.
 NEAR_PX = 2.5
 # Noise over the level up to which pixels are counted without smoothing.
@@ -162,20 +162,6 @@ def _component(view: View, above: Mask) -> Mask:
     return labels == np.bincount(near).argmax() if len(near) else np.zeros_like(above)
 
 
-def _parts(view: View, picture: Array, visible: float) -> Array:
-    """Share of each pixel that hangs together with the source at a level; between pixels the logarithm is a line."""
-    from scipy import ndimage
-
-    fine = np.asarray(ndimage.zoom(np.log(np.maximum(picture, 1e-3)), PARTS, order=1, mode="nearest", grid_mode=True))
-    labels = np.asarray(ndimage.label(fine >= np.log(visible))[0])  # pyright: ignore[reportIndexIssue]
-    near = np.repeat(np.repeat(view.polar.radius < NEAR_PX, PARTS, axis=0), PARTS, axis=1)
-    found = labels[near & (labels > 0)]
-    if not len(found):
-        return np.zeros(picture.shape)
-    mask = labels == np.bincount(found).argmax()
-    return mask.reshape(picture.shape[0], PARTS, picture.shape[1], PARTS).mean(axis=(1, 3))
-
-
 def _pulled(view: View, visible: float, first: float) -> Mask:
     """Sectors in which the region reaches clearly farther than rings say, shape (sector,)."""
     if np.isinf(first):
@@ -218,7 +204,7 @@ def _composed(view: View, level_dn: float, visible: float, contour: Contour, sec
     area, variance, region = contour.area, contour.area_sd**2, inside
     if not sectors.all():
         pulled = ~sectors[view.polar.sector]
-        parts = _parts(view, np.where(inside, np.maximum(view.signal, 1.01 * visible), view.signal), visible)
+        parts = _component(view, inside | (view.signal >= visible))
         extra = np.where(pulled & ~inside, parts, 0.0)
         area += float(extra.sum()) * view.polar.row_pitch
         noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
@@ -260,7 +246,7 @@ def _counted(view: View, level_dn: float, visible: float) -> Extent | None:
     noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
     # Smoothing saves faint contours from fraying, and would wear away sharp narrow streaks.
     picture = view.signal if noise < SHARP * visible else view.smooth
-    parts = _parts(view, picture, visible)
+    parts = _component(view, picture >= visible)
     if not parts.any():
         return None
     low, high = (float(_component(view, picture >= visible + off).sum()) for off in (noise, -noise))
