@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drivers.aravis_library import BUFFER_FAULTS, BUFFER_SUCCESS, Aravis
 from drivers.gige import BlockNumbers
 from drivers.interface import CameraError
-from labdata.capture import CameraSettings, Frame
+from labdata.capture import CameraSettings, Frame, LostFrames, losses_before
 
 PIXELS = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
 SOCKET_BUFFER_BYTES = 8 << 20  # with the default one, every frame loses its tail
@@ -86,8 +86,13 @@ class AravisCapture:
         self._stream: int | None = None
         self._numbers = BlockNumbers()
         self._expected: int | None = None
-        self._fault = ""
-        self.lost_frames = 0
+        self._faults: dict[int, str] = {}
+        self.losses: tuple[LostFrames, ...] = ()
+
+    @property
+    def lost_frames(self) -> int:
+        """Frames numbered by the camera since the first whole one and not whole."""
+        return sum(map(len, self.losses))
 
     def __enter__(self) -> Self:
         # A stream of its own, on a port of its own: no frame sent before can arrive in it.
@@ -133,7 +138,7 @@ class AravisCapture:
         try:
             number = self._numbers.running(plain("arv_buffer_get_frame_id", buffer))
             if fault := self._fault_of(buffer, late=self._expected is not None and number < self._expected):
-                self._fault = fault
+                self._faults[number] = fault
                 return None
             time_s = plain("arv_buffer_get_timestamp", buffer) * 1e-9
             return Frame(pixels=self._pixels(buffer), number=number, time_s=time_s)
@@ -173,14 +178,15 @@ class AravisCapture:
         for only when a frame is already coming, so that a busy machine receives the very first one without it.
         """
         if handed_out and self._expected is not None:
-            self.lost_frames += number - self._expected
+            self.losses += losses_before(number, expected=self._expected, faults=self._faults)
+        self._faults.clear()
         self._expected = number + 1
 
     def _require_some_whole(self, whole: int, broken: int) -> None:
         if broken > 20 + self._wanted:
             raise CameraError(
                 f"camera {self._owner.identifier} must send whole frames, got {broken} broken ones "
-                f"(the last: {self._fault}) beside {whole} whole"
+                f"(the last: {list(self._faults.values())[-1]}) beside {whole} whole"
             )
 
     def _pixels(self, buffer: int) -> NDArray[Any]:

@@ -5,7 +5,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from drivers.errors import BenchError
-from labdata.capture import CameraSettings, Frame
+from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
@@ -21,6 +21,11 @@ class Capture(Protocol):
     @property
     def lost_frames(self) -> int:
         """Frames numbered by the camera since the first one and not whole."""
+        ...
+
+    @property
+    def losses(self) -> tuple[LostFrames, ...]:
+        """The same frames with their numbers and why they are not whole."""
         ...
 
     def __iter__(self) -> Iterator[Frame]: ...

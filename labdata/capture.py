@@ -1,5 +1,6 @@
-"""What passes between a camera and whoever records it: settings asked and read back, and frames with their numbers."""
+"""What passes between a camera and whoever records it: settings, frames with their numbers, and the lost ones."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from numpy.typing import NDArray
@@ -60,3 +61,54 @@ class Frame:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", read_only(self.pixels))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LostFrames:
+    """Frames that follow one another, that the camera numbered, and that are not in the record.
+
+    Parameters
+    ----------
+    first, last
+        The camera's numbers of the first and the last of them.
+    reason
+        Why they are not there, in a few words, such as "missing packets".
+    """
+
+    first: int
+    last: int
+    reason: str
+
+    def __post_init__(self) -> None:
+        if self.last < self.first:
+            raise BadInput(f"the last lost frame must not come before the first, got {self.first} to {self.last}")
+        if not self.reason:
+            raise BadInput(f"a lost frame must have a reason, got none for frame {self.first}")
+
+    def __len__(self) -> int:
+        return self.last - self.first + 1
+
+
+NEVER_ARRIVED = "never arrived"
+
+
+def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> tuple[LostFrames, ...]:
+    """Return the frames that are missing before one that is whole.
+
+    Parameters
+    ----------
+    number
+        Number of the frame that is whole.
+    expected
+        Number that it should have had.
+    faults
+        What was wrong with the frames that came in part, by number; any other never arrived.
+    """
+    losses: list[LostFrames] = []
+    for missing in range(expected, number):
+        reason = faults.get(missing, NEVER_ARRIVED)
+        if losses and losses[-1].reason == reason:
+            losses[-1] = LostFrames(first=losses[-1].first, last=missing, reason=reason)
+        else:
+            losses.append(LostFrames(first=missing, last=missing, reason=reason))
+    return tuple(losses)

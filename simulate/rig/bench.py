@@ -78,9 +78,7 @@ class VirtualBench:
         make_truth(self.truth_folder, self._sensor, self._seed)
         self.operator.darken()
         with ExitStack() as running:
-            self._instruments = running.enter_context(
-                VirtualInstruments(self._wires_folder, time_scale=self._time_scale)
-            )
+            self._start_instruments(running)
             if self._camera_has_a_wire():
                 self.camera = running.enter_context(CameraProcess(self.folder, self._wires_folder, say=self._say))
             self._running = running.pop_all()

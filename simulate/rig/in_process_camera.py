@@ -77,6 +77,7 @@ class InProcessCapture:
     """A capture that loses nothing."""
 
     lost_frames = 0
+    losses = ()
 
     def __init__(self, camera: InProcessCamera, *, frames: int, discard: int) -> None:
         self._camera, self._frames, self._discard = camera, frames, discard

@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from labdata.capture import CameraSettings, Frame
+from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.conditions import Conditions
 
 SIZE = (6, 8)
@@ -67,10 +67,14 @@ class FakeCamera(_Opened):
 
 
 class FakeCapture:
-    lost_frames = 0
+    losses: tuple[LostFrames, ...] = ()
 
     def __init__(self, rig: FakeRig, frames: int, discard: int) -> None:
         self.rig, self.frames, self.discard = rig, frames, discard
+
+    @property
+    def lost_frames(self) -> int:
+        return sum(map(len, self.losses))
 
     def __enter__(self) -> Self:
         self.rig.happens("capture starts")
@@ -80,7 +84,8 @@ class FakeCapture:
         self.rig.happens("capture stops")
 
     def __iter__(self) -> Iterator[Frame]:
-        self.lost_frames = self.rig.lose
+        if self.rig.lose:
+            self.losses = (LostFrames(first=1, last=self.rig.lose, reason="missing packets"),)
         for _ in range(self.frames):
             self.rig.frames_sent += 1
             self.rig.happens("frame")
