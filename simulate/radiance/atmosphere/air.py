@@ -1,0 +1,174 @@
+"""The atmosphere: transmittance of paths near the ground and to the stars, and the light that air adds to a path."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.atmosphere import aerosol, gases, rayleigh
+from simulate.radiance.atmosphere.airmass import airmass, ozone_mass
+from simulate.radiance.spectrum import checked_grid
+
+# The US standard atmosphere's 5.9 g m-3 at the ground hold 1.42 cm of water above.
+WATER_SCALE_HEIGHT_KM = 2.4
+HOTTEST_C, COLDEST_C = 60.0, -60.0
+
+
+class SkyLight(Protocol):
+    """What lights the air: gives the radiance that an endless path of it would have."""
+
+    def air_radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the radiance of an endless path along directions (path, 3), W m-2 sr-1 nm-1, shape (band, path)."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Atmosphere:
+    """Air of one visibility and humidity, the same at all places of the scene.
+
+    Parameters
+    ----------
+    visibility_km
+        Meteorological range: where a black thing keeps 2 % of its contrast, km.
+    relative_humidity
+        At the ground, 0 to 1, dimensionless.
+    temperature_c, pressure_hpa
+        Of the air at the ground.
+    ozone_atm_cm
+        Ozone overhead, atm cm.
+    aerosol_scale_height_km
+        Height of a column of the haze at the ground that holds all of it, km.
+    light
+        What lights the air; `NightSky.air` puts it in. Without it paths add no light.
+
+    Notes
+    -----
+    Extinction at 550 nm is 3.912/V, molecules included; the rest of it is haze, falling by Kruse's power of wavelength.
+    Single scattering: light scattered out of a path is lost to it, so a picture loses contrast and no sharpness. Air
+    does not bend rays.
+    """
+
+    visibility_km: float = 23.0
+    relative_humidity: float = 0.5
+    temperature_c: float = 15.0
+    pressure_hpa: float = rayleigh.SEA_LEVEL_HPA
+    ozone_atm_cm: float = 0.3
+    aerosol_scale_height_km: float = 1.2
+    light: SkyLight | None = None
+
+    def __post_init__(self) -> None:
+        clearest = aerosol.KOSCHMIEDER / float(rayleigh.rayleigh_per_km(aerosol.REFERENCE_NM))
+        if not 0.01 <= self.visibility_km <= clearest:
+            raise BadInput(
+                f"visibility_km must lie between 0.01 and that of clean air, {clearest:.0f}, got {self.visibility_km:g}"
+            )
+        if not 0.0 <= self.relative_humidity <= 1.0:
+            raise BadInput(f"relative_humidity must lie in [0, 1], got {self.relative_humidity:g}")
+        if not COLDEST_C <= self.temperature_c <= HOTTEST_C:
+            raise BadInput(f"temperature_c must lie in [{COLDEST_C:g}, {HOTTEST_C:g}], got {self.temperature_c:g}")
+        for name in ("pressure_hpa", "aerosol_scale_height_km"):
+            if not getattr(self, name) > 0.0:
+                raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
+        if not self.ozone_atm_cm >= 0.0:
+            raise BadInput(f"ozone_atm_cm must not be negative, got {self.ozone_atm_cm:g}")
+
+    @property
+    def vapour_g_m3(self) -> float:
+        """Water vapour at the ground, g m-3."""
+        return gases.vapour_density_g_m3(self.temperature_c, self.relative_humidity)
+
+    @property
+    def precipitable_cm(self) -> float:
+        """Water vapour overhead as a layer of liquid, cm."""
+        return 0.1 * self.vapour_g_m3 * WATER_SCALE_HEIGHT_KM
+
+    def haze_per_km(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the extinction by haze at the ground, per km, shape (band,)."""
+        wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
+        molecules = float(rayleigh.rayleigh_per_km(aerosol.REFERENCE_NM))
+        share = 1.0 - molecules / aerosol.visibility_extinction_per_km(self.visibility_km)
+        return share * aerosol.kruse_per_km(wavelength, self.visibility_km)
+
+    def molecules_depth(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the optical depth of molecules straight up, dimensionless, shape (band,)."""
+        depth = rayleigh.rayleigh_depth(np.atleast_1d(np.asarray(wavelength_nm, float)))
+        return depth * self.pressure_hpa / rayleigh.SEA_LEVEL_HPA
+
+    def haze_depth(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the optical depth of haze straight up, dimensionless, shape (band,)."""
+        return self.haze_per_km(wavelength_nm) * self.aerosol_scale_height_km
+
+    def transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return what paths near the ground let through, dimensionless, shape (band, path).
+
+        Parameters
+        ----------
+        range_m
+            Lengths of the paths, shape (path,), m.
+        wavelength_nm
+            Wavelengths, shape (band,), nm.
+        """
+        return self._unscattered(range_m, wavelength_nm) * self._unabsorbed(range_m, wavelength_nm)
+
+    def path_radiance(
+        self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return the light that air adds to paths, W m-2 sr-1 nm-1, shape (band, path).
+
+        Parameters
+        ----------
+        range_m
+            Lengths of the paths, shape (path,), m.
+        wavelength_nm
+            The whole spectral grid, shape (band,), nm.
+        direction
+            Directions that one looks in, x east, y north, z up, shape (path, 3).
+
+        Notes
+        -----
+        J (1 - T_scattering) T_gas(half the path), J the radiance of an endless path (`NightSky.air_radiance`).
+        """
+        grid = checked_grid(wavelength_nm)
+        metres = np.atleast_1d(np.asarray(range_m, float))
+        if self.light is None:
+            return np.zeros((grid.size, metres.size))
+        endless = self.light.air_radiance(direction, grid)
+        return endless * (1.0 - self._unscattered(metres, grid)) * self._unabsorbed(0.5 * metres, grid)
+
+    def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return what the whole atmosphere lets through, shape (band, path), along elevations (path,) in degrees.
+
+        Paths below the horizon count as along it.
+        """
+        depth = self.molecules_depth(wavelength_nm) + self.haze_depth(wavelength_nm)
+        mass = np.atleast_1d(airmass(elevation_deg))
+        return np.exp(-depth[:, None] * mass) * self.gas_slant_transmittance(elevation_deg, wavelength_nm)
+
+    def gas_slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return what gases let through of light from outside, shape (band, path), along elevations in degrees."""
+        mass = np.atleast_1d(airmass(elevation_deg))
+        pressure = self.pressure_hpa / rayleigh.SEA_LEVEL_HPA
+        ozone = np.atleast_1d(ozone_mass(elevation_deg)) * self.ozone_atm_cm
+        return (
+            gases.water_transmittance(wavelength_nm, mass * self.precipitable_cm)
+            * gases.mixed_transmittance(wavelength_nm, mass * pressure)
+            * gases.ozone_transmittance(wavelength_nm, ozone)
+        )
+
+    def _unscattered(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return what haze and molecules leave on paths near the ground, shape (band, path)."""
+        kilometres = 1e-3 * np.atleast_1d(np.asarray(range_m, float))
+        if kilometres.size and not kilometres.min() >= 0.0:
+            raise BadInput(f"a range must not be negative, got {kilometres.min() * 1e3:g} m")
+        wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
+        molecules = rayleigh.rayleigh_per_km(wavelength) * self.pressure_hpa / rayleigh.SEA_LEVEL_HPA
+        return np.exp(-(molecules + self.haze_per_km(wavelength))[:, None] * kilometres)
+
+    def _unabsorbed(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return what gases leave on paths near the ground; ozone takes less than 0.1 % per km there, left out."""
+        metres = np.atleast_1d(np.asarray(range_m, float))
+        mixed = 1e-3 * metres / gases.MIXED_SCALE_HEIGHT_KM * self.pressure_hpa / rayleigh.SEA_LEVEL_HPA
+        water = gases.water_transmittance(wavelength_nm, 1e-4 * metres * self.vapour_g_m3)
+        return water * gases.mixed_transmittance(wavelength_nm, mixed)

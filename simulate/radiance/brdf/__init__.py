@@ -1,0 +1,5 @@
+"""How surfaces scatter light: reciprocal, never more than arrives."""
+
+from simulate.radiance.brdf.protocol import Brdf
+
+__all__ = ["Brdf"]

@@ -1,0 +1,149 @@
+"""Spectra of lamps, scaled to their lumens: black bodies, sodium, mercury, metal halide, LED, or a file."""
+
+from pathlib import Path
+
+import numpy as np
+
+from labdata.errors import BadInput
+from simulate.radiance.photometry import planck
+from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.tables import table
+
+PACKAGE = "simulate.radiance.lamps"
+FIRST_NM, LAST_NM = 300.0, 1200.0
+# Lines, nm, and power relative to the lamp's visible continuum table (380 to 780 nm, lines included, is 1).
+SODIUM_D = ((589.0, 2.0 / 3.0), (589.6, 1.0 / 3.0))
+SODIUM_NEAR_INFRARED = ((818.3, 0.36), (819.5, 0.64))
+MERCURY = ((404.7, 0.0852), (435.8, 0.1751), (546.1, 0.2185), (577.0, 0.0978), (579.1, 0.0978))
+MERCURY_COATED = ((404.7, 0.0579), (435.8, 0.1239), (546.1, 0.1605), (577.0, 0.0699), (579.1, 0.0699))
+# Visible power, W, for which the tables stand; near-infrared parts are shares of it.
+COLUMNS = {
+    "high-pressure-sodium": ("high_pressure_sodium", ()),
+    "mercury": ("mercury", MERCURY),
+    "mercury-coated": ("mercury_coated", MERCURY_COATED),
+    "metal-halide": ("metal_halide", ()),
+    "led-cool": ("led_cool", ()),
+    "led-warm": ("led_warm", ()),
+}
+NEAR_INFRARED_LINES = {
+    "high-pressure-sodium": SODIUM_NEAR_INFRARED,
+    "low-pressure-sodium": SODIUM_NEAR_INFRARED,
+    "mercury": ((1014.0, 1.0),),
+    "mercury-coated": ((1014.0, 1.0),),
+}
+# Default power beyond 780 nm over that before: the published 10 to 30 % of high-pressure sodium is uncertain.
+NEAR_INFRARED_SHARE = {"high-pressure-sodium": 0.2}
+KINDS = ("incandescent", "low-pressure-sodium", *COLUMNS)
+COLDEST_K, HOTTEST_K = 1000.0, 20000.0
+
+
+def spectrum(
+    kind: str, *, lumens: float = 1.0, temperature_k: float = 2856.0, near_infrared_share: float | None = None
+) -> Spectrum:
+    """Return the radiant flux of a lamp, W over wavelength.
+
+    Parameters
+    ----------
+    kind
+        One of `KINDS`.
+    lumens
+        Luminous flux, lm. (Lux, cd m-2 or cd in place of it give W m-2, W m-2 sr-1, W sr-1.)
+    temperature_k
+        Of an incandescent lamp, K; others ignore it.
+    near_infrared_share
+        Power in near-infrared lines over that in 380 to 780 nm, dimensionless: sodium's 818.3 and 819.5 nm, mercury's
+        1014 nm. By default 0.2 for high-pressure sodium, which is uncertain within 0.1 to 0.3, and 0 for others.
+
+    Raises
+    ------
+    BadInput
+        If there is no such kind, lumens or share are negative, a temperature is out of range, or a share is given for
+        a lamp without such lines.
+
+    Notes
+    -----
+    Spectra of discharge lamps and LEDs are NIST's, measured to 780 nm; with mercury's lines put where they belong.
+    """
+    if kind not in KINDS:
+        raise BadInput(f"a lamp must be of one of the kinds {', '.join(KINDS)}, got {kind!r}")
+    if not lumens >= 0.0:
+        raise BadInput(f"lumens must not be negative, got {lumens:g}")
+    if kind == "incandescent":
+        if near_infrared_share is not None:
+            raise BadInput(f"an incandescent lamp has no near_infrared_share, got {near_infrared_share:g}")
+        return _scaled(_incandescent(temperature_k), lumens)
+    share = NEAR_INFRARED_SHARE.get(kind, 0.0) if near_infrared_share is None else near_infrared_share
+    return _scaled(_discharge(kind, share), lumens)
+
+
+def read_spectrum(path: str | Path, *, lumens: float = 1.0) -> Spectrum:
+    """Return the radiant flux of a lamp from a file of two columns, wavelength in nm and power per nm in any unit.
+
+    Commas, semicolons or blanks separate; lines that start with # and one heading are skipped.
+    """
+    rows = _rows(Path(path))
+    try:
+        found = Spectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
+    except BadInput as error:
+        raise BadInput(f"{error}, in {path}") from None
+    if not found.lumens > 0.0:
+        raise BadInput(f"a lamp's file must hold visible light, so that lumens can scale it; got none in {path}")
+    return _scaled(found, lumens)
+
+
+def _rows(path: Path) -> np.ndarray:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        raise BadInput(f"a lamp's spectrum must be a readable text file, got {path}") from None
+    cells = [line.replace(",", " ").replace(";", " ").split() for line in lines if line.strip() and line[0] != "#"]
+    if cells and not _is_number(cells[0][0]):
+        cells = cells[1:]
+    for row in cells:
+        if len(row) != 2 or not all(_is_number(cell) for cell in row):
+            raise BadInput(f"a lamp's spectrum must have two numbers on each line, got {' '.join(row)!r} in {path}")
+    if len(cells) < 2:
+        raise BadInput(f"a lamp's spectrum must have at least two lines of numbers, got {len(cells)} in {path}")
+    return np.array([[float(cell) for cell in row] for row in cells])
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _incandescent(temperature_k: float) -> Spectrum:
+    if not COLDEST_K <= temperature_k <= HOTTEST_K:
+        raise BadInput(f"temperature_k must lie in [{COLDEST_K:g}, {HOTTEST_K:g}], got {temperature_k:g}")
+    fine = np.arange(FIRST_NM, LAST_NM + 1.0, 5.0)
+    return Spectrum(wavelength_nm=fine, density=planck(fine, temperature_k))
+
+
+def _discharge(kind: str, near_infrared_share: float) -> Spectrum:
+    if not near_infrared_share >= 0.0:
+        raise BadInput(f"near_infrared_share must not be negative, got {near_infrared_share:g}")
+    beyond = NEAR_INFRARED_LINES.get(kind, ())
+    if near_infrared_share > 0.0 and not beyond:
+        raise BadInput(
+            f"near_infrared_share must be 0 for {kind}, of which no lines are known, got {near_infrared_share:g}"
+        )
+    if kind == "low-pressure-sodium":
+        wavelength, density, lines = np.array([FIRST_NM, LAST_NM]), np.zeros(2), SODIUM_D
+    else:
+        column, lines = COLUMNS[kind]
+        visible = table(PACKAGE, "visible")
+        wavelength, density = visible["wavelength_nm"], visible[column]
+    lines = (*lines, *((nm, near_infrared_share * part) for nm, part in beyond if near_infrared_share > 0.0))
+    return Spectrum(
+        wavelength_nm=wavelength,
+        density=density,
+        line_nm=tuple(nm for nm, _ in lines),
+        line_power=tuple(power for _, power in lines),
+    )
+
+
+def _scaled(found: Spectrum, lumens: float) -> Spectrum:
+    return found.scaled(lumens / found.lumens)

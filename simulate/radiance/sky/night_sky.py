@@ -1,0 +1,205 @@
+"""The sky as a scene's light: sun, moon, what the air makes of them, airglow, stars, towns."""
+
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.atmosphere.air import Atmosphere
+from simulate.radiance.cube import band_widths
+from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
+from simulate.radiance.sky import scattering, twilight
+from simulate.radiance.sky.dark_sky import dark_sky, van_rhijn
+from simulate.radiance.sky.disc import Disc
+from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris, Place, ephemeris
+from simulate.radiance.sky.moon import moonlight
+from simulate.radiance.sky.sun import sun_spectrum
+from simulate.radiance.sky.town import TownGlow
+from simulate.radiance.spectrum import Spectrum, checked_grid, combined
+
+# Of light that comes from all over the sky, air scatters about half back in: it dims by half of the depth.
+EXTENDED_SHARE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NightSky:
+    """Everything above the horizon.
+
+    Parameters
+    ----------
+    atmosphere
+        The air.
+    bodies
+        Sun and moon, also when below the horizon, where they still make twilight.
+    airglow, zodiacal, starlight
+        Strength of each over a dark site's, dimensionless.
+    towns
+        Glow of towns.
+    ground_albedo
+        Of the land around, which lights the sky from below.
+
+    Notes
+    -----
+    Directions have x east, y north, z up. Clouds are not there: an overcast sky is a weather of its own.
+    """
+
+    atmosphere: Atmosphere = field(default_factory=Atmosphere)
+    bodies: tuple[Disc, ...] = ()
+    airglow: float = 1.0
+    zodiacal: float = 1.0
+    starlight: float = 1.0
+    towns: tuple[TownGlow, ...] = ()
+    ground_albedo: float = 0.2
+
+    def __post_init__(self) -> None:
+        for name in ("airglow", "zodiacal", "starlight"):
+            if not getattr(self, name) >= 0.0:
+                raise BadInput(f"{name} must not be negative, got {getattr(self, name):g}")
+        if not 0.0 <= self.ground_albedo <= 1.0:
+            raise BadInput(f"ground_albedo must lie in [0, 1], got {self.ground_albedo:g}")
+
+    @classmethod
+    def at(cls, place: Place, time: datetime, *, atmosphere: Atmosphere | None = None, **parts: object) -> "NightSky":
+        """Return the sky over a place at a time.
+
+        Parameters
+        ----------
+        place, time
+            Where and when; the time knows its zone.
+        atmosphere
+            The air; by default 23 km of visibility.
+        parts
+            Other fields of the sky: `airglow`, `towns` and so on.
+
+        Raises
+        ------
+        BadInput
+            If the time has no zone or lies outside 1900 to 2100.
+        """
+        air = atmosphere or Atmosphere()
+        return cls(atmosphere=air, bodies=_bodies(ephemeris(place, time), air), **parts)  # pyright: ignore[reportArgumentType]
+
+    def discs(self) -> tuple[Disc, ...]:
+        """Return sun and moon, those that stand above the horizon."""
+        return tuple(body for body in self.bodies if body.visible_share > 0.0)
+
+    def sources(self) -> tuple[Spectrum, ...]:
+        """Return the spectra that light the scene, for `spectral_grid`."""
+        bodies = [body.extraterrestrial for body in self.bodies if body.elevation_deg > -twilight.LAST_DEG]
+        return (*bodies, self._night(), *(town.spectrum for town in self.towns))
+
+    def radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the sky's radiance without the discs themselves, W m-2 sr-1 nm-1, shape (band, path).
+
+        Parameters
+        ----------
+        direction
+            Unit vectors, shape (path, 3); below the horizon there is no sky and the radiance is zero.
+        wavelength_nm
+            The whole spectral grid, shape (band,), nm.
+        """
+        grid = checked_grid(wavelength_nm)
+        total = self._night_radiance(direction, grid)
+        depth, _ = scattering.scattering_parts(self.atmosphere, grid)
+        for body in self.bodies:
+            if body.elevation_deg > 0.0:
+                total += self._endless(body, direction, grid) * scattering.sky_depth(depth, direction)
+            glow = self._twilight(body)
+            if glow is not None:
+                total += glow.on(grid)[:, None] * twilight.twilight_shape(direction, body.direction)
+        return total * (direction[:, 2] >= 0.0)
+
+    def air_radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the radiance of an endless level path of the air near the ground, shape (band, path).
+
+        Notes
+        -----
+        The same scattering of sun and moon as in the sky, so that far hills fade into the horizon; of light from all
+        over, half of the sphere is sky and half is ground of the albedo given.
+        """
+        grid = checked_grid(wavelength_nm)
+        total = np.zeros((grid.size, len(direction)))
+        for body in self.bodies:
+            if body.elevation_deg > 0.0:
+                total += self._endless(body, direction, grid)
+        directions, weight = scattering.sky_quadrature()
+        cosine = weight * directions[:, 2]
+        around = self._night_radiance(directions, grid) @ cosine
+        for body in self.bodies:
+            glow = self._twilight(body)
+            if glow is not None:
+                around += glow.on(grid) * (twilight.twilight_shape(directions, body.direction) @ cosine)
+        return total + (0.5 * (1.0 + self.ground_albedo) / np.pi * around)[:, None]
+
+    def air(self) -> Atmosphere:
+        """Return the atmosphere, lit by this sky."""
+        return replace(self.atmosphere, light=self)
+
+    def irradiance(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the irradiance of open level ground, W m-2 nm-1, shape (band,): sky and discs."""
+        grid = checked_grid(wavelength_nm)
+        directions, weight = scattering.sky_quadrature()
+        total = self.radiance(directions, grid) @ (weight * directions[:, 2])
+        for disc in self.discs():
+            total += disc.irradiance(grid) * max(disc.direction[2], 0.0)
+        return total
+
+    def illuminance_lux(self) -> float:
+        """Return the illuminance of open level ground, lux."""
+        grid = np.arange(380.0, 771.0, 5.0)
+        weight = LUMENS_PER_WATT * luminous_efficiency(grid) * band_widths(grid)
+        return float(np.sum(self.irradiance(grid) * weight))
+
+    def _endless(self, body: Disc, direction: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the radiance of an endless path lit by one body; the sky it makes has the diffuse irradiance known."""
+        depth, molecules = scattering.scattering_parts(self.atmosphere, grid)
+        share = scattering.diffuse_share(self.atmosphere, body.elevation_deg, grid, self.ground_albedo)
+        shape_irradiance = scattering.level_irradiance(body.direction, depth, molecules)
+        per_shape = body.extraterrestrial.on(grid) * share / shape_irradiance
+        return per_shape[:, None] * scattering.endless_path(direction, body.direction, molecules)
+
+    def _twilight(self, body: Disc) -> Spectrum | None:
+        return twilight.twilight_spectrum(body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens)
+
+    def _night(self) -> Spectrum:
+        dark = dark_sky()
+        return combined(
+            [
+                dark.airglow.scaled(self.airglow),
+                dark.zodiacal.scaled(self.zodiacal),
+                dark.starlight.scaled(self.starlight),
+            ]
+        )
+
+    def _night_radiance(self, direction: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return airglow, zodiacal light, stars and towns, shape (band, path)."""
+        dark = dark_sky()
+        elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)))
+        even = self.zodiacal * dark.zodiacal.on(grid) + self.starlight * dark.starlight.on(grid)
+        glow = self.airglow * dark.airglow.on(grid)
+        total = (even[:, None] + glow[:, None] * van_rhijn(elevation)) * self._dimming(elevation, grid)
+        for town in self.towns:
+            total += town.spectrum.on(grid)[:, None] * town.shape(direction)
+        return total
+
+    def _dimming(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how much air dims the sky's own light over how much it does at the zenith, shape (band, path)."""
+        depth, _ = scattering.scattering_parts(self.atmosphere, grid)
+        mass = scattering.airmass(elevation_deg)
+        return np.exp(-EXTENDED_SHARE * depth[:, None] * (mass - 1.0))
+
+
+def _bodies(at: Ephemeris, air: Atmosphere) -> tuple[Disc, ...]:
+    sunlight = sun_spectrum(at.sun.distance_km / AU_KM).scaled(at.sun_share)
+    return tuple(
+        Disc(
+            name=name,
+            direction=body.direction,
+            angular_radius_rad=body.angular_radius_rad,
+            extraterrestrial=light,
+            atmosphere=air,
+        )
+        for name, body, light in (("sun", at.sun, sunlight), ("moon", at.moon, moonlight(at)))
+    )

@@ -1,0 +1,166 @@
+"""A spectrum of a source: a continuum and lines, averaged over the bands of a grid so that no line is lost."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+from labdata.frames import read_only
+from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spectrum:
+    """Power of a source over wavelength; of what kind (W, W m-2, W m-2 sr-1) its owner says.
+
+    Parameters
+    ----------
+    wavelength_nm
+        Wavelengths of the continuum, ascending, shape (sample,), nm.
+    density
+        Power per nm at them, linear between and zero outside, shape (sample,).
+    line_nm
+        Wavelengths of lines too narrow for any grid, ascending, shape (line,), nm.
+    line_power
+        Power of each, shape (line,).
+    """
+
+    wavelength_nm: NDArray[np.floating]
+    density: NDArray[np.floating]
+    line_nm: tuple[float, ...] = ()
+    line_power: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        wavelength, density = np.asarray(self.wavelength_nm, float), np.asarray(self.density, float)
+        if wavelength.ndim != 1 or wavelength.shape != density.shape or wavelength.size < 2:
+            raise BadInput(
+                "a spectrum must have one density per wavelength and at least two, got shapes "
+                f"{wavelength.shape} and {density.shape}"
+            )
+        if not (np.diff(wavelength) > 0.0).all() or not wavelength[0] > 0.0:
+            raise BadInput("the wavelengths of a spectrum must be positive and ascend")
+        if len(self.line_nm) != len(self.line_power):
+            raise BadInput(f"each line must have a power, got {len(self.line_nm)} lines, {len(self.line_power)} powers")
+        if not np.isfinite(density).all() or density.min() < 0.0 or min(self.line_power, default=0.0) < 0.0:
+            raise BadInput("the power of a spectrum must be finite and not negative")
+        object.__setattr__(self, "wavelength_nm", read_only(wavelength))
+        object.__setattr__(self, "density", read_only(density))
+
+    def on(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the power per nm in the bands of a grid, shape (band,).
+
+        Parameters
+        ----------
+        wavelength_nm
+            The grid, ascending, shape (band,), nm; always the whole grid, for a band's width is set by its neighbours.
+
+        Raises
+        ------
+        BadInput
+            If the grid does not ascend, or has fewer than two bands.
+
+        Notes
+        -----
+        A band's value is int hat S dl / int hat dl, hat linear from 1 at the band to 0 at its neighbours; a line of
+        power P at a band of width w adds P / w. So the sum of value times band width (`cube.band_widths`) times any
+        function that is linear between the bands is its exact integral over the spectrum, on every grid.
+        """
+        grid = checked_grid(wavelength_nm)
+        power = _hat_integrals(grid, self.wavelength_nm, self.density)
+        for line, strength in zip(self.line_nm, self.line_power, strict=True):
+            power += strength * _hats_at(grid, line)
+        return power / _widths(grid)
+
+    def scaled(self, factor: float) -> "Spectrum":
+        """Return the spectrum with all powers times a factor."""
+        powers = tuple(factor * power for power in self.line_power)
+        return replace(self, density=factor * self.density, line_power=powers)
+
+    def filtered(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "Spectrum":
+        """Return the spectrum times a function of wavelength, nm: a filter, a reflectance."""
+        shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
+        powers = tuple(float(share * power) for share, power in zip(shares, self.line_power, strict=True))
+        return replace(self, density=self.density * factor(self.wavelength_nm), line_power=powers)
+
+    def total(self, low_nm: float = 0.0, high_nm: float = np.inf) -> float:
+        """Return the power between two wavelengths, nm."""
+        low, high = max(low_nm, self.wavelength_nm[0]), min(high_nm, self.wavelength_nm[-1])
+        lines = sum(p for nm, p in zip(self.line_nm, self.line_power, strict=True) if low_nm <= nm <= high_nm)
+        if not high > low:
+            return float(lines)
+        inside = self.wavelength_nm[(self.wavelength_nm > low) & (self.wavelength_nm < high)]
+        edges = np.concatenate([[low], inside, [high]])
+        return float(np.trapezoid(np.interp(edges, self.wavelength_nm, self.density), edges) + lines)
+
+    def weighted(self, weight: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> float:
+        """Return the integral of the power times a function of wavelength, by steps of 1 nm between samples."""
+        span = np.arange(np.ceil(self.wavelength_nm[0]), self.wavelength_nm[-1])
+        fine = np.union1d(span, self.wavelength_nm)
+        smooth = np.trapezoid(np.interp(fine, self.wavelength_nm, self.density) * weight(fine), fine)
+        if not self.line_nm:
+            return float(smooth)
+        return float(smooth + np.sum(weight(np.asarray(self.line_nm)) * np.asarray(self.line_power)))
+
+    @property
+    def lumens(self) -> float:
+        """683 int V S dl: lm of W, lux of W m-2, cd m-2 of W m-2 sr-1."""
+        return LUMENS_PER_WATT * self.weighted(luminous_efficiency)
+
+
+def combined(parts: list[Spectrum]) -> Spectrum:
+    """Return the sum of spectra, all lines kept."""
+    fine = np.unique(np.concatenate([part.wavelength_nm for part in parts]))
+    density = sum(np.interp(fine, part.wavelength_nm, part.density, left=0.0, right=0.0) for part in parts)
+    lines = sorted((nm, p) for part in parts for nm, p in zip(part.line_nm, part.line_power, strict=True))
+    return Spectrum(
+        wavelength_nm=fine,
+        density=np.asarray(density),
+        line_nm=tuple(nm for nm, _ in lines),
+        line_power=tuple(power for _, power in lines),
+    )
+
+
+def checked_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    """Return a grid of wavelengths as an array, or refuse one that does not ascend or has fewer than two bands."""
+    grid = np.atleast_1d(np.asarray(wavelength_nm, float))
+    if grid.ndim != 1 or grid.size < 2:
+        raise BadInput(f"a spectral grid must be a row of at least two bands, got shape {grid.shape}")
+    if not (np.diff(grid) > 0.0).all() or not grid[0] > 0.0:
+        raise BadInput("the wavelengths of a spectral grid must be positive and ascend")
+    return grid
+
+
+def _widths(grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    steps = np.diff(grid)
+    return 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
+
+
+def _hats_at(grid: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
+    """Return each band's hat at one wavelength; zero for one outside the grid."""
+    return np.array([np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)])
+
+
+def _hat_integrals(
+    grid: NDArray[np.float64], table_nm: NDArray[np.floating], density: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Return int hat S dl of each band: exact for a product of two pieces that are linear between all knots."""
+    low, high = max(grid[0], table_nm[0]), min(grid[-1], table_nm[-1])
+    power = np.zeros(grid.size)
+    if not high > low:
+        return power
+    knots = np.union1d(grid, table_nm)
+    knots = np.union1d(knots[(knots > low) & (knots < high)], [low, high])
+    value = np.interp(knots, table_nm, density)
+    left = np.clip(np.searchsorted(grid, 0.5 * (knots[1:] + knots[:-1])) - 1, 0, grid.size - 2)
+    gap = grid[left + 1] - grid[left]
+    step = np.diff(knots)
+    rise_start, rise_end = (knots[:-1] - grid[left]) / gap, (knots[1:] - grid[left]) / gap
+    rising = step / 6.0 * (
+        value[:-1] * (2.0 * rise_start + rise_end) + value[1:] * (rise_start + 2.0 * rise_end)
+    )  # fmt: skip
+    whole = 0.5 * step * (value[:-1] + value[1:])
+    np.add.at(power, left, whole - rising)
+    np.add.at(power, left + 1, rising)
+    return power
