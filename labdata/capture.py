@@ -1,6 +1,6 @@
 """What passes between a camera and whoever records it: settings, frames with their numbers, and the lost ones."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from numpy.typing import NDArray
@@ -104,11 +104,20 @@ def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> t
     faults
         What was wrong with the frames that came in part, by number; any other never arrived.
     """
-    losses: list[LostFrames] = []
-    for missing in range(expected, number):
-        reason = faults.get(missing, NEVER_ARRIVED)
-        if losses and losses[-1].reason == reason:
-            losses[-1] = LostFrames(first=losses[-1].first, last=missing, reason=reason)
+    return _joined((missing, faults.get(missing, NEVER_ARRIVED)) for missing in range(expected, number))
+
+
+def lost_for(reason: str, numbers: Iterable[int]) -> tuple[LostFrames, ...]:
+    """Return frames, by number in order, that are all lost for one reason."""
+    return _joined((number, reason) for number in numbers)
+
+
+def _joined(lost: Iterable[tuple[int, str]]) -> tuple[LostFrames, ...]:
+    """Join lost frames, number and reason, that follow one another and have the same reason."""
+    runs: list[tuple[int, int, str]] = []
+    for number, reason in lost:
+        if runs and runs[-1][1:] == (number - 1, reason):
+            runs[-1] = (runs[-1][0], number, reason)
         else:
-            losses.append(LostFrames(first=missing, last=missing, reason=reason))
-    return tuple(losses)
+            runs.append((number, number, reason))
+    return tuple(LostFrames(first=first, last=last, reason=reason) for first, last, reason in runs)

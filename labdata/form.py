@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.plan import Limits, Plan, Step, Wires
 from labdata.session import Kind
@@ -37,7 +38,9 @@ class StackForm(Conditions):
     finished
         False while the stack is being taken, or where its taking was broken off.
     lost_frames
-        Frames that the camera numbered and that never arrived.
+        Number of the frames that the camera numbered and that are not in the record.
+    lost
+        Which ones they are and why, where that is known.
     doubt
         Why its frames may not show what it says, such as a bench that was made safe while they were taken.
     notes
@@ -51,6 +54,7 @@ class StackForm(Conditions):
     target: Target = field(default_factory=Target)
     finished: bool | None = None
     lost_frames: int | None = None
+    lost: tuple[LostFrames, ...] = ()
     doubt: str | None = None
     notes: tuple[str, ...] = ()
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -41,7 +42,9 @@ class StackEntry:
     finished
         False where the taking of the stack was broken off; what was acknowledged is there.
     lost_frames
-        Frames that the camera numbered and that never arrived.
+        Number of the frames that the camera numbered and that are not in the record.
+    losses
+        Which ones they are and why, where that is known.
     notes
         Remarks of the manifest.
     bit_depth
@@ -58,6 +61,7 @@ class StackEntry:
     target: Target = field(default_factory=Target)
     finished: bool = True
     lost_frames: int = 0
+    losses: tuple[LostFrames, ...] = ()
     notes: tuple[str, ...] = ()
     bit_depth: int | None = None
     folder: Path
@@ -252,6 +256,7 @@ def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
         target=stack.target,
         finished=stack.finished is not False,
         lost_frames=stack.lost_frames or 0,
+        losses=stack.lost,
         notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
         bit_depth=form.bit_depth,
         folder=folder,

@@ -6,6 +6,7 @@ the journal: number, time stamp, SHA-256. What the journal does not hold was nev
 
 from labdata.store.journal import Acknowledged, is_ours, journal, sha256
 from labdata.store.reading import lazy, read
-from labdata.store.session_writer import SessionWriter, StackWriter
+from labdata.store.session_writer import SessionWriter
+from labdata.store.stack_writer import StackWriter
 
 __all__ = ["Acknowledged", "SessionWriter", "StackWriter", "is_ours", "journal", "lazy", "read", "sha256"]

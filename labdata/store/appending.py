@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.capture import Frame
 from labdata.durable import sync_folder, write_durably
 from labdata.errors import BadInput
 from labdata.store.journal import JOURNAL, Acknowledged, journal, sha256
+from labdata.store.layout import METADATA, chunk, described, frame_bytes, metadata
 
 
 class ArrayWriter:
@@ -41,7 +44,7 @@ class ArrayWriter:
             self._create()
         for left_over in path.glob(".*.partial"):
             left_over.unlink()
-        self._array = self._opened()
+        self._require_same()
         self._frames = len(journal(path))
         self._journal = open(path / JOURNAL, "r+b", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._end = sum(len(line) for line in self._journal.readlines()[: self._frames])
@@ -61,91 +64,101 @@ class ArrayWriter:
         frame_number
             The camera's own number.
         """
-        frame = np.asarray(frame)
-        if frame.shape != self._shape or frame.dtype != self._dtype:
-            raise BadInput(
-                f"a frame of {self.path.name} must be {self._shape} {self._dtype}, got {frame.shape} {frame.dtype}"
-            )
-        entry = Acknowledged(
-            index=self._frames, frame_number=int(frame_number), time_s=float(time_s), sha256=sha256(frame)
-        )
+        return self.extend([Frame(pixels=np.asarray(frame), number=frame_number, time_s=time_s)])[0]
+
+    def extend(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
+        """Write some frames together, which forces the disk once for all of them; as safe as one after the other.
+
+        Notes
+        -----
+        The order is what makes it safe: the chunks are forced to the disk, then the array grows over them, then the
+        journal acknowledges them. A chunk torn by a crash lies behind the end of the array and is written over.
+        """
+        for frame in frames:
+            self._require_fit(frame.pixels)
         try:
-            self._write(frame)
-            self._acknowledge(entry)
+            entries = self._write(frames)
+            self._describe(self._frames + len(frames))
+            self._acknowledge(entries)
         except OSError as error:
             raise BadInput(
                 f"the disk must take every frame, got {error.strerror!r} after {self._frames} frames of {self.path}"
             ) from None
-        self._frames += 1
-        return entry
+        self._frames += len(frames)
+        return entries
 
     def close(self) -> None:
         """Close the journal; frames so far are safe with or without it."""
         self._journal.close()
 
-    def _write(self, frame: NDArray) -> None:
-        if self._array.shape[0] <= self._frames:
-            self._array.resize((self._frames + 1, *self._shape))
-        self._array[self._frames] = frame
+    def _require_fit(self, pixels: NDArray) -> None:
+        if pixels.shape != self._shape or pixels.dtype != self._dtype:
+            raise BadInput(
+                f"a frame of {self.path.name} must be {self._shape} {self._dtype}, got {pixels.shape} {pixels.dtype}"
+            )
 
-    def _acknowledge(self, entry: Acknowledged) -> None:
+    def _write(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
+        """Put the chunks on the disk; digests are made while the disk is at work."""
+        files: list[int] = []
+        try:
+            for place, frame in enumerate(frames):
+                files.append(os.open(chunk(self.path, self._frames + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC))
+                _write_all(files[-1], frame_bytes(frame.pixels))
+                _start_writing_out(files[-1])
+            entries = tuple(_entry(self._frames + place, frame) for place, frame in enumerate(frames))
+            for file in files:
+                os.fsync(file)
+        finally:
+            for file in files:
+                os.close(file)
+        return entries
+
+    def _describe(self, frames: int) -> None:
+        # Forces the list of names to the disk too, those of the chunks included.
+        write_durably(self.path / METADATA, metadata(frames, self._shape, self._dtype))
+
+    def _acknowledge(self, entries: Sequence[Acknowledged]) -> None:
         # What a failed or interrupted line left behind is cut off first.
         self._journal.seek(self._end)
         self._journal.truncate()
-        self._journal.write(json.dumps(asdict(entry)).encode() + b"\n")
+        lines = b"".join(json.dumps(asdict(entry)).encode() + b"\n" for entry in entries)
+        _write_all(self._journal.fileno(), memoryview(lines))
         os.fsync(self._journal.fileno())
-        self._end = self._journal.tell()
+        self._end += len(lines)
 
     def _create(self) -> None:
         """Make the array with its empty journal under another name, then put it in place whole."""
-        import zarr
-
         partial = self.path.with_name(f".{self.path.name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         if self.path.exists():
             raise BadInput(f"the store cannot write over what it did not make, got {self.path}")
-        partial.parent.mkdir(parents=True, exist_ok=True)
-        zarr.create_array(
-            partial,
-            shape=(0, *self._shape),
-            chunks=(1, *self._shape),
-            dtype=self._dtype,
-            compressors=None,
-            fill_value=0,
-            # One flat folder: folders of their own would each have to be forced to the disk as well.
-            chunk_key_encoding={"name": "default", "separator": "."},
-        )
-        write_durably(partial / "zarr.json", (partial / "zarr.json").read_bytes())
+        partial.mkdir(parents=True)
+        write_durably(partial / METADATA, metadata(0, self._shape, self._dtype))
         write_durably(partial / JOURNAL, b"")
         os.rename(partial, self.path)
         sync_folder(self.path.parent)
 
-    def _opened(self) -> Any:
-        import zarr
-
-        # A frame that is black all over must have its chunk too: absence would look like loss.
-        array = zarr.open_array(_durable_store(self.path), mode="r+").with_config({"write_empty_chunks": True})
-        if array.shape[1:] != self._shape or array.dtype != self._dtype:
+    def _require_same(self) -> None:
+        _, shape, pixel = described(self.path)
+        if shape != self._shape or pixel != self._dtype.name:
             raise BadInput(
-                f"{self.path.name} was begun with frames of {array.shape[1:]} {array.dtype}, "
-                f"got {self._shape} {self._dtype}"
+                f"{self.path.name} was begun with frames of {shape} {pixel}, got {self._shape} {self._dtype}"
             )
-        return array
 
 
-def _durable_store(root: Path) -> Any:
-    """Return a local Zarr store that forces each object to the disk before it gets its name.
+def _entry(index: int, frame: Frame) -> Acknowledged:
+    return Acknowledged(
+        index=index, frame_number=int(frame.number), time_s=float(frame.time_s), sha256=sha256(frame.pixels)
+    )
 
-    Zarr's own `LocalStore` writes under another name and renames, which survives a kill; it does not force the
-    bytes to the disk, which a power cut needs.
-    """
-    import asyncio
 
-    from zarr.storage import LocalStore
+def _start_writing_out(file: int) -> None:
+    """Have the kernel send a file to the disk without waiting for it, where the kernel can be told."""
+    if hasattr(os, "posix_fadvise"):
+        os.posix_fadvise(file, 0, 0, os.POSIX_FADV_DONTNEED)
 
-    class DurableStore(LocalStore):
-        async def set(self, key: str, value: Any) -> None:
-            self._check_writable()
-            await asyncio.to_thread(write_durably, self.root / key, value.as_buffer_like())
 
-    return DurableStore(root)
+def _write_all(file: int, data: memoryview) -> None:
+    """Write bytes whole; a disk that takes only a part of them says why at the next try."""
+    while len(data):
+        data = data[os.write(file, data) :]

@@ -5,8 +5,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from numpy.typing import NDArray
+
+from labdata.store.layout import frame_bytes
 
 JOURNAL = "journal.jsonl"
 
@@ -54,8 +55,4 @@ def journal(path: str | Path) -> tuple[Acknowledged, ...]:
 
 def sha256(frame: NDArray) -> str:
     """Return the SHA-256 of a frame's bytes, rows first, little-endian."""
-    return hashlib.sha256(_bytes(frame)).hexdigest()
-
-
-def _bytes(frame: NDArray) -> memoryview:
-    return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("<")).data.cast("B")
+    return hashlib.sha256(frame_bytes(frame)).hexdigest()

@@ -2,101 +2,24 @@
 
 import fcntl
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
-from labdata.border import from_toml, to_toml
+from labdata.border import from_toml
 from labdata.conditions import Conditions
-from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.form import SessionForm, StackForm, stack_form
 from labdata.session import MANIFEST, Kind, Session, open_session
 from labdata.store.appending import ArrayWriter
-from labdata.store.journal import Acknowledged, is_ours, journal
+from labdata.store.journal import is_ours, journal
+from labdata.store.manifest import ManifestWriter
+from labdata.store.stack_writer import StackWriter
 from labdata.target import Target
 
 FRAMES = "frames"
 LOCK = ".lock"
-
-
-class StackWriter:
-    """One stack while it is taken; made by `SessionWriter.begin_stack`. Use it with `with`.
-
-    Leaving the `with` without `finish` leaves the stack readable and marked as broken off.
-    """
-
-    def __init__(self, array: ArrayWriter, entry: StackForm, enter: Callable[[StackForm], None]) -> None:
-        self._array = array
-        self._entry = entry
-        self._enter = enter
-        if len(array):
-            enter(entry)
-
-    def __len__(self) -> int:
-        """Frames acknowledged so far, those of an earlier run included."""
-        return len(self._array)
-
-    def __enter__(self) -> "StackWriter":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    @property
-    def label(self) -> str:
-        """Label of the stack."""
-        return self._entry.label
-
-    def append(self, frame: NDArray, time_s: float, frame_number: int) -> Acknowledged:
-        """Store one frame; it is durable, whole and part of the session when this returns.
-
-        Parameters
-        ----------
-        frame
-            Pixels, shape (row, col), of the shape and type that the stack was begun with.
-        time_s
-            Time stamp, s.
-        frame_number
-            The camera's own number.
-        """
-        acknowledged = self._array.append(frame, time_s, frame_number)
-        if len(self._array) == 1:
-            self._enter(self._entry)
-        return acknowledged
-
-    def finish(self, lost_frames: int = 0, notes: tuple[str, ...] = (), conditions: Conditions | None = None) -> None:
-        """Mark the stack as complete.
-
-        Parameters
-        ----------
-        lost_frames
-            Frames that the camera numbered and that never arrived.
-        notes
-            Remarks on the stack.
-        conditions
-            Conditions read back at its end, where they replace those of its beginning.
-        """
-        if not len(self._array):
-            raise BadInput(f"a finished stack must hold at least one frame, got none in {self.label!r}")
-        entry = self._entry if conditions is None else stack_form(conditions, **_other_keys(self._entry))
-        self._entry = replace(entry, finished=None, lost_frames=lost_frames or None, notes=(*entry.notes, *notes))
-        self._enter(self._entry)
-        self.close()
-
-    def doubt(self, why: str) -> None:
-        """Say why the frames so far may not show what the stack says: it is not gone on with, but taken anew."""
-        if len(self._array):
-            self._entry = replace(self._entry, doubt=why)
-            self._enter(self._entry)
-
-    def close(self) -> None:
-        """Close the stack as it is; the frames so far are safe."""
-        self._array.close()
 
 
 class SessionWriter:
@@ -106,6 +29,7 @@ class SessionWriter:
         self.folder = folder
         self._lock = _locked(folder)
         self._form = form
+        self._manifest = ManifestWriter(folder)
 
     @classmethod
     def create(
@@ -265,7 +189,7 @@ class SessionWriter:
         self._save(replace(self._form, stack=tuple({**stacks, entry.label: entry}.values())))
 
     def _save(self, form: SessionForm) -> None:
-        write_durably(self.folder / MANIFEST, to_toml(form).encode())
+        self._manifest.save(form)
         self._form = form
 
     def _path(self, label: str) -> Path:
@@ -281,10 +205,6 @@ def _continued(known: StackForm, entry: StackForm) -> StackForm:
     if (known.kind, known.asked, known.target) != (entry.kind, entry.asked, entry.target):
         raise BadInput(f"a stack must go on as it was begun, got another kind, target or setting for {known.label!r}")
     return known
-
-
-def _other_keys(entry: StackForm) -> dict[str, Any]:
-    return {name: getattr(entry, name) for name in StackForm.__annotations__}
 
 
 def _locked(folder: Path) -> Any:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, Target
 from labdata.border import file_schema, from_mapping, from_toml, to_toml
+from labdata.capture import LostFrames
 from labdata.form import SessionForm, stack_form
 from labdata.plan import Limits, Plan, Step, Wires
 
@@ -50,6 +51,9 @@ stacks = st.builds(
     target=targets,
     finished=st.none() | st.booleans(),
     lost_frames=st.none() | st.integers(0, 99),
+    lost=st.lists(
+        st.builds(LostFrames, first=st.integers(0, 9), last=st.integers(9, 99), reason=texts.filter(bool)), max_size=2
+    ).map(tuple),
     notes=st.lists(texts, max_size=2).map(tuple),
 )
 sessions = st.builds(

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, Target, open_session, store
+from labdata.capture import Frame, LostFrames
 from labdata.store import SessionWriter
 from labdata.store.appending import ArrayWriter
 
@@ -102,13 +104,14 @@ def test_frames_come_back_with_their_stamps_numbers_and_losses(tmp_path):
     with writer_of(tmp_path / "s", sensor="pulnix-ag5745ef3", bit_depth=8) as writer, begun(writer, **taken) as stack:
         for n in range(4):
             stack.append(frame(10 * n), 0.5 + n / 30, 100 + 2 * n)
-        stack.finish(lost_frames=3, notes=("warm",))
+        stack.finish(losses=(LostFrames(first=101, last=103, reason="missing packets"),), notes=("warm",))
     entry = open_session(tmp_path / "s").stack("flat")
     read = entry.read()
     assert read.data[:, 0, 0].tolist() == [0, 10, 20, 30]
     assert read.time_s == pytest.approx([0.5 + n / 30 for n in range(4)])
     assert read.frame_number.tolist() == [100, 102, 104, 106]
     assert read.lost_frames == 3
+    assert entry.losses == (LostFrames(first=101, last=103, reason="missing packets"),)
     assert read.notes == ("warm",)
     assert read.full_scale_dn == 255
     assert entry.conditions == Conditions(mcp_v=700.0)
@@ -133,13 +136,13 @@ def test_big_endian_pixels_are_refused_rather_than_turned(tmp_path):
     array.close()
 
 
-def test_bytes_are_on_the_disk_before_the_name_and_the_name_before_the_journal(tmp_path, monkeypatch):
+def test_a_frame_is_on_the_disk_before_the_array_grows_and_the_array_before_the_journal(tmp_path, monkeypatch):
     array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     events = []
     fsync, replace = os.fsync, os.replace
 
     def logged_fsync(descriptor):
-        events.append(("sync", Path(os.readlink(f"/proc/self/fd/{descriptor}")).name.split(".partial")[0]))
+        events.append(("sync", Path(os.readlink(f"/proc/self/fd/{descriptor}")).name))
         fsync(descriptor)
 
     def logged_replace(source, target):
@@ -150,11 +153,38 @@ def test_bytes_are_on_the_disk_before_the_name_and_the_name_before_the_journal(t
     monkeypatch.setattr(os, "replace", logged_replace)
     array.append(frame(7), 0.0, 0)
     array.close()
-    chunk = events.index(("rename", "c.0.0.0"))
-    assert events[chunk - 1][0] == "sync"
-    assert events[chunk - 1][1].startswith(".c.0.0.0")
-    assert events[chunk + 1] == ("sync", "a.zarr")
-    assert events[-1] == ("sync", "journal.jsonl")
+    assert [(what, re.sub(r"^\.(.*)\.\w+\.partial$", r"\1", name)) for what, name in events] == [
+        ("sync", "c.0.0.0"),
+        ("sync", "zarr.json"),
+        ("rename", "zarr.json"),
+        ("sync", "a.zarr"),
+        ("sync", "journal.jsonl"),
+    ]
+
+
+def test_frames_written_together_are_the_same_as_one_after_the_other(tmp_path):
+    frames = [Frame(pixels=frame(10 * n), number=5 + n, time_s=n / 30) for n in range(5)]
+    together, apart = (ArrayWriter(tmp_path / name, SHAPE, np.uint8) for name in ("a.zarr", "b.zarr"))
+    told = together.extend(frames[:3]) + together.extend(frames[3:])
+    assert told == tuple(apart.append(each.pixels, each.time_s, each.number) for each in frames)
+    together.close()
+    apart.close()
+    for name in ("zarr.json", "journal.jsonl", "c.3.0.0"):
+        assert (tmp_path / "a.zarr" / name).read_bytes() == (tmp_path / "b.zarr" / name).read_bytes()
+
+
+def test_an_array_does_not_show_a_frame_that_was_torn_by_a_crash(tmp_path):
+    import zarr
+
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    array.append(frame(1), 0.0, 0)
+    (tmp_path / "a.zarr" / "c.1.0.0").write_bytes(b"torn")
+    array.close()
+    assert zarr.open_array(tmp_path / "a.zarr", mode="r").shape[0] == 1
+    again = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    again.append(frame(2), 1.0, 1)
+    again.close()
+    assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [1, 2]
 
 
 def test_what_the_journal_does_not_hold_is_not_read(tmp_path):
