@@ -42,7 +42,7 @@ def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
     if sensor is None:
         return 0
     pixels = sensor.ccd.rows * sensor.ccd.columns
-    return sum(step.frames for step in plan.steps) * pixels * (1 if sensor.video.bit_depth <= 8 else 2)
+    return sum(step.most_frames for step in plan.steps) * pixels * (1 if sensor.video.bit_depth <= 8 else 2)
 
 
 def same_but_wires(plan: Plan, other: Plan) -> str | None:

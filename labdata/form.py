@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from labdata.adaptive import SaturationSearch, Until
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.plan import Limits, Plan, Step, Wires
@@ -98,20 +99,32 @@ class StepForm(Conditions):
     kind
         What is put before the camera.
     frames
-        Number of frames to take.
+        Number of frames to take; with `until`, at most.
     target
         The target, as its kind needs.
+    until
+        When to stop before all frames are taken.
+    search
+        A search for the light that saturates, beginning at the step's own.
     """
 
     label: str
     kind: Kind
     frames: int
     target: Target = field(default_factory=Target)
+    until: Until | None = None
+    search: SaturationSearch | None = None
 
     def step(self) -> Step:
         """Return the step that this table describes."""
         return Step(
-            label=self.label, kind=self.kind, frames=self.frames, conditions=conditions_of(self), target=self.target
+            label=self.label,
+            kind=self.kind,
+            frames=self.frames,
+            conditions=conditions_of(self),
+            target=self.target,
+            until=self.until,
+            search=self.search,
         )
 
 
@@ -172,7 +185,15 @@ class PlanForm:
 
 
 def _step_form(step: Step) -> StepForm:
-    return StepForm(label=step.label, kind=step.kind, frames=step.frames, target=step.target, **_flat(step.conditions))
+    return StepForm(
+        label=step.label,
+        kind=step.kind,
+        frames=step.frames,
+        target=step.target,
+        until=step.until,
+        search=step.search,
+        **_flat(step.conditions),
+    )
 
 
 def stack_form(conditions: Conditions, **keys: Any) -> StackForm:

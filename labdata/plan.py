@@ -1,11 +1,13 @@
 """An acquisition plan: which stacks to take, at which settings, within which limits."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
+from numpy.typing import NDArray
+
+from labdata.adaptive import SaturationSearch, Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
 from labdata.session import Kind
 from labdata.target import Target
 
@@ -36,17 +38,71 @@ class Wires:
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One stack to take. Conditions are what is asked."""
+    """One stack to take. Conditions are what is asked.
+
+    Parameters
+    ----------
+    label, kind
+        Name of the stack, and what it shows.
+    frames
+        Frames to take; with `until`, at most.
+    conditions
+        What is asked of the instruments.
+    target
+        What stands before the camera.
+    until
+        When to stop before all frames are taken; None: never.
+    search
+        Not one stack but a search for the light that saturates, each level a stack of its own; None: one stack.
+    """
 
     label: str
     kind: Kind
     frames: int
     conditions: Conditions
     target: Target = field(default_factory=Target)
+    until: Until | None = None
+    search: SaturationSearch | None = None
 
     def __post_init__(self) -> None:
         if self.frames < 1:
             raise BadInput(f"a step must take at least one frame, got {self.frames} in {self.label!r}")
+        if self.until is not None and self.until.least_frames > self.frames:
+            raise BadInput(
+                f"least_frames must not exceed the frames of its step, got {self.until.least_frames} of {self.frames} "
+                f"in {self.label!r}"
+            )
+        if self.search is not None:
+            self._check_search(self.search)
+
+    def _check_search(self, search: SaturationSearch) -> None:
+        begin_lux = self.conditions.illuminance_lux
+        if self.kind != "flat":
+            raise BadInput(f"a search for saturation must be on a flat, got a {self.kind} in {self.label!r}")
+        if not begin_lux or begin_lux > search.most_illuminance_lux:
+            raise BadInput(
+                f"a search for saturation must begin with light up to {search.most_illuminance_lux:g} lux, "
+                f"got {begin_lux} in {self.label!r}"
+            )
+
+    @property
+    def brightest(self) -> "Step":
+        """The step under the most light that it may ask for; limits are checked on it."""
+        if self.search is None:
+            return self
+        return self.level(self.search.most_illuminance_lux, self.label)
+
+    @property
+    def most_frames(self) -> int:
+        """Frames that it takes at most."""
+        if self.search is None:
+            return self.frames
+        return self.frames * self.search.most_levels(self.conditions.illuminance_lux or 0.0)
+
+    def level(self, illuminance_lux: float, label: str) -> "Step":
+        """Return one level of a search: one stack under one light."""
+        conditions = replace(self.conditions, illuminance_lux=illuminance_lux)
+        return replace(self, label=label, conditions=conditions, search=None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,12 +143,32 @@ class Plan:
         if len(set(labels)) != len(labels):
             raise BadInput(f"every step's label must be its own, got {labels}")
         for step in self.steps:
-            self.limits.check(step)
+            self.limits.check(step.brightest)
+
+
+class Watcher(Protocol):
+    """A higher room's judgement of one stack while it is taken."""
+
+    def see(self, pixels: NDArray) -> None:
+        """Look at the next frame, shape (row, col), DN."""
+        ...
+
+    def enough(self) -> str | None:
+        """Return one sentence on why the step's `until` is reached, or None."""
+        ...
+
+    def saturated(self) -> bool:
+        """Whether the frames so far are saturated."""
+        ...
+
+    def complaint(self) -> str | None:
+        """Return one sentence on what is wrong with the stack, or None."""
+        ...
 
 
 class Judge(Protocol):
-    """A higher room's judgement of a stack while it is taken."""
+    """Who judges stacks while they are taken; handed in from a higher room."""
 
-    def complaint(self, stack: FrameStack, step: Step) -> str | None:
-        """Return one sentence on what is wrong with the stack, or None."""
+    def watch(self, step: Step, full_scale_dn: float) -> Watcher:
+        """Begin to watch one stack; `full_scale_dn` is the highest code of the digitiser, DN."""
         ...

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends
+from charact.cli.output import bad_input_ends, say
 from charact.cli.progress import progress_bar
 
 
@@ -24,7 +24,10 @@ def acquire(
 ) -> None:
     """Run an acquisition plan on real or virtual instruments into a session.
 
-    Example: charact acquire plan.toml day1
+    The first Ctrl-C finishes the step, shuts the gate and saves; the second shuts the gate now. SIGUSR1 pauses after the
+    step, with gate shut and light out, and the next one goes on. OUT/log.jsonl tells what happened.
+
+    Example: charact acquire plan.toml day1; kill -USR1 PID; charact acquire plan.toml day1 --resume
     """
     interrupted = f"interrupted; the frames so far are kept: charact acquire {plan} {out} --resume"
     with (
@@ -39,5 +42,5 @@ def acquire(
         beside = plan.parent / (asked.sensor or "")
         if asked.sensor is not None and beside.is_file():
             asked = replace(asked, sensor=str(beside.resolve()))
-        session = take(asked, out, resume=resume, progress=progress)
+        session = take(asked, out, resume=resume, progress=progress, tell=lambda sentence: say(sentence, events=events))
         print(f"{out}: {len(session.stacks)} stacks\nNext: charact measure {out}")

@@ -33,7 +33,7 @@ def take(plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: C
     """Run a plan on the bench that it names and return the session."""
     with bench_failure_is_a_sentence():
         if plan.wires.bench == "real":
-            return _on_real_bench(plan, session, resume=resume, progress=progress)
+            return _on_real_bench(plan, session, resume=resume, progress=progress, tell=tell)
         return _on_virtual_bench(plan, session, resume=resume, progress=progress, tell=tell)
 
 
@@ -45,6 +45,7 @@ def _on_virtual_bench(
     from drivers.aravis import AravisCamera
     from drivers.interlock import Bench
     from drivers.lines import gate_line, supply_line
+    from drivers.requests import Requests
     from labdata.sensors import load_sensor
     from simulate.rig.bench import VirtualBench
 
@@ -73,15 +74,19 @@ def _on_virtual_bench(
             judge=SaturationJudge(),
             resume=resume,
             progress=progress,
+            requests=Requests(tell),
         )
 
 
-def _on_real_bench(plan: Plan, session: Path, *, resume: bool, progress: Progress) -> Session:
+def _on_real_bench(
+    plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
+) -> Session:
     from charact.cli.judge import SaturationJudge
     from charact.cli.prompting import PromptingOperator
     from drivers.acquire import acquire
     from drivers.aravis import AravisCamera
     from drivers.interlock import Bench
+    from drivers.requests import Requests
 
     return acquire(
         plan,
@@ -92,4 +97,5 @@ def _on_real_bench(plan: Plan, session: Path, *, resume: bool, progress: Progres
         judge=SaturationJudge(),
         resume=resume,
         progress=progress,
+        requests=Requests(tell),
     )

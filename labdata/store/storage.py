@@ -4,6 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -83,12 +84,16 @@ class Storage:
         """Have something done in the thread, after all that was asked before; does not wait."""
         self._put(_Job(work=work))
 
-    def call(self, work: Callable[[], Any]) -> Any:
-        """Have something done in the thread, wait for it, and return what it returns."""
-        results: list[Any] = []
-        self.post(lambda: results.append(work()))
+    def put_aside(self, label: str) -> Path:
+        """Take a stack that was broken off out of the session, as `SessionWriter.put_aside` does; waits for it."""
+        where: list[Path] = []
+        self.post(lambda: where.append(self._writer.put_aside(label)))
         self.wait()
-        return results[0]
+        return where[0]
+
+    def remark(self, note: str) -> None:
+        """Add a remark to the session, without waiting for it."""
+        self.post(lambda: self._writer.add_note(note))
 
     def wait(self) -> None:
         """Wait until all that was asked is done; raise what went wrong."""

@@ -10,11 +10,13 @@ import pytest
 from drivers.acquire import acquire
 from drivers.errors import InstrumentTripped
 from drivers.interface import CameraError
+from labdata.adaptive import SaturationSearch, Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata.event_log import events
 from labdata.plan import Plan, Step, Wires
 from labdata.session import open_session
+from labdata.store import StackWriter
 from labdata.target import Target
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
@@ -169,14 +171,16 @@ def test_resuming_a_complete_run_switches_nothing_on(tmp_path):
     assert "frame" not in rig.diary
 
 
-def test_a_stack_filled_up_under_another_voltage_says_so(tmp_path):
+def test_a_stack_is_not_gone_on_with_under_another_voltage(tmp_path):
     with pytest.raises(CameraError):
         take(FakeRig(fail=at_frame(7, CameraError("gone"))), tmp_path / "s")
     rig = FakeRig()
     honest = rig.bench.set_conditions
     rig.bench.set_conditions = lambda asked: replace(honest(asked), mcp_v=690.0)
-    notes = take(rig, tmp_path / "s", resume=True).stack("low").notes
-    assert any("mcp_v was 700.25 in the first run and 690 in the later one" in note for note in notes)
+    with pytest.raises(BadInput, match=r"must read back what it did in its first run, got mcp_v of 690 after 700\.25"):
+        take(rig, tmp_path / "s", resume=True)
+    assert "frame" not in rig.diary
+    assert len(open_session(tmp_path / "s").stack("low").read()) == 2
 
 
 def test_a_changed_plan_is_not_resumed_but_other_wires_are(tmp_path):
@@ -199,21 +203,146 @@ def test_what_was_never_begun_is_not_resumed(tmp_path):
 
 
 class Doubtful:
-    """A judge who has seen every frame of the stack."""
+    """A judge who finds the flats at low light too dark, and has seen every frame."""
 
-    def __init__(self) -> None:
-        self.seen = []
+    def __init__(self, enough_after: int = 10**9, saturates_lux: float = np.inf) -> None:
+        self.seen = {}
+        self.enough_after, self.saturates_lux = enough_after, saturates_lux
 
-    def complaint(self, stack: FrameStack, step: Step) -> str | None:
-        self.seen.append((step.label, len(stack)))
-        return "too dark" if step.label == "low" else None
+    def watch(self, step: Step, full_scale_dn: float):
+        judge = self
+        judge.seen[step.label] = 0
+
+        class Watcher:
+            def see(self, pixels):
+                judge.seen[step.label] += 1
+
+            def enough(self):
+                return "enough seen" if step.until and judge.seen[step.label] >= judge.enough_after else None
+
+            def saturated(self):
+                return (step.conditions.illuminance_lux or 0.0) > judge.saturates_lux
+
+            def complaint(self):
+                return "too dark" if step.label == "low" else None
+
+        return Watcher()
 
 
 def test_a_judges_complaint_becomes_a_note_of_its_stack(tmp_path):
     judge = Doubtful()
     session = take(FakeRig(), tmp_path / "s", judge=judge)
-    assert judge.seen == [("dark", 4), ("low", 4), ("high", 4)]
+    assert judge.seen == {"dark": 4, "low": 4, "high": 4}
     assert [entry.notes for entry in session.stacks] == [(), ("too dark",), ()]
+
+
+ADAPTIVE = replace(step("level", frames=40), until=Until(mean_within_dn=0.1))
+
+
+def test_a_level_stops_when_its_judge_has_seen_enough_and_says_so(tmp_path):
+    rig = FakeRig()
+    plan = Plan(name="p", steps=(ADAPTIVE, step("after")))
+    session = take(rig, tmp_path / "s", plan, judge=Doubtful(enough_after=9))
+    assert [len(entry.read()) for entry in session.stacks] == [9, 4]
+    assert all(entry.finished for entry in session.stacks)
+    assert session.stack("level").notes == ("enough seen",)
+    (told,) = [each for each in events(tmp_path / "s" / "log.jsonl") if each.get("stopped_early")]
+    assert (told["step"], told["stopped_early"]) == ("level", "enough seen")
+
+
+def test_a_level_broken_off_is_judged_with_the_frames_it_has(tmp_path):
+    with pytest.raises(CameraError):
+        plan = Plan(name="p", steps=(ADAPTIVE,))
+        take(FakeRig(fail=at_frame(7, CameraError("gone"))), tmp_path / "s", plan, judge=Doubtful(enough_after=9))
+    rig = FakeRig()
+    session = take(rig, tmp_path / "s", plan, judge=Doubtful(enough_after=9), resume=True)
+    assert rig.diary.count("frame") == 3
+    assert len(session.stack("level").read()) == 9
+
+
+SEARCH = replace(step("sat", lux=1e-5), search=SaturationSearch(most_illuminance_lux=1e-3, within_percent=10.0))
+
+
+def levels(session) -> list[float]:
+    return [entry.conditions.illuminance_lux for entry in session.stacks]
+
+
+def test_the_light_that_saturates_is_found_within_what_was_asked(tmp_path):
+    session = take(FakeRig(), tmp_path / "s", Plan(name="p", steps=(SEARCH,)), judge=Doubtful(saturates_lux=3.3e-4))
+    lux = levels(session)
+    assert lux[:6] == pytest.approx([1e-5 * 2**n for n in range(6)])
+    below, above = max(x for x in lux if x <= 3.3e-4), min(x for x in lux if x > 3.3e-4)
+    assert above <= 1.1 * below
+    assert session.notes == (
+        f"search 'sat': saturation begins between {below:.4g} and {above:.4g} lux, after {len(lux)} levels",
+    )
+    assert len(lux) <= SEARCH.search.most_levels(1e-5)
+
+
+def test_a_search_goes_no_higher_than_it_may(tmp_path):
+    session = take(FakeRig(), tmp_path / "s", Plan(name="p", steps=(SEARCH,)), judge=Doubtful())
+    assert max(levels(session)) == 1e-3
+    assert "no level up to 0.001 lux saturates" in session.notes[0]
+
+
+def test_a_search_that_was_broken_off_goes_on_with_the_levels_it_has(tmp_path):
+    judge, plan = Doubtful(saturates_lux=3.3e-4), Plan(name="p", steps=(SEARCH,))
+    whole = levels(take(FakeRig(), tmp_path / "whole", plan, judge=judge))
+    with pytest.raises(CameraError):
+        take(FakeRig(fail=at_frame(31, CameraError("gone"))), tmp_path / "s", plan, judge=judge)
+    rig = FakeRig()
+    session = take(rig, tmp_path / "s", plan, judge=judge, resume=True)
+    assert levels(session) == whole
+    assert rig.diary.count("frame") == 4 * len(whole) - 30
+
+
+def test_a_step_that_looks_at_its_frames_needs_a_judge(tmp_path):
+    rig = FakeRig()
+    with pytest.raises(BadInput, match="must have a judge, got none for 'level'"):
+        take(rig, tmp_path / "s", Plan(name="p", steps=(ADAPTIVE,)))
+    assert rig.diary == []
+
+
+def test_the_log_tells_what_happened(tmp_path):
+    with pytest.raises(CameraError):
+        take(FakeRig(fail=at_frame(7, CameraError("camera fake has gone")), lose=2), tmp_path / "s")
+    take(FakeRig(), tmp_path / "s", resume=True)
+    told = events(tmp_path / "s" / "log.jsonl")
+    begins = [number for number, each in enumerate(told) if each["event"] == "run begins"]
+    first, second = told[: begins[1]], told[begins[1] :]
+    assert [each["step"] for each in first if each["event"] == "step finished"] == ["dark"]
+    assert (first[-1]["event"], first[-1]["whole"], first[-1]["kind"]) == ("run ends", False, "CameraError")
+    assert "camera fake has gone" in first[-1]["reason"]
+    assert next(each for each in second if each["event"] == "bench opened")["broken_off"] == {"low": 2}
+    assert [each["step"] for each in second if each["event"] == "step finished"] == ["low", "high"]
+    assert second[-1]["whole"] is True
+
+
+def test_frames_lost_in_a_run_that_broke_off_are_recorded_too(tmp_path):
+    with pytest.raises(CameraError):
+        take(FakeRig(fail=at_frame(7, CameraError("gone")), lose=2), tmp_path / "s")
+    take(FakeRig(lose=3), tmp_path / "s", resume=True)
+    entry = open_session(tmp_path / "s").stack("low")
+    assert [(one.first, one.last) for one in entry.losses] == [(1, 2), (1, 3)]
+    assert entry.lost_frames == 5
+
+
+def test_a_full_disk_shuts_the_gate_first_and_keeps_what_was_stored(tmp_path, monkeypatch):
+    rig = FakeRig()
+    extend = StackWriter.extend
+
+    def full(stack, frames):
+        if stack.label == "low":
+            raise BadInput("the disk must take every frame, got 'No space left on device'")
+        return extend(stack, frames)
+
+    monkeypatch.setattr(StackWriter, "extend", full)
+    with pytest.raises(BadInput, match="No space left"):
+        take(rig, tmp_path / "s")
+    assert not rig.gate_open and rig.mcp_v == 0.0
+    assert open_session(tmp_path / "s").stack("dark").finished
+    monkeypatch.undo()
+    assert [len(entry.read()) for entry in take(FakeRig(), tmp_path / "s", resume=True).stacks] == [4, 4, 4]
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ class Client:
         counts = {}
         for line in self.told():
             words = line.split()
-            if line.endswith("frames") and len(words) == 6:
+            if len(words) >= 6 and words[3] == "of":
                 counts[words[1].rstrip(":")] = int(words[2])
         return counts
 

@@ -1,4 +1,4 @@
-"""The storage thread writes beside the camera: bounded, in order, and every frame that it could not write has a reason."""
+"""The storage thread writes beside the camera: bounded, in order, and each frame that it could not write is told."""
 
 import errno
 import os
@@ -89,7 +89,7 @@ def test_a_queue_that_stays_full_ends_in_a_sentence_and_the_frame_has_a_reason(w
         stack.put(first)
         storage.wait()
         disk.go_on.clear()
-        with pytest.raises(BadInput, match="the disk must keep up with the camera, got . frames waiting for 0.05 s"):
+        with pytest.raises(BadInput, match=r"the disk must keep up with the camera, got \d frames waiting for 0\.05 s"):
             for frame in rest:
                 stack.put(frame)
         assert storage.waiting_bytes <= 5 * size
@@ -103,20 +103,20 @@ def test_a_queue_that_stays_full_ends_in_a_sentence_and_the_frame_has_a_reason(w
 
 def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and_reason(writer, monkeypatch):
     disk = Disk(monkeypatch)
-    with pytest.raises(BadInput, match="the disk must take every frame, got 'No space left on device' after 3 frames"):
-        with Storage(writer) as storage:
-            stack = begun(storage)
-            for frame in frames(3):
-                stack.put(frame)
-            storage.wait()
-            disk.go_on.clear()
-            for frame in frames(5, first=4):
-                stack.put(frame)
-            # The room that was kept for it takes the manifest.
-            monkeypatch.setattr(storage._reserve, "release", lambda: setattr(disk, "full", False))
-            disk.full = True
-            disk.go_on.set()
-            storage.wait()
+    refusal = "the disk must take every frame, got 'No space left on device' after 3 frames"
+    with pytest.raises(BadInput, match=refusal), Storage(writer) as storage:
+        stack = begun(storage)
+        for frame in frames(3):
+            stack.put(frame)
+        storage.wait()
+        disk.go_on.clear()
+        for frame in frames(5, first=4):
+            stack.put(frame)
+        # The room that was kept for it takes the manifest.
+        monkeypatch.setattr(storage._reserve, "release", lambda: setattr(disk, "full", False))
+        disk.full = True
+        disk.go_on.set()
+        storage.wait()
     entry = open_session(writer.folder).stack("flat")
     assert len(entry.read()) == 3
     assert [(one.first, one.last) for one in entry.losses] == [(4, 8)]

@@ -1,0 +1,47 @@
+"""Where the time of a step goes, and how long the others will take."""
+
+import time
+
+import pytest
+
+from drivers.pace import Pace, StepClock, duration
+
+
+def test_only_what_is_neither_wire_nor_settling_is_our_own():
+    clock = StepClock()
+    with clock.wire():
+        time.sleep(0.03)
+    with clock.settling():
+        time.sleep(0.02)
+
+    def frames():
+        for number in range(3):
+            time.sleep(0.01)
+            yield number
+
+    seen = []
+    for number in clock.waiting_for(frames()):
+        seen.append(number)
+        time.sleep(0.005)
+    assert seen == [0, 1, 2]
+    assert clock.wire_s == pytest.approx(0.06, abs=0.02)
+    assert clock.settling_s == pytest.approx(0.02, abs=0.01)
+    assert clock.overhead_s == pytest.approx(0.015, abs=0.01)
+
+
+def test_the_time_left_follows_from_the_pace_so_far(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    pace = Pace(frames=400, done=100)
+    pace.step_begins()
+    now[0] += 5.0
+    assert pace.words(1) == ""
+    now[0] += 5.0
+    assert pace.share(101) == pytest.approx(0.5025)
+    # 100 frames in 5 s once they came; 101 frames in the 10 s of the run so far, 199 are left.
+    assert pace.words(101) == ", 20.0 frames/s, 20 s left"
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(12.4, "12 s"), (200.0, "3 min 20 s"), (7500.0, "2 h 5 min")])
+def test_durations_are_said_as_a_person_would(seconds, words):
+    assert duration(seconds) == words
