@@ -1,4 +1,4 @@
-"""How a run begins: the plan kept or compared, the session made or gone on with, the camera asked for its whole sensor."""
+"""How a run begins: the plan kept or compared, the session made or gone on with, the camera set to its whole sensor."""
 
 from pathlib import Path
 

@@ -9,7 +9,7 @@ T = TypeVar("T")
 
 
 class StepClock:
-    """Where the time of one step goes: on the wires and at the camera, into settling, and into what is left, our own."""
+    """Where the time of one step goes: on the wires and at the camera, into settling, and what is left, our own."""
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()

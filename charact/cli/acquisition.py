@@ -24,8 +24,8 @@ def acquire(
 ) -> None:
     """Run an acquisition plan on real or virtual instruments into a session.
 
-    The first Ctrl-C finishes the step, shuts the gate and saves; the second shuts the gate now. SIGUSR1 pauses after the
-    step, with gate shut and light out, and the next one goes on. OUT/log.jsonl tells what happened.
+    The first Ctrl-C finishes the step, shuts the gate and saves; the second shuts the gate now. SIGUSR1 pauses after
+    the step, with gate shut and light out, and the next one goes on. OUT/log.jsonl tells what happened.
 
     Example: charact acquire plan.toml day1; kill -USR1 PID; charact acquire plan.toml day1 --resume
     """

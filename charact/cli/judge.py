@@ -55,8 +55,8 @@ class StackWatcher:
         if half_dn > until.mean_within_dn:
             return None
         return (
-            f"stopped after {taken} of at most {self._step.frames} frames: the mean of {np.mean(self._means_dn):.6g} DN "
-            f"is known within {half_dn:.2g} DN, asked were {until.mean_within_dn:g}"
+            f"stopped after {taken} of at most {self._step.frames} frames: the mean of {np.mean(self._means_dn):.6g} "
+            f"DN is known within {half_dn:.2g} DN, asked were {until.mean_within_dn:g}"
         )
 
     def saturated(self) -> bool:

@@ -75,7 +75,7 @@ class Storage:
         return self._waiting_bytes
 
     def begin_stack(self, *settings: Any, **named: Any) -> "StoredStack":
-        """Begin a stack as `SessionWriter.begin_stack` does, without waiting for it; the one before is left as it is."""
+        """Begin a stack as `SessionWriter.begin_stack` does, without waiting; the one before is left as it is."""
         stack = StoredStack(self)
         self.post(lambda: self._open(stack, *settings, **named))
         return stack
