@@ -6,7 +6,7 @@ import time
 
 from drivers.errors import InstrumentConfused, InstrumentRefused
 from drivers.line import Line
-from labdata.errors import BadInput
+from drivers.pulse import check_pulse
 
 IDENTITY = r".*DG645.*"
 STEP_NS = 5e-3
@@ -63,23 +63,33 @@ class DelayGenerator:
         Line to the instrument.
     """
 
+    shut_commands = SHUT_COMMANDS
+
     def __init__(self, line: Line) -> None:
-        self._line = line
+        self.line = line
 
     def identify(self) -> str:
         """Return the instrument's identity and empty its error queue; another instrument is InstrumentConfused."""
-        identity = self._line.ask("*IDN?")
+        identity = self.line.ask("*IDN?")
         if not re.fullmatch(IDENTITY, identity):
             raise InstrumentConfused(
-                f"the {self._line.name} must be a DG645, got {identity!r}", instrument=self._line.name
+                f"the {self.line.name} must be a DG645, got {identity!r}", instrument=self.line.name
             )
-        self._line.write("*CLS")
+        self.line.write("*CLS")
         return identity
+
+    def look(self) -> None:
+        """Ask for a sign of life."""
+        self._integer("TSRC?")
+
+    def check_pulse(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> None:
+        """Refuse (BadInput) a gate that this model cannot open and close between two triggers, or not so finely."""
+        check_pulse(width_ns, rate_hz=rate_hz, delay_ns=delay_ns, step_ns=STEP_NS, dead_ns=DEAD_NS)
 
     def shut(self) -> None:
         """Shut the gate: no triggers, idle level 0 V."""
         for command in SHUT_COMMANDS:
-            self._line.write(command)
+            self.line.write(command)
         self._refuse_errors("; ".join(SHUT_COMMANDS))
         for setting, shut in (("TSRC?", SINGLE_SHOT), ("LPOL? 1", 1), ("LOFF? 1", 0)):
             self._expect(setting, shut)
@@ -104,11 +114,11 @@ class DelayGenerator:
         Raises
         ------
         BadInput
-            If the gate cannot open and close between two triggers.
+            If the gate cannot open and close between two triggers, or width or delay are finer than 5 ps.
         InstrumentRefused
             If the instrument refuses a setting, reads another one back, or loses triggers.
         """
-        check_width(width_ns, rate_hz=rate_hz, delay_ns=delay_ns)
+        self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns)
         self.shut()
         for edge in _OTHER_EDGES:
             self._set(f"DLAY {edge},0,0")
@@ -124,56 +134,56 @@ class DelayGenerator:
         read_ns = self._width_ns()
         if abs(read_ns - width_ns) > STEP_NS:
             raise InstrumentRefused(
-                f"the {self._line.name} must keep a gate of {width_ns:g} ns, got {read_ns:g} ns back",
-                instrument=self._line.name,
+                f"the {self.line.name} must keep a gate of {width_ns:g} ns, got {read_ns:g} ns back",
+                instrument=self.line.name,
             )
         self._trigger(rate_hz)
         return read_ns
 
     def _trigger(self, rate_hz: float) -> None:
-        self._line.ask("INSR?")
+        self.line.ask("INSR?")
         self._set(f"TSRC {INTERNAL}")
         self._expect("TSRC?", INTERNAL)
         time.sleep(2.0 / rate_hz)
         if self._integer("INSR?") & RATE_ERROR:
             self.shut()
             raise InstrumentRefused(
-                f"the {self._line.name} must use every trigger, got some lost at {rate_hz:g} Hz",
-                instrument=self._line.name,
+                f"the {self.line.name} must use every trigger, got some lost at {rate_hz:g} Hz",
+                instrument=self.line.name,
             )
 
     def _width_ns(self) -> float:
-        answer = self._line.ask(f"DLAY? {EDGE_B}")
+        answer = self.line.ask(f"DLAY? {EDGE_B}")
         reference, _, seconds = answer.partition(",")
         if reference != str(EDGE_A):
             raise InstrumentRefused(
-                f"edge B of the {self._line.name} must follow edge A, got {answer!r}", instrument=self._line.name
+                f"edge B of the {self.line.name} must follow edge A, got {answer!r}", instrument=self.line.name
             )
         return self._parsed(seconds, f"DLAY? {EDGE_B}") * 1e9
 
     def _set(self, command: str) -> None:
-        self._line.write(command)
+        self.line.write(command)
         self._refuse_errors(command)
 
     def _refuse_errors(self, command: str) -> None:
         if code := self._integer("LERR?"):
             meaning = ERRORS.get(code, "an error it does not explain")
             raise InstrumentRefused(
-                f"the {self._line.name} must accept {command!r}, got error {code}: {meaning}",
-                instrument=self._line.name,
+                f"the {self.line.name} must accept {command!r}, got error {code}: {meaning}",
+                instrument=self.line.name,
                 code=code,
             )
 
     def _expect(self, question: str, value: float, within: float = 0.0) -> None:
-        answer = self._parsed(self._line.ask(question), question)
+        answer = self._parsed(self.line.ask(question), question)
         if abs(answer - value) > within:
             raise InstrumentRefused(
-                f"the {self._line.name} must answer {question} with {value:g} as set, got {answer:g}",
-                instrument=self._line.name,
+                f"the {self.line.name} must answer {question} with {value:g} as set, got {answer:g}",
+                instrument=self.line.name,
             )
 
     def _integer(self, question: str) -> int:
-        return int(self._parsed(self._line.ask(question), question))
+        return int(self._parsed(self.line.ask(question), question))
 
     def _parsed(self, answer: str, question: str) -> float:
         try:
@@ -182,17 +192,7 @@ class DelayGenerator:
             value = math.nan
         if not math.isfinite(value):
             raise InstrumentConfused(
-                f"the {self._line.name} must answer {question} with a number, got {answer!r}",
-                instrument=self._line.name,
+                f"the {self.line.name} must answer {question} with a number, got {answer!r}",
+                instrument=self.line.name,
             )
         return value
-
-
-def check_width(width_ns: float, *, rate_hz: float, delay_ns: float = 0.0) -> None:
-    """Refuse (BadInput) a gate that cannot open and close between two triggers, or is finer than one step."""
-    longest_ns = 1e9 / rate_hz - DEAD_NS - delay_ns
-    if not STEP_NS <= width_ns <= longest_ns:
-        raise BadInput(
-            f"gate_ns must lie between {STEP_NS:g} and {longest_ns:.0f} at {rate_hz:g} triggers a second, "
-            f"got {width_ns:g}"
-        )

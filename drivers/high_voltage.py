@@ -7,16 +7,14 @@ from collections.abc import Callable
 
 from drivers.errors import InstrumentConfused, InstrumentRefused, InstrumentTripped
 from drivers.line import Line
-from labdata.errors import BadInput
+from drivers.voltage import DISCHARGED_V, FALL_S, check_voltage
 
 IDENTITY = r"(?i).*(PS3\d\d|2290).*"
-MINIMUM_V = 50.0
+MINIMUM_V, FULL_SCALE_V, STEP_V = 50.0, 5000.0, 1.0  # minimum and step are recalled
 STEP_LARGEST_V = 50.0
 STEP_S = 0.2
 SETTLED_V = 2.0
 SETTLE_S, SETTLE_READINGS = 0.1, 25
-FALL_S = 15.0
-DISCHARGED_V = 10.0
 VOLTAGE_TRIP, CURRENT_TRIP, CURRENT_LIMIT, HV_ON = 2, 4, 8, 128
 EXECUTION_ERROR, COMMAND_ERROR = 16, 32
 
@@ -32,20 +30,31 @@ class HighVoltage:
         Line to the instrument.
     """
 
+    off_commands = (OFF_COMMAND,)
+    reading = "VOUT?"
+
     def __init__(self, line: Line) -> None:
-        self._line = line
+        self.line = line
         self.is_on = False
         """Whether this object switched it on and not off; the status byte belongs to whoever watches for trips."""
 
     def identify(self) -> str:
         """Return the instrument's identity and clear old status; another instrument is InstrumentConfused."""
-        identity = self._line.ask("*IDN?")
+        identity = self.line.ask("*IDN?")
         if not re.fullmatch(IDENTITY, identity):
             raise InstrumentConfused(
-                f"the {self._line.name} must be of the PS300 series, got {identity!r}", instrument=self._line.name
+                f"the {self.line.name} must be of the PS300 series, got {identity!r}", instrument=self.line.name
             )
-        self._line.write("*CLS")
+        self.line.write("*CLS")
         return identity
+
+    def look(self) -> None:
+        """Look for a trip, see `check_on`."""
+        self.check_on()
+
+    def check_voltage(self, volts: float) -> None:
+        """Refuse (BadInput) a voltage that this model cannot hold or cannot set so finely."""
+        check_voltage(volts, lowest_v=MINIMUM_V, highest_v=FULL_SCALE_V, step_v=STEP_V)
 
     def prepare(self, *, limit_v: float) -> None:
         """Switch off, and make the supply itself refuse more than a limit, V; an old trip is InstrumentTripped."""
@@ -59,14 +68,14 @@ class HighVoltage:
 
     def order_off(self) -> None:
         """Order the high voltage off; the charge takes seconds to leave, see `measured_v`."""
-        self._line.write(OFF_COMMAND)
+        self.line.write(OFF_COMMAND)
         self.is_on = False
         self._refuse_errors(OFF_COMMAND)
 
     def switch_on(self) -> None:
         """Switch on at the lowest voltage; a trip that was not cleared at the instrument is InstrumentTripped."""
         self._set(f"VSET {MINIMUM_V:.0f}")
-        self._line.write("HVON")
+        self.line.write("HVON")
         if self._number("*ESR?") & EXECUTION_ERROR:
             raise self._tripped("not cleared since: find its cause, then clear it at the instrument")
         self.is_on = True
@@ -97,7 +106,7 @@ class HighVoltage:
         InstrumentRefused
             If it refuses a step or its output does not follow.
         """
-        check_voltage(goal_v)
+        self.check_voltage(goal_v)
         start_v = self._volts("VSET?")
         step_v = min(STEP_LARGEST_V, rate_v_per_s * STEP_S)
         began_s, level_v = time.monotonic(), start_v
@@ -110,7 +119,7 @@ class HighVoltage:
 
     def lower_to(self, goal_v: float, *, check: Callable[[], None] = lambda: None) -> float:
         """Lower the voltage at once, as fast as the load lets it fall, and return the settled output, V."""
-        check_voltage(goal_v)
+        self.check_voltage(goal_v)
         self._set(f"VSET {goal_v:.10g}")
         deadline_s = time.monotonic() + FALL_S
         while self.measured_v() > goal_v + SETTLED_V and time.monotonic() < deadline_s:
@@ -160,7 +169,7 @@ class HighVoltage:
         return now_v
 
     def _set(self, command: str) -> None:
-        self._line.write(command)
+        self.line.write(command)
         self._refuse_errors(command)
 
     def _refuse_errors(self, command: str) -> None:
@@ -175,26 +184,20 @@ class HighVoltage:
         return int(self._volts(question))
 
     def _volts(self, question: str) -> float:
-        answer = self._line.ask(question)
+        answer = self.line.ask(question)
         try:
             value = float(answer)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
             raise InstrumentConfused(
-                f"the {self._line.name} must answer {question} with a number, got {answer!r}",
-                instrument=self._line.name,
+                f"the {self.line.name} must answer {question} with a number, got {answer!r}",
+                instrument=self.line.name,
             )
         return value
 
     def _refused(self, rule: str, code: int | None = None) -> InstrumentRefused:
-        return InstrumentRefused(f"the {self._line.name} {rule}", instrument=self._line.name, code=code)
+        return InstrumentRefused(f"the {self.line.name} {rule}", instrument=self.line.name, code=code)
 
     def _tripped(self, how: str) -> InstrumentTripped:
-        return InstrumentTripped(f"the {self._line.name} must stay on, got a trip {how}", instrument=self._line.name)
-
-
-def check_voltage(volts: float) -> None:
-    """Refuse (BadInput) a voltage that the supply cannot hold."""
-    if volts < MINIMUM_V:
-        raise BadInput(f"mcp_v must be 0 (off) or at least {MINIMUM_V:g}, got {volts:g}")
+        return InstrumentTripped(f"the {self.line.name} must stay on, got a trip {how}", instrument=self.line.name)

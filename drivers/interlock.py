@@ -11,11 +11,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from drivers.delay_generator import DelayGenerator, check_width
 from drivers.errors import BenchError, WatchdogLost
-from drivers.high_voltage import HighVoltage, check_voltage
 from drivers.line import Line
-from drivers.lines import open_gate_line, open_supply_line
+from drivers.models import model
+from drivers.roles import Gate, Supply
 from drivers.safe import Safety, make_safe
 from drivers.watched import Guard
 from labdata.conditions import Conditions
@@ -38,13 +37,13 @@ class Bench:
     Parameters
     ----------
     wires
-        Serial ports of the delay generator and of the supply's adapter.
+        Models and serial ports of the gate and of the supply.
     limits
         What may never be exceeded; also set in the supply itself.
     log
         File to which every safety step is appended as a line of JSON.
     lines
-        Lines to delay generator and supply that are ready-made, where there are no serial ports; then no watchdog
+        Lines to gate and supply that are ready-made, where there are no serial ports; then no watchdog
         guards the bench, and `wires_left_out` says so.
     gate_hz
         Openings of the gate a second, Hz: one for each exposure of the camera.
@@ -72,6 +71,7 @@ class Bench:
             )
         self._wires, self._limits, self._log, self._lines = wires, limits, Path(log), lines
         self._gate_hz = gate_hz
+        self._gate_model, self._supply_model = model(wires.gate, "gate"), model(wires.supply, "supply")
         self._guard: Guard | None = None
         self._before: dict[signal.Signals, Callable | int | None] = {}
         self._conditions = Conditions()
@@ -88,8 +88,7 @@ class Bench:
         try:
             if self._lines is None:
                 self._guard = self._started_guard()
-            gate, supply = self._both_lines()
-            self._gate, self._supply = DelayGenerator(gate), HighVoltage(supply)
+            self._gate, self._supply = self._drivers()
             self._gate.identify()
             self._gate.shut()
             self._supply.identify()
@@ -146,7 +145,7 @@ class Bench:
         if self._guard is not None:
             safety = self._guard.safe()
         else:
-            safety = make_safe(gate=self._both_lines()[0], supply=self._both_lines()[1], record=self._record)
+            safety = make_safe(gate=self._gate, supply=self._supply, record=self._record)
         self._supply.is_on = False
         _raise_unless_whole(safety)
 
@@ -157,9 +156,9 @@ class Bench:
             if asked is not None and not asked <= limit:
                 raise BadInput(f"{name} must not exceed the limit {limit:g}, got {asked:g}")
         if volts:
-            check_voltage(volts)
+            self._supply.check_voltage(volts)
         if width_ns:
-            check_width(width_ns, rate_hz=self._gate_hz)
+            self._gate.check_pulse(width_ns=width_ns, rate_hz=self._gate_hz)
 
     def _set_gain(self, volts: float) -> float:
         if not volts:
@@ -179,21 +178,17 @@ class Bench:
         if self._guard is not None:
             self._guard.supply.watch(on)
 
-    def _both_lines(self) -> tuple[Line, Line]:
-        if self._lines is not None:
-            return self._lines
-        assert self._guard is not None
-        return self._guard.gate, self._guard.supply
+    def _drivers(self) -> tuple[Gate, Supply]:
+        if self._guard is not None:
+            gate, supply = self._guard.gate, self._guard.supply
+        else:
+            assert self._lines is not None
+            gate, supply = self._lines
+        return self._gate_model.driver(gate), self._supply_model.driver(supply)
 
     def _started_guard(self) -> Guard:
-        assert self._wires.gate_port is not None and self._wires.supply_port is not None
         _check_writable(self._log)
-        return Guard(
-            gate_port=self._wires.gate_port,
-            supply_port=self._wires.supply_port,
-            supply_address=self._wires.supply_address,
-            log=self._log,
-        )
+        return Guard(wires=self._wires, log=self._log)
 
     # Leaving
 
@@ -216,7 +211,8 @@ class Bench:
 
     def _left_safe(self) -> Safety | None:
         if self._lines is not None:
-            return make_safe(gate=self._lines[0], supply=self._lines[1], record=self._record)
+            gate, supply = self._drivers()
+            return make_safe(gate=gate, supply=supply, record=self._record)
         if self._guard is None:
             return None
         guard, self._guard = self._guard, None
@@ -228,10 +224,14 @@ class Bench:
     def _safe_without_watchdog(self) -> Safety:
         """The watchdog is gone and its ports are free: take them ourselves."""
         self._record("the watchdog is gone; its client makes the bench safe")
-        gate = _opened(lambda: open_gate_line(str(self._wires.gate_port)))
-        supply = _opened(lambda: open_supply_line(str(self._wires.supply_port), address=self._wires.supply_address))
+        gate = _opened(lambda: self._gate_model.open_line(str(self._wires.gate_port), self._wires.gate_address))
+        supply = _opened(lambda: self._supply_model.open_line(str(self._wires.supply_port), self._wires.supply_address))
         try:
-            return make_safe(gate=gate, supply=supply, record=self._record)
+            return make_safe(
+                gate=None if gate is None else self._gate_model.driver(gate),
+                supply=None if supply is None else self._supply_model.driver(supply),
+                record=self._record,
+            )
         finally:
             for line in (gate, supply):
                 if line is not None:

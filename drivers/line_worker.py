@@ -5,11 +5,10 @@ import threading
 from collections.abc import Callable
 
 from drivers.errors import BenchError
-from drivers.high_voltage import HighVoltage
 from drivers.line import OwnedLine
+from drivers.models import Model
 
 _MONITOR = {"do": "monitor"}
-GATE_SIGN_OF_LIFE = "TSRC?"
 
 
 class LineWorker:
@@ -19,12 +18,14 @@ class LineWorker:
     ----------
     line
         The line.
+    model
+        What is at its other end.
     reply
         Called with the answer to each request.
     """
 
-    def __init__(self, line: OwnedLine, *, reply: Callable[[dict], None]) -> None:
-        self.line = line
+    def __init__(self, line: OwnedLine, *, model: Model, reply: Callable[[dict], None]) -> None:
+        self.line, self.driver = line, model.driver(line)
         self.failure: BenchError | None = None
         """The first error of the line, which ends its use."""
         self._reply = reply
@@ -38,10 +39,10 @@ class LineWorker:
         """Take a request {"id", "do": "ask" | "write" | "watch", "text"}."""
         self._jobs.put(request)
 
-    def monitor(self, *, supply: bool) -> None:
-        """Look for a sign of life, or for a trip of the supply, if watching and nothing else is to do."""
+    def monitor(self) -> None:
+        """Look for a sign of life, or for a trip of a supply, if watching and nothing else is to do."""
         if self._watching and self._jobs.empty() and not self._busy.locked():
-            self._jobs.put({**_MONITOR, "supply": supply})
+            self._jobs.put(_MONITOR)
 
     def pause(self) -> None:
         """Stop watching, and let a wait that is going on give up at once."""
@@ -93,10 +94,7 @@ class LineWorker:
         elif request["do"] == "watch":
             self._watching = request["on"]
         elif self._watching:
-            if request["supply"]:
-                HighVoltage(self.line).check_on()
-            else:
-                self.line.ask(GATE_SIGN_OF_LIFE)
+            self.driver.look()
         return None
 
 

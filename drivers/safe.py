@@ -5,10 +5,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.delay_generator import SHUT_COMMANDS, DelayGenerator
 from drivers.errors import InstrumentLost
-from drivers.high_voltage import DISCHARGED_V, FALL_S, OFF_COMMAND, HighVoltage
-from drivers.line import Line
+from drivers.roles import Gate, Supply
+from drivers.voltage import DISCHARGED_V, FALL_S
 
 Record = Callable[..., None]
 """Called as record(step, **details) for each thing that was done."""
@@ -25,7 +24,7 @@ class Safety:
     Parameters
     ----------
     gate_shut
-        The delay generator read back that it makes no pulses and idles at 0 V.
+        The gate read back that it makes no pulses and idles shut.
     off_ordered
         The order to switch the high voltage off went out.
     residual_v
@@ -56,7 +55,7 @@ class Safety:
         return f"{gate}, {gain}"
 
 
-def make_safe(*, gate: Line | None, supply: Line | None, record: Record) -> Safety:
+def make_safe(*, gate: Gate | None, supply: Supply | None, record: Record) -> Safety:
     """Shut the gate and order the high voltage off, both at once, then follow the decay of the output.
 
     Neither waits for the other, so that a silent line does not hold up the safe action of the other one.
@@ -64,7 +63,7 @@ def make_safe(*, gate: Line | None, supply: Line | None, record: Record) -> Safe
     Parameters
     ----------
     gate, supply
-        Lines to the delay generator and the supply; None if one could not be opened.
+        Gate and supply of the tube; None if the line to one could not be opened.
     record
         Told each step.
 
@@ -73,26 +72,17 @@ def make_safe(*, gate: Line | None, supply: Line | None, record: Record) -> Safe
     Safety
         What was achieved; this function raises nothing, because the next step must be tried all the same.
     """
-    shut, fall = _Shutting(record), _Falling(record)
-    helpers = [
-        threading.Thread(target=task.run, args=(line,), daemon=True)
-        for task, line in ((shut, gate), (fall, supply))
-        if line is not None
-    ]
+    shut, fall = _Shutting(gate, record), _Falling(supply, record)
+    helpers = [threading.Thread(target=task.run, daemon=True) for task in (shut, fall)]
     for helper in helpers:
         helper.start()
     for helper in helpers:
         helper.join()
-    missing = tuple(
-        f"the {name} could not be reached"
-        for name, line in (("delay generator", gate), ("high-voltage supply", supply))
-        if line is None
-    )
     return Safety(
         gate_shut=shut.verified,
         off_ordered=fall.ordered,
         residual_v=fall.residual_v,
-        failures=(*missing, *shut.failures, *fall.failures),
+        failures=(*shut.failures, *fall.failures),
     )
 
 
@@ -119,10 +109,17 @@ class _Shutting(_Task):
 
     verified = False
 
-    def run(self, line: Line) -> None:
-        for command in SHUT_COMMANDS:
-            self.attempt(f"gate: {command}", lambda command=command: line.write(command))
-        self.verified = self.attempt("gate: shut and read back", DelayGenerator(line).shut)[0]
+    def __init__(self, gate: Gate | None, record: Record) -> None:
+        super().__init__(record)
+        self._gate = gate
+
+    def run(self) -> None:
+        if (gate := self._gate) is None:
+            self.failures.append("the delay generator could not be reached")
+            return
+        for command in gate.shut_commands:
+            self.attempt(f"gate: {command}", lambda command=command: gate.line.write(command))
+        self.verified = self.attempt("gate: shut and read back", gate.shut)[0]
 
 
 class _Falling(_Task):
@@ -131,22 +128,33 @@ class _Falling(_Task):
     ordered = False
     residual_v: float | None = None
 
-    def run(self, line: Line) -> None:
-        supply, deadline_s = HighVoltage(line), time.monotonic() + FALL_S
-        went_out, error = self._order(line)
+    def __init__(self, supply: Supply | None, record: Record) -> None:
+        super().__init__(record)
+        self._supply = supply
+
+    def run(self) -> None:
+        if (supply := self._supply) is None:
+            self.failures.append("the high-voltage supply could not be reached")
+            return
+        deadline_s = time.monotonic() + FALL_S
+        went_out, error = self._order(supply)
         give_up_s = time.monotonic() + DEAF_S
         while time.monotonic() < min(deadline_s, give_up_s) and not isinstance(error, InstrumentLost):
-            answered, reading = self.attempt("high voltage: VOUT?", supply.measured_v)
+            answered, reading = self.attempt(f"high voltage: {supply.reading}", supply.measured_v)
             if answered and isinstance(reading, float):
                 self.residual_v = reading
                 give_up_s = deadline_s
                 if reading <= DISCHARGED_V:
                     return
             if not (answered and went_out):
-                went_out, error = self._order(line)
+                went_out, error = self._order(supply)
             time.sleep(FOLLOW_S)
 
-    def _order(self, line: Line) -> tuple[bool, object]:
-        went_out, error = self.attempt(f"high voltage: {OFF_COMMAND}", lambda: line.write(OFF_COMMAND))
+    def _order(self, supply: Supply) -> tuple[bool, object]:
+        """Send every order, whatever becomes of the one before; whether all went out, and the last error."""
+        went_out, error = True, None
+        for command in supply.off_commands:
+            done, result = self.attempt(f"high voltage: {command}", lambda command=command: supply.line.write(command))
+            went_out, error = went_out and done, error if done else result
         self.ordered = self.ordered or went_out
         return went_out, error

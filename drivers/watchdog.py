@@ -20,7 +20,7 @@ from pathlib import Path
 from drivers.errors import BenchError, WatchdogLost
 from drivers.line import OwnedLine
 from drivers.line_worker import LineWorker, described
-from drivers.lines import open_gate_line, open_supply_line
+from drivers.models import Model, Role, model
 from drivers.safe import Safety, make_safe
 
 HEARTBEAT_S = 0.5
@@ -29,7 +29,8 @@ HEARTBEAT_S = 0.5
 TICK_S = 0.02
 MONITOR_S = 0.15
 IDLE_S = 0.5
-GATE, SUPPLY = "gate", "supply"
+GATE: Role = "gate"
+SUPPLY: Role = "supply"
 
 
 class Log:
@@ -103,7 +104,7 @@ class Watchdog:
         """Signal handler: end soon, safely."""
         self._stop_signal = number
 
-    def serve(self, openers: dict[str, Callable[[], OwnedLine]]) -> None:
+    def serve(self, openers: dict[str, tuple[Model, Callable[[], OwnedLine]]]) -> None:
         """Open the lines and serve the client until it leaves or is lost; in the end the bench is safe."""
         self._log("start", pid=os.getpid())
         self._open(openers)
@@ -116,10 +117,10 @@ class Watchdog:
             worker.close()
         self._log("end", reason=reason, longest_silence_s=round(self._client.longest_silence_s, 3))
 
-    def _open(self, openers: dict[str, Callable[[], OwnedLine]]) -> None:
-        for name, opener in openers.items():
+    def _open(self, openers: dict[str, tuple[Model, Callable[[], OwnedLine]]]) -> None:
+        for name, (kind, opener) in openers.items():
             try:
-                self._workers[name] = LineWorker(opener(), reply=self._client.send)
+                self._workers[name] = LineWorker(opener(), model=kind, reply=self._client.send)
                 self._log("port opened", line=name)
             except BenchError as error:
                 self._log("port not opened", line=name, error=str(error))
@@ -172,16 +173,16 @@ class Watchdog:
                     return
             if time.monotonic() - self._monitored_s > MONITOR_S:
                 self._monitored_s = time.monotonic()
-                for name, worker in self._workers.items():
-                    worker.monitor(supply=name == SUPPLY)
+                for worker in self._workers.values():
+                    worker.monitor()
 
     def _make_safe(self, reason: str) -> None:
         self._log("making safe", reason=reason)
         for worker in self._workers.values():
             worker.pause()
         held = {name: worker.wait_idle(IDLE_S) for name, worker in self._workers.items()}
-        lines = {name: worker.line for name, worker in self._workers.items()}
-        self._safety = make_safe(gate=lines.get(GATE), supply=lines.get(SUPPLY), record=self._log)
+        drivers = {name: worker.driver for name, worker in self._workers.items()}
+        self._safety = make_safe(gate=drivers.get(GATE), supply=drivers.get(SUPPLY), record=self._log)
         self._log("made safe", whole=self._safety.whole, sentence=self._safety.sentence(), **vars(self._safety))
         for name, worker in self._workers.items():
             worker.resume(held[name], fault=self._fault)
@@ -191,13 +192,17 @@ class Watchdog:
             self._client.send({"id": request, "safety": vars(self._safety)})
 
 
+def _opener(role: Role, name: str, port: str, address: str) -> tuple[Model, Callable[[], OwnedLine]]:
+    kind = model(name, role)
+    return kind, lambda: kind.open_line(port, int(address))
+
+
 def main() -> None:
-    """Guard a bench: `python -m drivers.watchdog --socket FD --gate-port P --supply-port P --address N --log FILE`."""
+    """Guard a bench: `python -m drivers.watchdog --socket FD --gate MODEL PORT ADDRESS --supply ... --log FILE`."""
     parser = argparse.ArgumentParser(description="Guard a bench; started by its client.")
     parser.add_argument("--socket", type=int, required=True, help="inherited end of the client's socket pair")
-    parser.add_argument("--gate-port", required=True)
-    parser.add_argument("--supply-port", required=True)
-    parser.add_argument("--address", type=int, required=True, help="GPIB address of the supply")
+    for role in (GATE, SUPPLY):
+        parser.add_argument(f"--{role}", nargs=3, required=True, metavar=("MODEL", "PORT", "ADDRESS"))
     parser.add_argument("--log", type=Path, required=True)
     asked = parser.parse_args()
     log = Log(asked.log)
@@ -205,12 +210,7 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, watchdog.stop)
     try:
-        watchdog.serve(
-            {
-                GATE: lambda: open_gate_line(asked.gate_port),
-                SUPPLY: lambda: open_supply_line(asked.supply_port, address=asked.address),
-            }
-        )
+        watchdog.serve({GATE: _opener(GATE, *asked.gate), SUPPLY: _opener(SUPPLY, *asked.supply)})
     finally:
         log.close()
 

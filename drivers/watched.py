@@ -12,8 +12,10 @@ from pathlib import Path
 
 from drivers import errors
 from drivers.errors import BenchError, WatchdogLost
-from drivers.high_voltage import FALL_S
+from drivers.models import model
 from drivers.safe import Safety
+from drivers.voltage import FALL_S
+from labdata.plan import Wires
 
 BEAT_S = 0.1
 START_S = 15.0
@@ -49,8 +51,8 @@ class Guard:
 
     Parameters
     ----------
-    gate_port, supply_port, supply_address
-        The serial ports, and the GPIB address of the supply behind its adapter.
+    wires
+        Models and serial ports of gate and supply, and their addresses on a bus.
     log
         File to which the watchdog appends its JSON lines.
 
@@ -62,7 +64,7 @@ class Guard:
         If a port cannot be opened.
     """
 
-    def __init__(self, *, gate_port: str, supply_port: str, supply_address: int, log: Path) -> None:
+    def __init__(self, *, wires: Wires, log: Path) -> None:
         self.fault: BenchError | None = None
         """What went wrong at the bench since, as the watchdog told it."""
         self._numbers, self._sending = itertools.count(1), threading.Lock()
@@ -71,7 +73,8 @@ class Guard:
         self._over = threading.Event()
         ours, theirs = socket.socketpair()
         command = [sys.executable, "-m", "drivers.watchdog", "--socket", str(theirs.fileno())]
-        command += ["--gate-port", gate_port, "--supply-port", supply_port, "--address", str(supply_address)]
+        command += ["--gate", wires.gate, str(wires.gate_port), str(wires.gate_address)]
+        command += ["--supply", wires.supply, str(wires.supply_port), str(wires.supply_address)]
         with theirs:
             self.process = subprocess.Popen(
                 [*command, "--log", str(Path(log).absolute())],
@@ -85,8 +88,8 @@ class Guard:
         self._threads = [threading.Thread(target=task, daemon=True) for task in (self._listen, self._beat)]
         for thread in self._threads:
             thread.start()
-        self.gate = WatchedLine(self, line="gate", name="delay generator")
-        self.supply = WatchedLine(self, line="supply", name="high-voltage supply")
+        self.gate = WatchedLine(self, line="gate", name=model(wires.gate, "gate").title)
+        self.supply = WatchedLine(self, line="supply", name=model(wires.supply, "supply").title)
         try:
             self._await_ready()
         except BaseException:

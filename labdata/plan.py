@@ -21,17 +21,22 @@ class Wires:
     bench
         "virtual": the virtual bench's own processes on real wires. "in-process": its camera and serial lines inside
         this process, where Aravis cannot be had. "real": the ports below.
+    gate, supply
+        Models of the gate generator and of the high-voltage supply; other packages may bring further ones.
     gate_port, supply_port
-        Serial ports of the delay generator and of the high-voltage supply's adapter.
-    supply_address
-        GPIB address of the supply behind its adapter.
+        Serial ports of gate and supply, or of the adapters before them.
+    gate_address, supply_address
+        GPIB addresses of those behind an adapter.
     camera
         Aravis camera identifier.
     """
 
     bench: Literal["virtual", "in-process", "real"] = "virtual"
+    gate: str = "dg645"
+    supply: str = "ps350"
     gate_port: str | None = None
     supply_port: str | None = None
+    gate_address: int = 15
     supply_address: int = 14
     camera: str | None = None
 

@@ -65,7 +65,7 @@ def bench(lines, tmp_path):
 
 def test_conditions_are_read_back_and_reach_the_tube(bench, virtual):
     with bench:
-        read = bench.set_conditions(Conditions(mcp_v=780.4, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167))
+        read = bench.set_conditions(Conditions(mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167))
         assert read == Conditions(mcp_v=780.0, gate_ns=1.6e7, illuminance_lux=1e-4, exposure_s=0.0167)
         out = virtual.outputs()
         assert out.mcp_v == 780
@@ -113,6 +113,8 @@ def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines
     [
         (Conditions(mcp_v=901), "mcp_v must not exceed the limit 900, got 901"),
         (Conditions(mcp_v=30), "mcp_v must be 0 \\(off\\) or at least 50, got 30"),
+        (Conditions(mcp_v=780.4), "mcp_v must be a multiple of the supply's 1 V, got 780.4"),
+        (Conditions(mcp_v=600, gate_ns=10.003), "gate_ns must be a multiple of the generator's 0.005 ns, got 10.003"),
         (Conditions(mcp_v=600, gate_ns=1.66e7), "gate_ns must not exceed the limit 1.65e\\+07, got 1.66e\\+07"),
     ],
 )  # fmt: skip

@@ -2,6 +2,8 @@
 
 import pytest
 
+from drivers.delay_generator import DelayGenerator
+from drivers.high_voltage import HighVoltage
 from drivers.lines import gate_line, supply_line
 from drivers.safe import make_safe
 from simulate.rig.faults import Faults
@@ -14,11 +16,11 @@ def virtual():
 
 
 @pytest.fixture
-def lines(virtual):
+def drivers(virtual):
     gate, supply = gate_line(virtual.gate_port), supply_line(virtual.supply_port, address=14)
     gate.write("DLAY 3,2,1e-3;LAMP 1,4;TSRC 0")
     supply.write("VSET 600;HVON")
-    return {"gate": gate, "supply": supply}
+    return {"gate": DelayGenerator(gate), "supply": HighVoltage(supply)}
 
 
 @pytest.fixture
@@ -34,16 +36,16 @@ def order(record, event: str) -> int:
     return next(place for place, (step, _) in enumerate(record.events) if step == event)
 
 
-def test_a_silent_gate_does_not_hold_up_the_voltage(virtual, lines, record):
+def test_a_silent_gate_does_not_hold_up_the_voltage(virtual, drivers, record):
     virtual.gate_port.faults = Faults(silent=True)
-    safety = make_safe(**lines, record=record)
+    safety = make_safe(**drivers, record=record)
     assert order(record, "high voltage: HVOF") < order(record, "gate: shut and read back")
     assert (safety.gate_shut, safety.off_ordered, safety.whole) == (False, True, False)
     assert virtual.outputs().mcp_v < 11
     assert "the delay generator must answer" in safety.failures[0]
 
 
-def test_a_supply_that_hears_again_is_switched_off_after_all(virtual, lines, record):
+def test_a_supply_that_hears_again_is_switched_off_after_all(virtual, drivers, record):
     virtual.supply_port.faults = Faults(silent=True)
 
     def healing(event: str, **details: object) -> None:
@@ -51,19 +53,19 @@ def test_a_supply_that_hears_again_is_switched_off_after_all(virtual, lines, rec
         if event == "high voltage: VOUT?" and not details["ok"]:
             virtual.supply_port.faults = Faults()
 
-    assert make_safe(**lines, record=healing).whole
+    assert make_safe(**drivers, record=healing).whole
     assert virtual.outputs().mcp_v < 11
 
 
-def test_a_line_that_could_not_be_opened_leaves_the_other_to_be_made_safe(virtual, lines, record):
-    safety = make_safe(gate=None, supply=lines["supply"], record=record)
+def test_a_line_that_could_not_be_opened_leaves_the_other_to_be_made_safe(virtual, drivers, record):
+    safety = make_safe(gate=None, supply=drivers["supply"], record=record)
     assert virtual.outputs().mcp_v < 11
     assert safety.sentence() == f"the gate may be open, the high voltage is off and down to {safety.residual_v:g} V"
     assert safety.failures == ("the delay generator could not be reached",)
 
 
-def test_a_wrong_polarity_is_put_right(virtual, lines, record):
-    lines["gate"].write("TSRC 5;LPOL 1,0")
+def test_a_wrong_polarity_is_put_right(virtual, drivers, record):
+    drivers["gate"].line.write("TSRC 5;LPOL 1,0")
     assert virtual.outputs().gate_open
-    assert make_safe(**lines, record=record).whole
+    assert make_safe(**drivers, record=record).whole
     assert not virtual.outputs().gate_open
