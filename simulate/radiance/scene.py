@@ -5,7 +5,7 @@ from importlib import resources
 from pathlib import Path
 
 from labdata.errors import BadInput
-from simulate.radiance.material import Material
+from simulate.radiance.materials.material import Material
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +91,11 @@ class LabScene:
                 f"the target must be farther away than the ring is high, got {self.distance_m:g} m "
                 f"and {self.holder.height_m:g} m"
             )
+        for name in ("open", "mask", "ring"):
+            if getattr(self, name).finish != "matt":
+                raise BadInput(
+                    f"materials of the bench must be matt, got a {getattr(self, name).finish} one for {name}"
+                )
         if not self.holder.outer_radius_px > self.holder.inner_radius_px > 0.0:
             raise BadInput(
                 f"a ring must be wider outside than inside, got {self.holder.outer_radius_px:g} "

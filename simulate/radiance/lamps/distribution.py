@@ -1,6 +1,6 @@
 """Where a lamp shines: intensity over direction in the lamp's own frame, whose z is its axis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -80,6 +80,7 @@ class Table:
     polar_deg: NDArray[np.floating]
     azimuth_deg: NDArray[np.floating]
     candela: NDArray[np.floating]
+    _total: float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         polar, azimuth = np.asarray(self.polar_deg, float), np.asarray(self.azimuth_deg, float)
@@ -102,7 +103,7 @@ class Table:
         """Return the share of the flux per sr, linear in both angles between the table's."""
         polar = np.rad2deg(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
         azimuth = np.rad2deg(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
-        return self._candela(polar, azimuth) / self._total  # pyright: ignore[reportAttributeAccessIssue]
+        return self._candela(polar, azimuth) / self._total
 
     def _candela(self, polar: NDArray[np.floating], azimuth: NDArray[np.floating]) -> NDArray[np.float64]:
         column = np.clip(np.searchsorted(self.polar_deg, polar, side="right") - 1, 0, self.polar_deg.size - 2)
