@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures clean
+.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -98,12 +98,16 @@ peers: .venv-peers/ready
 	.venv-peers/bin/pip install -q --require-hashes -r benchmarks/peers/requirements.lock
 	touch $@
 
+# The live page in a headless Chromium: updates a second, who is refused, and screenshots to be looked at; two minutes.
+live-check: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.live_page live-check
+
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
 	  --all-extras --group dev pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf .venv .venv-peers demo study
+	rm -rf .venv .venv-peers demo study live-check
 
 $(READY): requirements.lock pyproject.toml .ci/setup
 	PYTHON=$(PYTHON) sh .ci/setup

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,13 +42,26 @@ def is_ours(path: Path) -> bool:
 
 def journal(path: str | Path) -> tuple[Acknowledged, ...]:
     """Return the acknowledged frames of an array in order; a last line cut short by a crash is not one."""
+    return acknowledged((Path(path) / JOURNAL).read_bytes().splitlines(keepends=True))
+
+
+def acknowledged(lines: Iterable[bytes], *, first: int = 0) -> tuple[Acknowledged, ...]:
+    """Return the frames that lines of a journal promise, up to the first line that is cut short or out of order.
+
+    Parameters
+    ----------
+    lines
+        Lines with their ends.
+    first
+        Place of the first line's frame in the array.
+    """
     frames = []
-    for line in (Path(path) / JOURNAL).read_bytes().splitlines(keepends=True):
+    for line in lines:
         try:
             entry = Acknowledged(**json.loads(line))
         except (ValueError, TypeError):
             break
-        if not line.endswith(b"\n") or entry.index != len(frames):
+        if not line.endswith(b"\n") or entry.index != first + len(frames):
             break
         frames.append(entry)
     return tuple(frames)

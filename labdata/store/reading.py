@@ -30,7 +30,7 @@ def read(path: str | Path, *, verify: bool = True) -> FrameStack:
     frames = journal(path)
     if not frames:
         raise BadInput(f"a stack must hold at least one frame, got none in {path}")
-    data = _array(path)[: len(frames)]
+    data = opened(path)[: len(frames)]
     if len(data) < len(frames):
         raise BadInput(f"{path} must hold the {len(frames)} frames of its journal, got {len(data)}")
     if verify:
@@ -44,7 +44,7 @@ def read(path: str | Path, *, verify: bool = True) -> FrameStack:
 
 def lazy(path: str | Path) -> Any:
     """Return the Zarr array itself, unread, with the number of its acknowledged frames."""
-    return _array(Path(path)), len(journal(path))
+    return opened(Path(path)), len(journal(path))
 
 
 def block(path: Path, array: Any, acknowledged: tuple[Acknowledged, ...]) -> NDArray:
@@ -64,7 +64,8 @@ def _check(path: Path, data: NDArray, frames: tuple[Acknowledged, ...]) -> None:
             )
 
 
-def _array(path: Path) -> Any:
+def opened(path: Path) -> Any:
+    """Return the Zarr array itself, as large as it is now."""
     import zarr
 
     try:

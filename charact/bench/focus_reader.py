@@ -1,0 +1,71 @@
+"""Reading the focus beside the picture: in a process of its own, so that no frame waits for an edge to be fitted."""
+
+import multiprocessing
+from collections import deque
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import AbstractContextManager
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bench.focus import BestHeld, Focus, read_focus, window_about
+from charact.method import Context
+from charact.mtf.region import Region
+
+AVERAGED_FRAMES = 4
+
+
+class FocusReader(AbstractContextManager["FocusReader"]):
+    """The focus of the newest frames, as often as it can be read.
+
+    Parameters
+    ----------
+    context
+        What is known of the camera.
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the edge; None: it is looked for, and then followed in a window about it.
+    executor
+        Where edges are fitted; a process of its own where it is not given.
+    """
+
+    def __init__(self, context: Context, region: Region | None = None, executor: Executor | None = None) -> None:
+        self._context, self._asked = context, region
+        self._executor = executor or ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        self._frames: deque[NDArray] = deque(maxlen=AVERAGED_FRAMES)
+        self._window = region
+        self._reading: Future[Focus] | None = None
+        self.newest: Focus | None = None
+        """The last reading."""
+        self.best = BestHeld()
+        """The best so far."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def forget_best(self) -> None:
+        """Begin anew, as after another target or another field of view."""
+        self.best = BestHeld()
+
+    def look_at(self, frame: NDArray) -> None:
+        """Take a frame in; a reading that is done is taken up and the next one begun."""
+        if self._frames and self._frames[-1].shape != frame.shape:
+            self._frames.clear()
+        self._frames.append(frame)
+        if self._reading is not None and self._reading.done():
+            self._take_up(self._reading.result())
+            self._reading = None
+        if self._reading is None and len(self._frames) == AVERAGED_FRAMES:
+            self._reading = self._executor.submit(read_focus, np.stack(self._frames), self._window, self._context)
+
+    def _take_up(self, focus: Focus) -> None:
+        self.newest, self.best = focus, self.best.after(focus)
+        if self._asked is None:
+            found = focus.region if focus.mtf50_cy_per_px is not None else None
+            self._window = None if found is None else window_about(found)

@@ -1,0 +1,121 @@
+"""The bench at work: frames are taken in as they come, measured, and put where onlookers find them."""
+
+import threading
+import time
+from types import TracebackType
+from typing import Self
+
+from numpy.typing import NDArray
+
+from charact.bench.focus import BestHeld
+from charact.bench.focus_reader import FocusReader
+from charact.bench.frame_rate import FrameRate
+from charact.bench.meters import read_meters
+from charact.bench.newest import Newest
+from charact.bench.source import Seen, Source
+from charact.bench.thinned import thinned
+from charact.bench.view import View
+from charact.mtf.region import Region
+from drivers.errors import BenchError
+from labdata.errors import BadInput
+
+# More often nobody sees a difference; frames in between are taken off the camera and left unmeasured.
+LEAST_PERIOD_S = 1.0 / 30.0
+LEAVE_S = 20.0
+
+
+class Running:
+    """A source's frames measured in a thread of their own, within a `with` block.
+
+    Parameters
+    ----------
+    source
+        Where frames come from.
+    focus
+        Reads the focus; None: it is not read.
+    region
+        ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
+    """
+
+    def __init__(self, source: Source, *, focus: FocusReader | None = None, region: Region | None = None) -> None:
+        self._source, self._focus, self._region = source, focus, region
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
+        self._rate, self._before = FrameRate(), _Before()
+        self._number, self._due_s = 0, 0.0
+        self.newest = Newest()
+        """The newest view."""
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join(LEAVE_S)
+
+    @property
+    def source(self) -> Source:
+        """Where frames come from."""
+        return self._source
+
+    def forget_best(self) -> None:
+        """Forget the best focus held."""
+        if self._focus is not None:
+            self._focus.forget_best()
+
+    def _run(self) -> None:
+        try:
+            for seen in self._source:
+                if self._stop.is_set():
+                    self.newest.end("it was closed")
+                    return
+                if seen is not None:
+                    self._take_in(seen)
+            self.newest.end(f"{self._source.name} has no more frames")
+        except (BadInput, BenchError, OSError) as error:
+            self.newest.end(str(error))
+        except BaseException as error:
+            self.newest.end(f"the program failed: {error!r}")
+            raise
+
+    def _take_in(self, seen: Seen) -> None:
+        rate_hz = self._rate.after(seen.frame)
+        before = self._before.swapped(seen)
+        now_s = time.monotonic()
+        if now_s < self._due_s:
+            return
+        self._due_s = max(self._due_s + LEAST_PERIOD_S, now_s)
+        pixels = seen.frame.pixels
+        if self._focus is not None:
+            self._focus.look_at(pixels)
+        meters = read_meters(pixels, before, full_scale_dn=seen.full_scale_dn, region=self._region)
+        self._number += 1
+        self.newest.put(
+            View(
+                number=self._number,
+                seen=seen,
+                meters=meters,
+                picture=thinned(pixels, meters, full_scale_dn=seen.full_scale_dn),
+                frame_rate_hz=rate_hz,
+                focus=self._focus.newest if self._focus else None,
+                best=self._focus.best if self._focus else BestHeld(),
+                region=self._region,
+            )
+        )
+
+
+class _Before:
+    """The frame before, as long as it is of the same thing."""
+
+    def __init__(self) -> None:
+        self._seen: Seen | None = None
+
+    def swapped(self, seen: Seen) -> NDArray | None:
+        """Return the pixels of the frame before this one, None where they show something else."""
+        before, self._seen = self._seen, seen
+        if before is None or before.of != seen.of or before.frame.pixels.shape != seen.frame.pixels.shape:
+            return None
+        return before.frame.pixels

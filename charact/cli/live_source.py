@@ -1,0 +1,135 @@
+"""Wires a live view to its frames: a growing session, a real camera, or the virtual bench before an edge."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from labdata.errors import BadInput
+
+if TYPE_CHECKING:
+    from charact.bench.source import Source
+    from charact.method import Context
+    from labdata.plan import Plan, Step
+
+VIRTUAL_SENSOR = "pulnix-ag5745ef3"
+
+
+@contextmanager
+def live_source(
+    *, camera: str | None, plan: Path | None, session: Path | None, bits: int | None, seed: int,
+    tell: Callable[[str], None],
+) -> "Iterator[Source]":  # fmt: skip
+    """Yield where the frames come from.
+
+    Parameters
+    ----------
+    camera
+        Aravis identifier or address.
+    plan
+        A plan: its camera, or the virtual bench with what its first lit target asks for.
+    session
+        A growing session.
+    bits
+        Bits of the digitiser where the camera's pixel format does not tell them.
+    seed
+        Seed of the virtual bench, if that is what it comes to.
+    tell
+        Told what is virtual.
+    """
+    if sum(given is not None for given in (camera, plan, session)) > 1:
+        raise BadInput("a live view must have one source, got several of --camera, --plan and --session")
+    if bits is not None and not 1 <= bits <= 32:
+        raise BadInput(f"--bits must lie between 1 and 32, got {bits}")
+    full_scale_dn = None if bits is None else float(2**bits - 1)
+    if session is not None:
+        from charact.bench.growing import SessionSource
+
+        yield SessionSource(session)
+        return
+    asked = None if plan is None else _plan(plan)
+    if camera is None and (asked is None or asked.wires.bench != "real"):
+        with _virtual(asked, seed, full_scale_dn, tell) as source:
+            yield source
+        return
+    yield _real(camera or (asked.wires.camera if asked else None), asked, full_scale_dn)
+
+
+def _plan(path: Path) -> "Plan":
+    from labdata.border import from_toml
+    from labdata.plan import Plan
+
+    plan = from_toml(path, Plan)
+    beside = path.parent / (plan.sensor or "")
+    return replace(plan, sensor=str(beside.resolve())) if plan.sensor and beside.is_file() else plan
+
+
+def _real(camera: str | None, plan: "Plan | None", full_scale_dn: float | None) -> "Source":
+    from charact.bench.source import CameraSource
+    from drivers.aravis import AravisCamera
+
+    return CameraSource(
+        AravisCamera(camera),
+        name=f"camera {camera or 'by Aravis'}",
+        context=_context(plan.sensor if plan else None, full_scale_dn),
+    )
+
+
+@contextmanager
+def _virtual(
+    plan: "Plan | None", seed: int, full_scale_dn: float | None, tell: Callable[[str], None]
+) -> "Iterator[Source]":
+    """The virtual camera, its tube as somebody left it: gate and gain of the step shown, moved by nobody."""
+    from charact.bench.source import CameraSource
+    from labdata.sensors import load_sensor
+    from simulate.rig.in_process_camera import InProcessCamera
+    from simulate.rig.operator import VirtualOperator
+    from simulate.rig.outputs import Outputs
+    from simulate.rig.truth_folder import TRUTH, make_truth
+
+    name = plan.sensor if plan and plan.sensor else VIRTUAL_SENSOR
+    sensor, step = load_sensor(name), _step(plan)
+    field_hz = float(sensor.video.field_rate_hz)
+    left_at = Outputs(
+        mcp_v=step.conditions.mcp_v or 0.0, gate_open=True, gate_ns=step.conditions.gate_ns or 0.0, gate_hz=field_hz
+    )
+    tell(
+        f"virtual bench: {sensor.name} at {left_at.mcp_v:g} V before the {step.kind} of step {step.label!r}; "
+        "the first frame is being drawn"
+    )
+    with TemporaryDirectory(prefix="charact-live-") as made:
+        folder = Path(made)
+        make_truth(folder / TRUTH, sensor, seed if plan is None else plan.seed)
+        lux = step.conditions.illuminance_lux or 0.0
+        VirtualOperator(folder).place(kind=step.kind, target=step.target, illuminance_lux=lux)
+        yield CameraSource(
+            InProcessCamera(folder, lambda: left_at),
+            name="the virtual camera",
+            context=_context(name, full_scale_dn),
+            most_hz=field_hz / 2 if sensor.video.interlaced else field_hz,
+        )
+
+
+def _step(plan: "Plan | None") -> "Step":
+    """Return the step to show: the first edge, else the first with light; without a plan, the demonstration's."""
+    if plan is None:
+        from charact.cli.demonstration import demo_plan
+
+        plan = demo_plan(0, quick=True)
+    lit = [step for step in plan.steps if step.conditions.illuminance_lux]
+    return next((step for step in plan.steps if step.kind == "edge"), (lit or [plan.steps[0]])[0])
+
+
+def _context(sensor: str | None, full_scale_dn: float | None) -> "Context":
+    from charact.method import Context
+    from labdata.sensors import load_sensor
+
+    known = None if sensor is None else load_sensor(sensor)
+    return Context(
+        quick=True,
+        sensor=known,
+        interlaced=known is not None and known.video.interlaced,
+        full_scale_dn=full_scale_dn or (float(2**known.video.bit_depth - 1) if known else None),
+    )
