@@ -34,7 +34,7 @@ def test_the_newest_frame_is_shown_with_its_stacks_conditions_and_its_lost_frame
             stack.append(picture(12), 1.3, 104)
             two = next(frames)
             assert two is not None and two.frame.pixels[0, 0] == 12 and two.lost_frames == 1
-            stack.finish(lost_frames=1)
+            stack.finish()
         with begun(writer, "flat-2", 800.0) as stack:
             stack.append(picture(20), 2.0, 1)
             three = next(frames)
