@@ -51,7 +51,7 @@ WHOLE = 0.92
 # Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
 WALKERS = 16
 # Steps after which a chain is given up: one parameter that the rings hardly know makes it crawl.
-MOST_STEPS = 2500
+MOST_STEPS = 600
 # Draws by importance, where a point or a chain takes too long, and how many must be effective.
 FIRST_DRAWS, ENOUGH = 2000, 1000.0
 # Draws for which the glare is worked out, and what belongs to it as well.
@@ -108,7 +108,7 @@ class _Told:
 
 def _agreeing(result: Result, best: Candidate, group: tuple[Spot, ...]) -> Result:
     """Flag extents that the fitted light does not bear out, where it fits the rings."""
-    if best.problem.series.model_share > MISFIT_SHARE:
+    if best.problem.model_share > MISFIT_SHARE:
         return result
     off = contradicted(best, group, result.measurements)
     told = (one.with_(flags=MISFIT) if (one.quantity, one.stack) in off else one for one in result.measurements)
@@ -172,7 +172,7 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
 
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
     series = best.problem.series
-    if series.model_share > MISFIT_SHARE or is_uneven(series):
+    if best.problem.model_share > MISFIT_SHARE or is_uneven(series):
         flags += ("model-misfit",)
     if own is None:
         return flags
@@ -220,7 +220,7 @@ def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array]
 def _as_told(best: Candidate, quantity: str, draws: int, posterior: Posterior) -> Array:
     """Factors for what a form leaves out of a quantity: that of any, and that of a source that is not round."""
     of_any, of_round = LEFT_OUT[quantity]
-    sd = np.hypot(of_any, of_round * best.problem.series.model_share)
+    sd = np.hypot(of_any, of_round * best.problem.model_share)
     return np.exp(sd * np.random.default_rng(posterior.seed).standard_normal(draws))
 
 

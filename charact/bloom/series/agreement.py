@@ -33,8 +33,7 @@ def contradicted(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measur
         leaves apart.
     """
     problem = best.problem
-    point = best.peak.point[None]
-    light = problem.light(problem.parts(point), problem.solved(point).amplitudes)[0][..., 0]
+    light = problem.light_at(best.peak.point[None])[..., 0]
     streaked = {one.stack for one in extents if one.quantity == "streak_level" and one.status != "refused"}
     out = set()
     for one in extents:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series.climb import Peak, climb
+from charact.bloom.series.climb import Peak, climb, climbs
 from charact.bloom.series.forms import LEAST_DIAMETER_PX, Core, Form, Halo
 from charact.bloom.series.likelihood import Problem, Series
 from charact.bloom.series.plate import TiringForm, tired
@@ -106,26 +106,23 @@ def fitted(series: Series, form: Form, starts: list[Array]) -> Candidate:
     problem = Problem(series=series, form=form)
     tried = np.array(starts or [form.first])
     order = np.argsort(problem.log_probability(tried))[::-1][:CLIMBED]
-    peak = max(
-        (climb(problem, tried[one], iterations=FIRST_STEPS) for one in order), key=lambda one: one.log_probability
-    )
-    return _candidate(problem, peak)
+    peaks = climbs(problem, tried[order], iterations=FIRST_STEPS)
+    return _candidate(problem, max(peaks, key=lambda one: one.log_probability))
 
 
 def shaken(candidate: Candidate) -> Candidate:
     """Climb again from other mixes of energies, with the core as it is and as cores are at first: wings hide halos."""
     form, point = candidate.form, candidate.peak.point
     at, core = form.names.index("elastic_share"), len(point) - 3
-    starts = []
+    starts = [point]
     for share in SHAKEN:
         for first in (point[:core], form.first[:core]):
             start = np.concatenate([first, point[core:]])
             start[at] = share
             starts.append(start)
-    peaks = [climb(candidate.problem, start, iterations=FIRST_STEPS) for start in starts]
+    as_it_is, *peaks = climbs(candidate.problem, np.array(starts), iterations=FIRST_STEPS)
     best = max(peaks, key=lambda one: one.log_probability)
-    better = best.log_probability > climb(candidate.problem, point, iterations=FIRST_STEPS).log_probability + 1.0
-    return _candidate(candidate.problem, best) if better else candidate
+    return _candidate(candidate.problem, best) if best.log_probability > as_it_is.log_probability + 1.0 else candidate
 
 
 def refined(candidate: Candidate) -> Candidate:
@@ -138,7 +135,7 @@ def refined(candidate: Candidate) -> Candidate:
 
 def _candidate(problem: Problem, peak: Peak) -> Candidate:
     share, value = problem.share_of_misfit(peak.point)
-    off = replace(problem, series=replace(problem.series, model_share=share))
+    off = replace(problem, model_share=share)
     count = len(problem.form.names) + 2 * len(problem.series.data) + 1
     bic = -2.0 * value + count * float(np.log(problem.series.data.size))
     return Candidate(problem=off, peak=peak, log_likelihood=value, bic=bic)

@@ -1,15 +1,16 @@
-"""The best point of a form: Levenberg-Marquardt on whitened rings, all dampings tried at once."""
+"""The best point of a form: Levenberg-Marquardt on whitened rings, several starts and all dampings at once."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series.likelihood import Problem
+from charact.bloom.series.likelihood import Problem, Solved
 
 Array = NDArray[np.float64]
 
-DAMPINGS = 10.0 ** np.array([-6.0, -2.0, 0.0, 2.0, 4.0])
+# Dampings tried beside the last best one, the first, and how often none of them may help.
+NEAR, FIRST_DAMPING, FAILURES = 10.0 ** np.array([-2.0, 0.0, 2.0]), 1e-2, 2
 ITERATIONS = 25
 # Gain of the log-probability below which a climb ends, and step of a difference as a share of a parameter's range.
 ENOUGH = 1e-3
@@ -27,54 +28,97 @@ class Peak:
 
 def climb(problem: Problem, start: Array, *, held: tuple[int, ...] = (), iterations: int = ITERATIONS) -> Peak:
     """Climb to the best point near a start; parameters `held` stay where they are."""
+    return climbs(problem, start[None], held=held, iterations=iterations)[0]
+
+
+def climbs(
+    problem: Problem, starts: Array, *, held: tuple[int, ...] = (), iterations: int = ITERATIONS
+) -> tuple[Peak, ...]:
+    """Climb from several starts, shape (start, parameter), side by side."""
     bounds = problem.form.bounds
-    point = np.clip(start, bounds[:, 0], bounds[:, 1])
-    residual, slopes = _linear(problem, point)
-    best = -0.5 * float(residual @ residual)
+    points = np.clip(starts, bounds[:, 0], bounds[:, 1])
+    best, solved = _values(problem, points)
+    residuals, slopes = _linear(problem, points, solved)
+    damping, failed = np.full(len(points), FIRST_DAMPING), np.zeros(len(points), int)
+    going = np.arange(len(points))
     for _ in range(iterations):
-        free = _free(slopes.T @ residual, point, bounds, held)
-        candidates = np.array([_moved(point, residual, slopes, free, damping, bounds) for damping in DAMPINGS])
-        values = _values(problem, candidates)
-        top = int(np.argmax(values))
-        gain = float(values[top]) - best
-        if gain <= 0:
+        moves = [_moves(points[i], residuals[i], slopes[i], bounds, held, damping[i] * NEAR) for i in going]
+        values, solved = _values(problem, np.concatenate(moves))
+        which = values.reshape(len(going), -1).argmax(axis=1)
+        top = which + len(NEAR) * np.arange(len(going))
+        gain = values[top] - best[going]
+        damping[going] *= np.where(gain > 0, NEAR[which], NEAR[-1] ** 2)
+        failed[going] += gain <= 0
+        better, top = going[gain > 0], top[gain > 0]
+        if len(better):
+            points[better], best[better] = np.concatenate(moves)[top], values[top]
+            residuals[better], slopes[better] = _linear(problem, points[better], solved.at(top))
+        going = going[(gain >= ENOUGH) | ((gain <= 0) & (failed[going] < FAILURES))]
+        if not len(going):
             break
-        point, best = candidates[top], float(values[top])
-        residual, slopes = _linear(problem, point)
-        if gain < ENOUGH:
-            break
-    # A parameter that the rings say nothing of is known as its flat prior knows it.
-    normal = slopes.T @ slopes + np.diag(12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2)
-    scale = np.sqrt(np.diag(normal))
-    covariance = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    return Peak(point=point, covariance=covariance, log_probability=best)
+    return tuple(
+        Peak(point=point, covariance=_covariance(of, bounds), log_probability=float(value))
+        for point, of, value in zip(points, slopes, best, strict=True)
+    )
 
 
 def slopes_at(problem: Problem, point: Array) -> Array:
     """How the whitened rings follow the parameters at a point, shape (datum, parameter)."""
-    return _linear(problem, point)[1]
+    return _linear(problem, point[None], problem.solved(point[None]))[1][0]
 
 
-def _residuals(problem: Problem, points: Array) -> Array:
-    """Whitened residuals of rings and priors, shape (datum, point)."""
-    rings = problem.solved(points).residual.reshape(-1, len(points))
+def _covariance(slopes: Array, bounds: Array) -> Array:
+    """Covariance of the parameters; one that the rings say nothing of is known as its flat prior knows it."""
+    normal = slopes.T @ slopes + np.diag(12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2)
+    scale = np.sqrt(np.diag(normal))
+    return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+
+
+def _priors(problem: Problem, points: Array) -> tuple[Array, Array]:
+    """Residuals of the normal priors, shape (point, prior), and how they fall, shape (prior, parameter)."""
     mean, sd = (np.array([getattr(one, name) for one in problem.form.parameters]) for name in ("mean", "sd"))
     known = np.isfinite(sd)
-    return np.concatenate([rings, ((points[:, known] - mean[known]) / sd[known]).T])
+    return (points[:, known] - mean[known]) / sd[known], -np.diag(1.0 / sd)[known]
 
 
-def _values(problem: Problem, points: Array) -> Array:
-    values = -0.5 * (_residuals(problem, points) ** 2).sum(axis=0)
-    return np.where(np.isfinite(values), values, -np.inf)
+def _values(problem: Problem, points: Array) -> tuple[Array, Solved]:
+    """Log-probability at points within the bounds, shape (point,), and the levels' light there."""
+    solved = problem.solved(points)
+    values = -0.5 * (solved.chi2.sum(axis=0) + (_priors(problem, points)[0] ** 2).sum(axis=1))
+    return np.where(np.isfinite(values), values, -np.inf), solved
 
 
-def _linear(problem: Problem, point: Array) -> tuple[Array, Array]:
-    """Residuals at a point, shape (datum,), and how they fall with the parameters, shape (datum, parameter)."""
+def _linear(problem: Problem, points: Array, solved: Solved) -> tuple[Array, Array]:
+    """Residuals at points, shape (point, datum), and how they fall with parameters, shape (point, datum, parameter).
+
+    Amplitudes stay where they are best while a parameter moves; what they would make good is projected out afterwards
+    (variable projection, Kaufman 1975, doi 10.1007/BF01932995).
+    """
     bounds = problem.form.bounds
-    step = STEP * (bounds[:, 1] - bounds[:, 0])
-    step = np.where(point + step > bounds[:, 1], -step, step)
-    residual = _residuals(problem, np.concatenate([point[None], point + np.diag(step)]))
-    return residual[:, 0], (residual[:, :1] - residual[:, 1:]) / step
+    width = len(bounds)
+    step = np.broadcast_to(STEP * (bounds[:, 1] - bounds[:, 0]), points.shape)
+    step = np.where(points + step > bounds[:, 1], -step, step)
+    moved = (points[:, None] + step[:, None] * np.eye(width)).reshape(-1, width)
+    there, _ = problem.whitened(problem.parts(moved), np.repeat(solved.amplitudes, width, axis=2))
+    fall = solved.residual[..., None] - there.reshape(*solved.residual.shape, width)
+    fall = _beside(solved, fall / step)
+    prior, prior_fall = _priors(problem, points)
+    rings = np.moveaxis(solved.residual, -1, 0).reshape(len(points), -1)
+    of_rings = np.moveaxis(fall, 2, 0).reshape(len(points), -1, width)
+    of_priors = np.broadcast_to(prior_fall, (len(points), *prior_fall.shape))
+    return np.concatenate([rings, prior], axis=1), np.concatenate([of_rings, of_priors], axis=1)
+
+
+def _beside(solved: Solved, fall: Array) -> Array:
+    """Slopes less what the amplitudes of each level make good of them, shape (level, ring, point, parameter)."""
+    source, even = (one[..., None] for one in solved.slopes)
+    length = np.sqrt((source**2).sum(axis=1, keepdims=True)) + 1e-300
+    first = source / length
+    second = even - first * (first * even).sum(axis=1, keepdims=True)
+    second = second / (np.sqrt((second**2).sum(axis=1, keepdims=True)) + 1e-300)
+    for one in (first, second):
+        fall = fall - one * (one * fall).sum(axis=1, keepdims=True)
+    return fall
 
 
 def _free(gradient: Array, point: Array, bounds: Array, held: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -84,14 +128,15 @@ def _free(gradient: Array, point: Array, bounds: Array, held: tuple[int, ...]) -
     return ~pressed
 
 
-def _moved(
-    point: Array, residual: Array, slopes: Array, free: NDArray[np.bool_], damping: float, bounds: Array
+def _moves(
+    point: Array, residual: Array, slopes: Array, bounds: Array, held: tuple[int, ...], dampings: Array
 ) -> Array:
-    """One damped step, cut at the bounds."""
-    out = point.copy()
+    """One step for each damping, cut at the bounds, shape (damping, parameter)."""
+    right = slopes.T @ residual
+    free = _free(right, point, bounds, held)
+    out = np.repeat(point[None], len(dampings), axis=0)
     if free.any():
-        use = slopes[:, free]
-        normal = use.T @ use
-        own = np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
-        out[free] += np.linalg.solve(normal + damping * np.diag(own) + 1e-12 * np.diag(own), use.T @ residual)
+        normal = (slopes.T @ slopes)[np.ix_(free, free)]
+        own = np.diag(np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)
+        out[:, free] += np.linalg.solve(normal + (dampings[:, None, None] + 1e-12) * own, right[free][:, None])[..., 0]
     return np.clip(out, bounds[:, 0], bounds[:, 1])

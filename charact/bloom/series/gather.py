@@ -1,6 +1,7 @@
 """From a session's point stacks to the rings of one series."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,11 +65,12 @@ def _levels(
 ) -> tuple[Level, ...]:
     """Rings of every stack, each without the pixels that overflow or smear spoils there."""
     entries = {entry.label: entry for entry in session.of_kind("point")}
+    of_place = partial(geometry_of, group[0].image.shape, *place, pitch_ratio=context.pitch_ratio)
+    whole = of_place(spoiled=None)
     out = []
     for one in group:
         mask = spoiled(one, context)
-        geometry = geometry_of(one.image.shape, *place, pitch_ratio=context.pitch_ratio,
-                               spoiled=mask if mask.any() else None)  # fmt: skip
+        geometry = of_place(spoiled=mask) if mask.any() else whole
         level = level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn)
         upright = _upright_px(one.image, place, full_dn, context.pitch_ratio)
         out.append(level.without_core(upright) if mask.any() or upright > 0 else level)

@@ -27,8 +27,14 @@ def frequencies() -> Array:
 
 
 def onto_nodes(node_px: Array) -> Array:
-    """Return the matrix that takes transforms to light at radii, shape (frequency, node)."""
+    """Return the matrix that takes transforms to light at radii, shape (frequency, node); not to be written to."""
+    return _onto_nodes(np.asarray(node_px, np.float64).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _onto_nodes(nodes: bytes) -> Array:
     from scipy.special import j0
 
+    node_px = np.frombuffer(nodes)
     frequency, weight = (one[:, None] for one in _quadrature())
     return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * node_px)

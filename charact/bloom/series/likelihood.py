@@ -23,7 +23,11 @@ Array = NDArray[np.float64]
 NEAR_TOP = 5.0
 # Standard error of a ring that says nothing, DN.
 LOST_DN = 1e5
+# Least light of a ring, of which forms are off by a share, DN.
+LEAST_LIGHT_DN = 1e-6
 STEPS = 2
+# What a step must promise of a level's chi squared to be taken.
+SETTLED = 1e-4
 # Share of the light by which rings may be off in every form, as cameras are not round: first guess, and all tried.
 FIRST_SHARE = 0.02
 SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
@@ -53,8 +57,6 @@ class Series:
         Radii of the nodes and of the rings, column pitches.
     full_dn
         Highest code, DN.
-    model_share
-        Share of the light by which rings of any form are off.
     """
 
     labels: tuple[str, ...]
@@ -67,7 +69,6 @@ class Series:
     node_px: Array
     radius_px: Array
     full_dn: float
-    model_share: float = FIRST_SHARE
 
     @cached_property
     def light(self) -> Array:
@@ -78,23 +79,20 @@ class Series:
         """Covariance of the ring means when a form is off by a share of the light, shape (level, ring, ring), DN^2."""
         out = self.own_covariance.copy()
         ring = np.arange(out.shape[1])
-        out[:, ring, ring] += (share * self.light) ** 2
+        out[:, ring, ring] += (share * np.maximum(self.light, LEAST_LIGHT_DN)) ** 2
         return out
 
     @cached_property
-    def whitener(self) -> Array:
-        """Makes residuals independent and of unit variance, shape (level, ring, ring)."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance(self.model_share))), np.float64)
+    def own_modes(self) -> tuple[Array, Array]:
+        """Noise of the rings over their light, taken apart: variances (level, mode), and modes (level, ring, mode)."""
+        light = np.maximum(self.light, LEAST_LIGHT_DN)
+        return np.linalg.eigh(self.own_covariance / (light[:, :, None] * light[:, None, :]))
 
     @cached_property
-    def white_data(self) -> Array:
-        """Ring means, whitened, shape (level, ring)."""
-        return (self.whitener @ self.data[..., None])[..., 0]
-
-    @cached_property
-    def white_averages(self) -> Array:
-        """Takes light at the nodes to whitened ring means, shape (level, ring, node)."""
-        return self.whitener @ self.averages
+    def rings_up_to(self) -> NDArray[np.intp]:
+        """How many rings the nodes up to each one have a part in, shape (node,)."""
+        last = self.averages.shape[1] - np.argmax((self.averages != 0).any(axis=0)[::-1], axis=0)
+        return np.maximum.accumulate(last)
 
     @cached_property
     def onto_nodes(self) -> Array:
@@ -113,7 +111,8 @@ def some(series: Series, which: NDArray[np.bool_]) -> Series:
 
 def series_of(levels: tuple[Level, ...], noise: Noise, *, full_dn: float, rings: int) -> Series:
     """Gather the innermost rings of all levels."""
-    geometries = [level.geometry.within(rings) for level in levels]
+    within = {id(level.geometry): level.geometry.within(rings) for level in levels}
+    geometries = [within[id(level.geometry)] for level in levels]
     first = geometries[0]
     data = np.array([level.mean_dn[:rings] for level in levels])
     nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
@@ -147,22 +146,32 @@ class Solved:
 
     Parameters
     ----------
-    residual
-        What the best amplitudes leave of the rings, whitened, shape (level, ring, point).
     amplitudes
         Light, DN px^2, and background, DN, of each level, shape (level, amplitude, point).
-    normal
-        Curvature of chi2/2 in them, shape (level, amplitude, amplitude, point).
+    residual
+        What the best amplitudes leave of the rings, whitened, shape (level, ring, point).
+    slopes
+        How the whitened rings follow the amplitudes, shape (amplitude, level, ring, point).
     """
 
-    residual: Array
     amplitudes: Array
-    normal: Array
+    residual: Array
+    slopes: Array
 
     @property
     def chi2(self) -> Array:
         """Sum of squares of every level, shape (level, point)."""
         return (self.residual**2).sum(axis=1)
+
+    @cached_property
+    def normal(self) -> Array:
+        """Curvature of chi2/2 in the amplitudes, shape (level, amplitude, amplitude, point)."""
+        return _normal(self.slopes)
+
+    def at(self, points: NDArray[np.intp]) -> "Solved":
+        """Return what is said at some of the points."""
+        arrays = {name: getattr(self, name)[..., points] for name in ("amplitudes", "residual", "slopes")}
+        return replace(self, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,19 +181,60 @@ class Parts:
     Parameters
     ----------
     straight
-        Light at the nodes of one DN px^2 of source, and background, shape (amplitude, node, point).
+        Light at the nodes of one DN px^2 of source, shape (node, point).
+    white, uncut
+        Its ring means, whitened and by the weights of uncut rings, shape (level, ring, point).
     """
 
     straight: Array
+    white: Array
+    uncut: Array
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """A form put to a series."""
+    """A form put to a series.
+
+    Parameters
+    ----------
+    series, form
+        What is put to what.
+    model_share
+        Share of the light by which rings of the form are off.
+    steps
+        Most steps to the best amplitudes.
+    """
 
     series: Series
     form: Form
+    model_share: float = FIRST_SHARE
     steps: int = STEPS
+
+    @cached_property
+    def whitener(self) -> Array:
+        """Makes residuals independent and of unit variance, shape (level, ring, ring)."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.series.covariance(self.model_share))), np.float64)
+
+    @cached_property
+    def white_data(self) -> Array:
+        """Ring means, whitened, shape (level, ring)."""
+        return (self.whitener @ self.series.data[..., None])[..., 0]
+
+    @cached_property
+    def white_even(self) -> Array:
+        """Whitened ring means of an even light of 1 DN, shape (level, ring)."""
+        return (self.whitener @ self.series.averages.sum(axis=-1)[..., None])[..., 0]
+
+    @cached_property
+    def uncut_weight(self) -> Array:
+        """One over the standard error of each ring that is not cut, 0 of the others, shape (level, ring), 1/DN."""
+        own = np.diagonal(self.series.covariance(self.model_share), axis1=1, axis2=2)
+        return ~self.series.cut / np.sqrt(own)
+
+    @cached_property
+    def averages_twice(self) -> Array:
+        """Takes light at the nodes to ring means, whitened and by their own weights, shape (2, level, ring, node)."""
+        return np.array([self.whitener @ self.series.averages, self.uncut_weight[..., None] * self.series.averages])
 
     def log_probability(self, points: Array) -> Array:
         """Log of the posterior with every level's own light at its best, shape (point,)."""
@@ -197,53 +247,66 @@ class Problem:
 
     def parts(self, points: Array) -> Parts:
         """Return what the form gives at points."""
-        light = (self.form.transform(points) @ self.series.onto_nodes).T
-        return Parts(straight=np.array([light, np.ones_like(light)]))
+        return Parts(**self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T))
+
+    def straight_parts(self, straight: Array) -> dict[str, Array]:
+        """Average light at the nodes, shape (node, point), over rings."""
+        twice = self.averages_twice
+        white, uncut = (twice.reshape(-1, len(straight)) @ straight).reshape(*twice.shape[:3], -1)
+        return {"straight": straight, "white": white, "uncut": uncut}
 
     def solved(self, points: Array) -> Solved:
         """Find the best amplitudes of all levels at points."""
-        parts = self.parts(points)
-        amplitudes = self._of_uncut_rings(parts.straight)
-        residual, slopes = self._white(parts, amplitudes)
-        for step in range(self.steps):
-            # Levels that are not cut are straight: they are there after one step.
-            which = np.flatnonzero(self.series.cut.any(axis=1)) if step else np.arange(len(amplitudes))
-            if not len(which):
+        return self.solved_of(self.parts(points))
+
+    def solved_of(self, parts: Parts) -> Solved:
+        """Find the best amplitudes of all levels for what a form gives."""
+        amplitudes = self._of_uncut_rings(parts.uncut)
+        residual, slopes = self.whitened(parts, amplitudes)
+        for _ in range(self.steps):
+            right = np.stack([(one * residual).sum(axis=1) for one in slopes], axis=1)
+            step = _solved(_normal(slopes), right)
+            if float((step * right).sum(axis=1).max()) < SETTLED:
                 break
-            normal = np.einsum("lkjp,lmjp->lkmp", slopes[which], slopes[which])
-            right = np.einsum("lkjp,ljp->lkp", slopes[which], residual[which])
-            amplitudes[which] += _solved(normal, right)
-            residual[which], slopes[which] = self._white(parts, amplitudes[which], which)
-        normal = np.einsum("lkjp,lmjp->lkmp", slopes, slopes)
-        return Solved(residual=residual, amplitudes=amplitudes, normal=normal)
+            amplitudes = amplitudes + step
+            residual, slopes = self.whitened(parts, amplitudes)
+        return Solved(amplitudes=amplitudes, residual=residual, slopes=slopes)
 
-    def _of_uncut_rings(self, straight: Array) -> Array:
+    def _of_uncut_rings(self, uncut: Array) -> Array:
         """First amplitudes, from the rings that are not cut, each with its own variance alone."""
-        rings = np.einsum("lin,knp->likp", self.series.averages, straight, optimize=True)
-        own = np.diagonal(self.series.covariance(self.series.model_share), axis1=1, axis2=2)
-        weight = ~self.series.cut / own
-        normal = np.einsum("li,likp,limp->lkmp", weight, rings, rings, optimize=True)
-        return _solved(normal, np.einsum("li,likp->lkp", weight * self.series.data, rings, optimize=True))
+        weight = self.uncut_weight
+        data, even = ((weight * one)[..., None] for one in (self.series.data, self.series.averages.sum(axis=-1)))
+        slopes = np.array([uncut, np.broadcast_to(even, uncut.shape)])
+        return _solved(_normal(slopes), np.stack([(one * data).sum(axis=1) for one in slopes], axis=1))
 
-    def _white(
-        self, parts: Parts, amplitudes: Array, which: NDArray[np.intp] | slice = slice(None)
-    ) -> tuple[Array, Array]:
-        """Whitened residuals, shape (level, ring, point), and slopes of the rings, (level, amplitude, ring, point)."""
-        levels, count, points = amplitudes.shape
-        nodes = len(self.series.node_px)
-        light, follows = self.light(parts, amplitudes)
-        read, slope = self.read(light, self.series.node_sd[which])
-        together = np.empty((levels, nodes, count + 1, points))
-        together[:, :, 0] = read
-        np.multiply(slope[:, :, None], follows, out=together[:, :, 1:])
-        white = (self.series.white_averages[which] @ together.reshape(levels, nodes, -1)).reshape(
-            levels, -1, count + 1, points
-        )
-        return self.series.white_data[which][..., None] - white[:, :, 0], white[:, :, 1:].transpose(0, 2, 1, 3)
+    def whitened(self, parts: Parts, amplitudes: Array) -> tuple[Array, Array]:
+        """Whitened residuals, shape (level, ring, point), and slopes of the rings, (amplitude, level, ring, point)."""
+        series = self.series
+        even = np.broadcast_to(self.white_even[..., None], parts.white.shape)
+        residual = self.white_data[..., None] - parts.white * amplitudes[:, :1] - even * amplitudes[:, 1:]
+        lost = self.lost(parts, amplitudes)
+        if not lost.shape[1]:
+            return residual, np.array([parts.white, even])
+        levels, nodes, _, points = lost.shape
+        rings = int(series.rings_up_to[nodes - 1])
+        of_rings = series.averages[:, :rings, :nodes] @ lost.reshape(levels, nodes, -1)
+        white = (self.whitener[:, :, :rings] @ of_rings).reshape(levels, -1, 3, points)
+        return residual + white[:, :, 0], np.array([parts.white - white[:, :, 1], even - white[:, :, 2]])
 
-    def light(self, parts: Parts, amplitudes: Array) -> tuple[Array, Array]:
-        """Light at the nodes, (level, node, point), and how it follows the amplitudes, (.., node, amplitude, point)."""
-        return np.einsum("knp,lkp->lnp", parts.straight, amplitudes), parts.straight.transpose(1, 0, 2)
+    def lost(self, parts: Parts, amplitudes: Array) -> Array:
+        """Light that is not read and how it follows the amplitudes, shape (level, node, 1 + amplitude, point).
+
+        Nodes end where nothing is lost any more.
+        """
+        light = self.light(parts, amplitudes)
+        near = light > (self.series.full_dn - NEAR_TOP * self.series.node_sd)[..., None]
+        nodes = len(near[0]) - int(np.argmax(near.any(axis=(0, 2))[::-1])) if near.any() else 0
+        read, slope = self.read(light[:, :nodes], self.series.node_sd[:, :nodes])
+        return np.stack([light[:, :nodes] - read, (1.0 - slope) * parts.straight[:nodes], 1.0 - slope], axis=2)
+
+    def light(self, parts: Parts, amplitudes: Array) -> Array:
+        """Light at the nodes, shape (level, node, point), DN."""
+        return parts.straight * amplitudes[:, :1] + amplitudes[:, 1:]
 
     def read(self, light_dn: Array, sd_dn: Array) -> tuple[Array, Array]:
         """Mean code and its slope at nodes of some light, shape (level, node, point), and noise, (level, node)."""
@@ -252,31 +315,39 @@ class Problem:
         full = self.series.full_dn
         z = (full - light_dn) / sd_dn[..., None]
         read, slope = np.minimum(light_dn, full), (z > 0).astype(float)
-        near = np.flatnonzero(np.abs(z) < NEAR_TOP)
-        if len(near):
-            at = z.ravel()[near]
+        near = np.abs(z) < NEAR_TOP
+        if near.any():
+            at, sd = z[near], np.broadcast_to(sd_dn[..., None], z.shape)[near]
             below = ndtr(at)
-            sd = np.repeat(sd_dn.ravel(), z.shape[-1])[near]
-            slope.ravel()[near] = below
-            read.ravel()[near] = full - sd * (at * below + np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi))
+            slope[near] = below
+            read[near] = full - sd * (at * below + np.exp(-0.5 * at**2) / np.sqrt(2 * np.pi))
         return read, slope
 
     def rings(self, points: Array) -> Array:
         """Ring means that the form expects, cut codes as read, shape (level, ring, point), DN."""
-        light, _ = self.light(self.parts(points), self.solved(points).amplitudes)
-        return self.series.averages @ self.read(light, self.series.node_sd)[0]
+        return self.series.averages @ self.read(self.light_at(points), self.series.node_sd)[0]
+
+    def light_at(self, points: Array) -> Array:
+        """Light at the nodes with every level's own at its best, shape (level, node, point), DN."""
+        parts = self.parts(points)
+        return self.light(parts, self.solved_of(parts).amplitudes)
 
     def share_of_misfit(self, point: Array) -> tuple[float, float]:
         """Share of the light by which rings are off that makes a point most likely, and the log-likelihood then."""
-        residual = self.series.data - self.rings(point[None])[..., 0]
-        values = [_log_likelihood(residual, self.series.covariance(float(share))) for share in SHARES]
-        return float(SHARES[int(np.argmax(values))]), max(values)
+        light = np.maximum(self.series.light, LEAST_LIGHT_DN)
+        variance, modes = self.series.own_modes
+        residual = (self.series.data - self.rings(point[None])[..., 0]) / light
+        squares = (modes.transpose(0, 2, 1) @ residual[..., None])[..., 0] ** 2
+        total = np.maximum(variance, 0.0) + SHARES[:, None, None] ** 2
+        values = -0.5 * (squares / total + np.log(total)).sum(axis=(1, 2)) - float(np.log(light).sum())
+        return float(SHARES[int(np.argmax(values))]), float(values.max())
 
 
-def _log_likelihood(residual: Array, covariance: Array) -> float:
-    root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, residual[..., None])
-    return float(-0.5 * (white**2).sum() - np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
+def _normal(slopes: Array) -> Array:
+    """Curvature of chi2/2 from slopes (amplitude, level, ring, point), shape (level, amplitude, amplitude, point)."""
+    source, even = slopes
+    (a, b, d) = ((one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even)))
+    return np.stack([np.stack([a, b], axis=1), np.stack([b, d], axis=1)], axis=1)
 
 
 def _solved(normal: Array, right: Array) -> Array:

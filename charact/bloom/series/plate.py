@@ -27,6 +27,8 @@ DESCRIBED_SD = 0.15
 STEPS = 6
 # Gain of the log-probability that the first step must promise for a plate that tires to be fitted at all.
 PROMISING = 5.0
+# Gain in the end below which its two parameters are not worth their price in the criterion.
+WORTHWHILE = 10.0
 FIRST_LOADS = (1e-5, 1e-4, 1e-3)
 
 
@@ -89,21 +91,29 @@ class TiringProblem(Problem):
         load = before * transfer.gaussian(frequencies(), np.full(len(points), self.form.neighbourhood_px**2))
         recorded, arriving, loading = ((one @ self.series.onto_nodes).T for one in (before * behind, before, load))
         return TiringParts(
-            straight=np.array([recorded, np.ones_like(recorded)]),
+            **self.straight_parts(recorded),
             arriving=arriving,
             loading=loading * self.form.at(points)["plate_load"],
             behind=behind.T,
         )
 
-    def light(self, parts: Parts, amplitudes: Array) -> tuple[Array, Array]:
-        """Light at the nodes, (level, node, point), and how it follows the amplitudes, (.., node, amplitude, point)."""
+    def light(self, parts: Parts, amplitudes: Array) -> Array:
+        """Light at the nodes, shape (level, node, point), DN."""
+        return super().light(parts, amplitudes) - self._tired(parts, amplitudes)[0]
+
+    def lost(self, parts: Parts, amplitudes: Array) -> Array:
+        """Light that is not read and how it follows the amplitudes, shape (level, node, 1 + amplitude, point)."""
+        straight, (tired, follows) = super().light(parts, amplitudes), self._tired(parts, amplitudes)
+        read, slope = self.read(straight - tired, self.series.node_sd)
+        return np.stack([straight - read, parts.straight - slope * (parts.straight - follows), 1.0 - slope], axis=2)
+
+    def _tired(self, parts: Parts, amplitudes: Array) -> tuple[Array, Array]:
+        """Light at the nodes that the plate fails to give, and how it follows the source's, (level, node, point)."""
         assert isinstance(parts, TiringParts)
-        (recorded, even), source = parts.straight, amplitudes[:, :1]
+        source = amplitudes[:, :1]
         load = np.maximum(source * parts.loading, 0.0)
         lost, follows = source * parts.arriving * load / (1.0 + load), parts.arriving * (1.0 - 1.0 / (1.0 + load) ** 2)
-        lost, follows = self._recorded(lost, parts.behind), self._recorded(follows, parts.behind)
-        light = source * recorded + amplitudes[:, 1:] * even - lost
-        return light, np.stack(np.broadcast_arrays(recorded - follows, even), axis=2)
+        return self._recorded(lost, parts.behind), self._recorded(follows, parts.behind)
 
     def _recorded(self, at_plate: Array, behind: Array) -> Array:
         """Blur light at the nodes, shape (level, node, point), as what lies behind the gain does."""
@@ -111,7 +121,8 @@ class TiringProblem(Problem):
 
     def compression(self, points: Array) -> Array:
         """Light that leaves the plate over what a plate at rest would give, shape (level, point)."""
-        parts, source = self.parts(points), self.solved(points).amplitudes[:, :1]
+        parts = self.parts(points)
+        source = self.solved_of(parts).amplitudes[:, :1]
         load = np.maximum(source * parts.loading, 0.0)
         light = parts.arriving * (self.series.node_px * np.gradient(self.series.node_px))[:, None]
         return (light / (1.0 + load)).sum(axis=1) / light.sum(axis=0)
@@ -149,4 +160,5 @@ def tired(problem: Problem, peak: Peak) -> tuple[TiringProblem, Peak] | None:
     first = climb(tiring, best, iterations=2)
     if first.log_probability - float(values[0]) < PROMISING:
         return None
-    return tiring, climb(tiring, first.point)
+    last = climb(tiring, first.point)
+    return None if last.log_probability - float(values[0]) < WORTHWHILE else (tiring, last)

@@ -1,6 +1,7 @@
 """Rings about a point source: their pixels, and how light worked out along the radius is averaged over them."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,6 @@ class Geometry:
         Rings most of whose pixels are spoiled: they have them all and say nothing, shape (ring,).
     node_px
         Radii at which light is worked out, column pitches, shape (node,).
-    averages
-        Takes light at the nodes to ring means, shape (ring, node).
     pixel_radius_px, pixel_angle
         Radius, column pitches, and angle, radians, of each pixel of `order`.
     """
@@ -53,9 +52,14 @@ class Geometry:
     count: Array
     lost: Mask
     node_px: Array
-    averages: Array
     pixel_radius_px: Array
     pixel_angle: Array
+
+    @cached_property
+    def averages(self) -> Array:
+        """Takes light at the nodes to ring means, shape (ring, node)."""
+        ring = np.repeat(np.arange(len(self.count)), self.count.astype(int))
+        return _averages(self.pixel_radius_px, ring, self.node_px, len(self.count))
 
     def within(self, rings: int) -> "Geometry":
         """Return the innermost rings."""
@@ -69,7 +73,6 @@ class Geometry:
             count=self.count[:rings],
             lost=self.lost[:rings],
             node_px=self.node_px[nodes],
-            averages=self.averages[:rings, nodes],
             pixel_radius_px=self.pixel_radius_px[:size],
             pixel_angle=self.pixel_angle[:size],
         )
@@ -143,9 +146,8 @@ def geometry_of(
         kept &= clean | lost[np.minimum(ring, reach - 1)]
     order = np.flatnonzero(kept)
     order = order[np.argsort(ring[order], kind="stable")]
-    numbers, first, count = np.unique(ring[order], return_index=True, return_counts=True)
+    _, first, count = np.unique(ring[order], return_index=True, return_counts=True)
     down, across = (np.broadcast_to(way, (dy.size, dx.size)).ravel()[order] for way in (dy, dx))
-    nodes = _nodes(reach + 1.0)
     return Geometry(
         rows=rows,
         cols=cols,
@@ -154,8 +156,7 @@ def geometry_of(
         radius_px=np.add.reduceat(radius[order], first) / count,
         count=count.astype(float),
         lost=lost,
-        node_px=nodes,
-        averages=_averages(radius[order], np.repeat(np.arange(len(numbers)), count), nodes, len(numbers)),
+        node_px=_nodes(reach + 1.0),
         pixel_radius_px=radius[order],
         pixel_angle=np.arctan2(down, across),
     )
@@ -176,6 +177,6 @@ def _averages(radius: Array, ring: NDArray[np.int64], nodes: Array, rings: int) 
         for other in range(4):
             if other != one:
                 weight[:, one] *= (radius - x[:, other]) / (x[:, one] - x[:, other])
-    out = np.zeros((rings, len(nodes)))
-    np.add.at(out, (np.repeat(ring, 4), four.ravel()), weight.ravel())
+    cell = (ring[:, None] * len(nodes) + four).ravel()
+    out = np.bincount(cell, weight.ravel(), minlength=rings * len(nodes)).reshape(rings, -1)
     return out / np.bincount(ring, minlength=rings)[:, None]
