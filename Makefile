@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures live-check clean
+.PHONY: demo test test-seeds check bench bench-acquisition fault-campaign rehearsal study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -29,6 +29,14 @@ check: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks
+
+# What acquisition loses at the camera's rate (ten minutes), how fast it stores, and what it adds to each step.
+bench-acquisition: $(READY)
+	$(BIN)/python -m benchmarks.acquisition
+
+# 200 faults and 100 kills at random moments of running plans on the virtual bench; half an hour, mostly waiting.
+fault-campaign: $(READY)
+	$(BIN)/python -m tests.faults.campaign --seed 20260 --keep docs/fault-campaign.md
 
 # Speed against accuracy, and where methods fail: measured again, tables for `auto` rewritten.
 study: $(READY)

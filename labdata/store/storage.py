@@ -14,8 +14,8 @@ from labdata.store.reserve import Reserve
 from labdata.store.session_writer import SessionWriter
 from labdata.store.stack_writer import StackWriter
 
-CAPACITY_BYTES = 64 << 20
-"""Bytes of frames that may wait for the disk: three seconds of a 768 x 493 camera of 16 bits."""
+CAPACITY_BYTES = 256 << 20
+"""Bytes of frames that may wait for the disk: 11 s of a 768 x 493 camera of 16 bits, as a busy disk pauses for some."""
 
 TOGETHER_BYTES = 12 << 20
 """Bytes that are forced to the disk together: more gains nothing and acknowledges late."""

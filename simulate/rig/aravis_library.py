@@ -4,7 +4,7 @@ import ctypes
 import ctypes.util
 import re
 from collections.abc import Callable
-from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_size_t, c_uint32, c_void_p
+from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_size_t, c_uint32, c_uint64, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_fake_camera_write_memory": (c_bool, (c_void_p, c_uint32, c_uint32, c_char_p)),
     "arv_fake_camera_set_trigger_frequency": (None, (c_void_p, c_double)),
     "arv_buffer_get_data": (c_void_p, (c_void_p, c_void_p)),
+    "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
+    "arv_buffer_set_timestamp": (None, (c_void_p, c_uint64)),
 }
 
 # Registers of the fake camera, as its GenICam description gives them.
@@ -66,6 +68,8 @@ class FakeCamera:
             )
         self._registers = self._call("arv_gv_fake_camera_get_fake_camera", self._camera)
         self._callback: Any = None
+        self.clock_jump_ns = 0
+        """How far the camera's time stamps are off, ns."""
 
     def read(self, register: int) -> int:
         """Read a register."""
@@ -95,6 +99,9 @@ class FakeCamera:
             pixels = ready()
             # The buffer reports a size of 0 here; its memory holds width x height pixels.
             ctypes.memmove(self._call("arv_buffer_get_data", buffer, None), pixels, len(pixels))
+            if self.clock_jump_ns:
+                stamp_ns = self._call("arv_buffer_get_timestamp", buffer)
+                self._call("arv_buffer_set_timestamp", buffer, stamp_ns + self.clock_jump_ns)
 
         self._callback = _FILL(fill)
         self._call("arv_fake_camera_set_trigger_frequency", self._registers, frame_rate_hz)

@@ -100,6 +100,13 @@ class VirtualBench:
         )
 
     @property
+    def instruments(self) -> VirtualInstruments:
+        """The serial instruments' processes, to be unplugged and plugged in."""
+        if self._instruments is None:
+            raise BadInput("instruments inside this process cannot be unplugged, got an in-process bench")
+        return self._instruments
+
+    @property
     def wires_folder(self) -> Path:
         """Folder where the instruments publish what they put out."""
         return self._wires_folder

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.rig import aravis_library as aravis
+from simulate.rig.faults import FaultFile
 from simulate.rig.operator import Placement
 from simulate.rig.outputs import read_outputs
 from simulate.rig.tube import Scene, VirtualTube
@@ -47,6 +48,7 @@ def main(arguments: list[str]) -> int:
             options.serial,
             description=options.wires / "camera.genicam.xml",
             lost_packet_share=options.lost_packet_share,
+            faults=FaultFile(options.wires, "camera"),
         )
     except BadInput as refusal:
         tell({"error": str(refusal)})
@@ -75,10 +77,21 @@ class VirtualCamera:
         File to which its GenICam description is written.
     lost_packet_share
         Share of the packets that get lost on the wire, dimensionless.
+    faults
+        Faults provoked from the simulator's side.
     """
 
-    def __init__(self, tube: VirtualTube, serial: str, *, description: Path, lost_packet_share: float = 0.0) -> None:
-        self._tube = tube
+    def __init__(
+        self,
+        tube: VirtualTube,
+        serial: str,
+        *,
+        description: Path,
+        faults: FaultFile,
+        lost_packet_share: float = 0.0,
+    ) -> None:
+        self._tube, self._faults, self._lost_packet_share = tube, faults, lost_packet_share
+        self._losing = lost_packet_share
         field_us = round(1e6 / float(tube.sensor.video.field_rate_hz))
         description.write_text(aravis.described(field_us))
         self._wire = aravis.FakeCamera(LOOPBACK, serial, description)
@@ -103,8 +116,14 @@ class VirtualCamera:
     def turn(self) -> None:
         """Expose the next frame if one is asked for; else look at what stands before the camera."""
         self._wire.hold_trigger()
+        wrong = self._faults.now()
+        self._lose_packets(max(wrong.lost_packet_share, self._lost_packet_share))
+        self._wire.clock_jump_ns = round(wrong.clock_jump_s * 1e9)
         scene = self._scene()
-        if not self._wire.read(aravis.ACQUISITION):
+        if wrong.stalled:
+            self._take_back()
+            time.sleep(IDLE_S)
+        elif not self._wire.read(aravis.ACQUISITION):
             self._take_back()
             self._prepare(scene)
             time.sleep(IDLE_S)
@@ -116,6 +135,11 @@ class VirtualCamera:
                 self._wire.trigger()
         else:
             time.sleep(IDLE_S)
+
+    def _lose_packets(self, share: float) -> None:
+        if share != self._losing:
+            self._wire.lose_packets(share)
+            self._losing = share
 
     def _scene(self) -> Scene:
         return self._tube.scene(

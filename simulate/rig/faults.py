@@ -21,16 +21,39 @@ class Faults:
         Extra time before each answer, s.
     tripped
         A short circuit of the load: the supply trips on current as long as this holds.
+    garbage
+        Every byte of its answers arrives changed.
+    half_lines
+        Only the first half of each answer arrives.
+    stalled
+        The camera answers, and sends no frame.
+    lost_packet_share
+        Share of the camera's packets that get lost, dimensionless.
+    clock_jump_s
+        How far the camera's clock is off its time, s.
     """
 
     silent: bool = False
     mute: bool = False
     late_s: float = 0.0
     tripped: bool = False
+    garbage: bool = False
+    half_lines: bool = False
+    stalled: bool = False
+    lost_packet_share: float = 0.0
+    clock_jump_s: float = 0.0
+
+    def arrives(self, answer: bytes) -> bytes:
+        """Return what of an answer arrives."""
+        if self.mute:
+            return b""
+        if self.half_lines:
+            answer = answer[: len(answer) // 2]
+        return bytes(byte ^ 0x15 for byte in answer) if self.garbage else answer
 
 
 def provoke(folder: Path, instrument: str, faults: Faults) -> None:
-    """Give an instrument ("delay_generator", "high_voltage") its faults; `Faults()` heals it."""
+    """Give an instrument ("delay_generator", "high_voltage", "camera") its faults; `Faults()` heals it."""
     replace_file(_path(folder, instrument), json.dumps(asdict(faults)))
 
 

@@ -31,8 +31,7 @@ class InProcessPort:
         with self._turn:
             self.advance()
             answers = [] if self.faults.silent else self._instrument.receive(data)
-            if not self.faults.mute:
-                self._answers += b"".join(answer for _, answer in answers)
+            self._answers += b"".join(self.faults.arrives(answer) for _, answer in answers)
 
     def receive(self, timeout_s: float) -> bytes:
         """Bytes that came; where none did, the wait takes its time."""

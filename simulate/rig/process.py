@@ -68,6 +68,11 @@ class VirtualInstruments:
         self._processes[instrument].kill()
         self._processes[instrument].wait()
 
+    def plug_in(self, instrument: str) -> None:
+        """Start an instrument again that was unplugged: switched on anew, as after a power cycle."""
+        self._processes[instrument] = self._start(instrument)
+        self._await_ports()
+
     def stop(self) -> None:
         """Switch both off."""
         for process in self._processes.values():

@@ -108,9 +108,9 @@ def serve(instrument: Instrument, terminal: PseudoTerminal, *, folder: Path, fau
             heard_s = now_s
         if data and not wrong.silent:
             for making_s, answer in instrument.receive(data):
-                if not wrong.mute:
+                if arriving := wrong.arrives(answer):
                     due_s = max(now_s, waiting[-1][0] if waiting else 0.0) + making_s + terminal.seconds(len(answer))
-                    waiting.append((due_s + wrong.late_s, answer))
+                    waiting.append((due_s + wrong.late_s, arriving))
         while waiting and waiting[0][0] <= time.monotonic():
             terminal.write(waiting.popleft()[1])
         instrument.publish(folder)

@@ -1,0 +1,121 @@
+"""The bench of the campaign: a small virtual camera and instruments on real wires, which outlive every client."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from labdata.event_log import events
+from labdata.plan import Wires
+from labdata.sensors import load_sensor
+from simulate.rig.bench import VirtualBench
+from simulate.rig.camera_process import CameraProcess
+from simulate.rig.faults import Faults, provoke
+from simulate.rig.operator import VirtualOperator
+from simulate.rig.outputs import Outputs
+
+ROWS, COLUMNS = 61, 84
+TIME_SCALE = 20.0
+FREE_S = 20.0
+
+
+class CampaignRig:
+    """A virtual bench that is broken and healed; use it in a `with` block.
+
+    Parameters
+    ----------
+    folder
+        Where all of it lies.
+    seed
+        Seed of the specimen.
+    """
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        sensor = load_sensor("pulnix-ag5745ef3")
+        self.sensor = replace(sensor, ccd=replace(sensor.ccd, rows=ROWS, columns=COLUMNS))
+        self.folder, self.watchdog_log = folder, folder / "watchdog.jsonl"
+        self._bench = VirtualBench(folder / "bench", self.sensor, seed, time_scale=TIME_SCALE)
+        self._camera: CameraProcess | None = None
+
+    def __enter__(self) -> Self:
+        self._bench.__enter__()
+        self._camera = self._bench.camera
+        self.watchdog_log.touch()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._camera is not self._bench.camera and self._camera is not None:
+            self._camera.__exit__(kind, error, trace)
+        self._bench.__exit__(kind, error, trace)
+
+    @property
+    def wires(self) -> Wires:
+        """How a client reaches the instruments."""
+        assert self._camera is not None
+        return replace(self._bench.wires, camera=self._camera.identifier)
+
+    @property
+    def operator(self) -> VirtualOperator:
+        """Who places targets and light."""
+        return self._bench.operator
+
+    def outputs(self) -> Outputs:
+        """What reaches the tube now."""
+        return self._bench.outputs()
+
+    def provoke(self, instrument: str, faults: Faults) -> None:
+        """Give an instrument its faults."""
+        provoke(self._bench.wires_folder, instrument, faults)
+
+    def unplug(self, instrument: str) -> None:
+        """Pull the plug of an instrument, or of the camera."""
+        if instrument == "camera":
+            assert self._camera is not None
+            self._camera.kill()
+        else:
+            self._bench.instruments.unplug(instrument)
+
+    def plug_in(self, instrument: str) -> None:
+        """Plug it in again."""
+        if instrument == "camera":
+            self._camera = CameraProcess(self._bench.folder, self._bench.wires_folder).__enter__()
+        else:
+            self._bench.instruments.plug_in(instrument)
+
+    def heal(self) -> None:
+        """Take all faults away."""
+        for instrument in ("delay_generator", "high_voltage", "camera"):
+            self.provoke(instrument, Faults())
+
+    def await_free(self) -> None:
+        """Wait until the watchdog of the last client has ended: it holds the ports until the voltage is down."""
+        until_s = time.monotonic() + FREE_S
+        while (pid := self.watchdog()) is not None:
+            if time.monotonic() > until_s:
+                raise TimeoutError(f"the watchdog {pid} must end within {FREE_S:g} s of its client")
+            time.sleep(0.02)
+
+    def watchdog(self) -> int | None:
+        """Process number of the watchdog that runs now."""
+        starts = [each["pid"] for each in events(self.watchdog_log) if each["event"] == "start"]
+        return starts[-1] if starts and _runs(starts[-1]) else None
+
+    def ordered_off_s(self, since_s: float) -> float | None:
+        """Seconds from a monotonic time until the high voltage was first ordered off; None if it was not."""
+        orders = (
+            each["monotonic_s"] - since_s
+            for each in events(self.watchdog_log)
+            if each["event"].startswith("high voltage: HVOF") and each["monotonic_s"] >= since_s
+        )
+        return next(orders, None)
+
+
+def _runs(pid: int) -> bool:
+    """Whether a process runs; one that ended and was not asked after does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
