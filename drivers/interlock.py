@@ -73,6 +73,8 @@ class Bench:
         self._gate_hz = gate_hz
         self._gate_model, self._supply_model = model(wires.gate, "gate"), model(wires.supply, "supply")
         self._guard: Guard | None = None
+        self._taking_over = threading.Lock()
+        self._taken_over: Safety | None = None
         self._before: dict[signal.Signals, Callable | int | None] = {}
         self._conditions = Conditions()
 
@@ -188,7 +190,7 @@ class Bench:
 
     def _started_guard(self) -> Guard:
         _check_writable(self._log)
-        return Guard(wires=self._wires, log=self._log)
+        return Guard(wires=self._wires, log=self._log, on_lost=self._safe_without_watchdog)
 
     # Leaving
 
@@ -222,7 +224,14 @@ class Bench:
             return self._safe_without_watchdog()
 
     def _safe_without_watchdog(self) -> Safety:
-        """The watchdog is gone and its ports are free: take them ourselves."""
+        """The watchdog is gone: make the bench safe ourselves, at once, whatever the client waits for meanwhile."""
+        with self._taking_over:
+            if self._taken_over is None or not self._taken_over.whole:
+                self._taken_over = self._ports_taken()
+            return self._taken_over
+
+    def _ports_taken(self) -> Safety:
+        """Take the ports, which are free now, and make safe."""
         self._record("the watchdog is gone; its client makes the bench safe")
         gate = _opened(lambda: self._gate_model.open_line(str(self._wires.gate_port), self._wires.gate_address))
         supply = _opened(lambda: self._supply_model.open_line(str(self._wires.supply_port), self._wires.supply_address))

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from drivers import errors
@@ -55,6 +56,8 @@ class Guard:
         Models and serial ports of gate and supply, and their addresses on a bus.
     log
         File to which the watchdog appends its JSON lines.
+    on_lost
+        Called from a thread of its own, at once, when the watchdog is gone before it was told to leave.
 
     Raises
     ------
@@ -64,12 +67,13 @@ class Guard:
         If a port cannot be opened.
     """
 
-    def __init__(self, *, wires: Wires, log: Path) -> None:
+    def __init__(self, *, wires: Wires, log: Path, on_lost: Callable[[], object] = lambda: None) -> None:
         self.fault: BenchError | None = None
         """What went wrong at the bench since, as the watchdog told it."""
         self._numbers, self._sending = itertools.count(1), threading.Lock()
         self._replies: dict[int, queue.SimpleQueue[dict]] = {}
         self._ready: queue.SimpleQueue[dict] = queue.SimpleQueue()
+        self._on_lost, self._leaving = on_lost, False
         self._over = threading.Event()
         ours, theirs = socket.socketpair()
         command = [sys.executable, "-m", "drivers.watchdog", "--socket", str(theirs.fileno())]
@@ -122,6 +126,7 @@ class Guard:
 
     def leave(self) -> Safety:
         """Have the bench made safe, and the watchdog end."""
+        self._leaving = True
         try:
             return _safety(self.request({"do": "leave"}, timeout_s=SAFETY_S))
         finally:
@@ -175,6 +180,8 @@ class Guard:
         ended = {"ready": False, "error": {"kind": type(self.fault).__name__, "sentence": str(self.fault)}}
         for waiting in [self._ready, *self._replies.values()]:
             waiting.put(ended)
+        if not (self._leaving or self._over.is_set()):
+            self._on_lost()
 
     def _received(self) -> bytes:
         try:

@@ -24,13 +24,13 @@ CLIENT = """
     from drivers.interlock import Bench
     from labdata import Conditions
     from labdata.plan import Limits, Wires
-    gate, supply, log, step = sys.argv[1:]
+    gate, supply, log, step, then = sys.argv[1:]
     with Bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=float(step)), log=log) as bench:
         print("open", flush=True)
         bench.set_conditions(Conditions(mcp_v=800.0, gate_ns=1.6e7))
         print("set", flush=True)
         while True:
-            time.sleep(0.02)
+            time.sleep(60.0 if then == "wait" else 0.02)
             bench.check()
 """
 
@@ -51,8 +51,8 @@ def started(virtual, log):
     """Start a client, up to the word that it says; none is left behind."""
     clients = []
 
-    def start(*, ramp_v_per_s: float = 8000.0, until: str = "set") -> subprocess.Popen:
-        arguments = [virtual.gate_port, virtual.supply_port, str(log), str(ramp_v_per_s)]
+    def start(*, ramp_v_per_s: float = 8000.0, until: str = "set", then: str = "look") -> subprocess.Popen:
+        arguments = [virtual.gate_port, virtual.supply_port, str(log), str(ramp_v_per_s), then]
         client = subprocess.Popen(
             [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments],
             stdout=subprocess.PIPE,
@@ -178,6 +178,16 @@ def test_a_client_whose_watchdog_was_killed_takes_the_ports_and_makes_safe_itsel
     assert "WatchdogLost" in ended(client)
     assert awaited(log, "the watchdog is gone; its client makes the bench safe")
     assert read_outputs(virtual.folder).mcp_v < 11
+
+
+def test_a_client_that_waits_for_something_else_takes_the_ports_all_the_same(virtual, log, started):
+    client = started(then="wait")
+    assert read_outputs(virtual.folder).gate_open
+    killed_s = time.monotonic()
+    os.kill(awaited(log, "start")["pid"], signal.SIGKILL)
+    assert seconds_until_safe(virtual, killed_s) < WITHIN_S
+    assert client.poll() is None, "it never looked at its bench"
+    assert awaited(log, "the watchdog is gone; its client makes the bench safe")
 
 
 def test_a_silent_supply_does_not_hold_up_the_gate_when_the_client_is_killed(virtual, log, started):

@@ -85,6 +85,8 @@ def campaign(
     with CampaignRig(folder, seed) as rig:
         save_sensor(rig.sensor, folder / "sensor.toml")
         plan = small_plan(folder / "sensor.toml", seed)
+        if cold := _undisturbed(rig, plan, folder / "warm"):
+            raise RuntimeError(f"a run without faults must complete, got {cold}")
         for number, kinds in enumerate(_in_rows(left, rng)):
             session = folder / f"session-{number}"
             for place, kind in enumerate(kinds):

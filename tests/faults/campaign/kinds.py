@@ -11,7 +11,7 @@ from simulate.rig.faults import Faults
 from tests.faults.campaign.client import Client
 from tests.faults.campaign.rig import CampaignRig
 
-PATIENT_S = 8.0
+PATIENT_S = 15.0
 SILENCE_S = 0.6
 NOTICED_S = SILENCE_S + 4 / 29.97 + 1 / 59.94  # a camera's driver also waits four frames and an exposure
 
