@@ -1,4 +1,4 @@
-"""The verbs at the bench: live, focus, watch and doctor."""
+"""The verbs `live` and `focus`: the newest frames on a page of this machine, or their meters on the terminal."""
 
 from pathlib import Path
 from typing import Annotated
