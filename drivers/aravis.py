@@ -1,7 +1,5 @@
 """A GigE Vision or USB3 Vision camera through Aravis: settings read back, and frames that are whole or counted lost."""
 
-import ctypes
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -10,8 +8,9 @@ from types import TracebackType
 from typing import Self
 
 from drivers import gige
-from drivers.aravis_capture import PIXELS, AravisCapture
+from drivers.aravis_capture import AravisCapture
 from drivers.aravis_library import PACKET_SOCKET_DISABLED, Aravis, aravis
+from drivers.aravis_settings import AravisSettings
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
@@ -49,6 +48,8 @@ class AravisCamera:
     ----------
     name
         Its Aravis identifier, such as "Aravis-Fake-GV01", or its IP address; None: the only camera there is.
+    resend
+        Whether packets that did not come are asked for again (GigE Vision).
     silence_s
         Longest time without a frame before the camera is taken for dead, s; the exposure and four frame periods come
         on top.
@@ -68,11 +69,13 @@ class AravisCamera:
         self,
         name: str | None = None,
         *,
+        resend: bool = True,
         silence_s: float = 0.6,
         control_s: float = 2.5 * HEARTBEAT_S,
         say: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         self._name, self._silence_s, self._control_s, self._say = name, silence_s, control_s, say
+        self._resend = resend
         self._camera: int | None = None
         self._address: str | None = None
         self._dead = False
@@ -122,21 +125,15 @@ class AravisCamera:
             If the camera refuses, or reads back something else than was asked.
         """
         self.require_alive()
-        if settings.pixel_format is not None:
-            self._set_pixel_format(settings.pixel_format)
-        if settings.rows is not None or settings.columns is not None:
-            self._set_size(settings.rows, settings.columns)
-        self._set_number("frame_rate", "frame rate", "Hz", settings.frame_rate_hz)
-        self._set_number("exposure_time", "exposure", "us", settings.exposure_s and settings.exposure_s * 1e6)
-        self._set_number("gain", "gain", "dB", settings.gain_db)
-        return self._settings()
+        self._features.apply(settings)
+        return self._features.read()
 
     def capture(self, *, frames: int, discard: int = 0) -> AravisCapture:
         """Return a capture of `frames` whole frames after `discard` whole ones that are thrown away."""
         if frames < 1 or discard < 0:
             raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
         self.require_alive()
-        settings = self._settings()
+        settings = self._features.read()
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
         return AravisCapture(
             self._library,
@@ -145,6 +142,7 @@ class AravisCamera:
             frames=frames,
             discard=discard,
             patience_s=self._silence_s + 4 * period_s + (settings.exposure_s or 0.0),
+            resend=self._resend,
             owner=self,
         )
 
@@ -188,59 +186,9 @@ class AravisCamera:
             there = ", ".join(camera.identifier for camera in list_cameras()) or "none"
             raise CameraError(f"camera {name} cannot be opened ({error}); cameras found: {there}") from None
 
-    def _set_pixel_format(self, name: str) -> None:
-        if name not in PIXELS:
-            raise BadInput(f"a pixel format must be one of {', '.join(PIXELS)}, got {name!r}")
-        self._library.call("arv_camera_set_pixel_format_from_string", self._camera, name.encode())
-
-    def _set_size(self, rows: int | None, columns: int | None) -> None:
-        most_columns, most_rows = self._library.pair("arv_camera_get_sensor_size", self._open, ctypes.c_int)
-        rows, columns = rows or most_rows, columns or most_columns
-        if rows > most_rows or columns > most_columns:
-            raise BadInput(
-                f"a picture must fit into the sensor's {most_rows} rows and {most_columns} columns, "
-                f"got {rows} and {columns}"
-            )
-        self._library.call("arv_camera_set_region", self._camera, 0, 0, columns, rows)
-
-    def _set_number(self, feature: str, word: str, unit: str, value: float | None) -> None:
-        if value is None:
-            return
-        low, high = self._library.pair(f"arv_camera_get_{feature}_bounds", self._open)
-        if not low <= value <= high:
-            raise BadInput(f"{word} of camera {self.identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
-        self._library.call(f"arv_camera_set_{feature}", self._camera, value)
-        is_value = self._library.call(f"arv_camera_get_{feature}", self._camera)
-        # Exposures step by a microsecond, raw gains by one.
-        if not math.isclose(is_value, value, rel_tol=0.01, abs_tol=1.0):
-            raise CameraError(
-                f"camera {self.identifier} must take the {word} asked, {value:g} {unit}, but reads back {is_value:g}"
-            )
-
-    def _settings(self) -> CameraSettings:
-        columns, rows = self._size()
-        exposure_us, gain, rate = (self._number(name) for name in ("exposure_time", "gain", "frame_rate"))
-        return CameraSettings(
-            rows=rows,
-            columns=columns,
-            pixel_format=self._pixel_format(),
-            exposure_s=exposure_us and exposure_us * 1e-6,
-            gain_db=gain,
-            frame_rate_hz=rate,
-        )
-
-    def _number(self, feature: str) -> float | None:
-        if not self._library.call(f"arv_camera_is_{feature}_available", self._camera):
-            return None
-        return self._library.call(f"arv_camera_get_{feature}", self._camera)
-
-    def _size(self) -> tuple[int, int]:
-        values = [ctypes.c_int() for _ in range(4)]
-        self._library.call("arv_camera_get_region", self._camera, *map(ctypes.byref, values))
-        return values[2].value, values[3].value
-
-    def _pixel_format(self) -> str:
-        return self._library.call("arv_camera_get_pixel_format_as_string", self._camera).decode()
+    @property
+    def _features(self) -> AravisSettings:
+        return AravisSettings(self._library, self._open, self.identifier)
 
     @property
     def _open(self) -> int:

@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from drivers.aravis_library import BUFFER_FAULTS, BUFFER_SUCCESS, Aravis
 from drivers.gige import BlockNumbers
 from drivers.interface import CameraError
-from labdata.capture import CameraSettings, Frame, LostFrames, losses_before
+from drivers.packed_pixels import PACKINGS
+from drivers.whole_frames import Broken, WholeFrames
+from labdata.capture import CameraSettings, Frame, LostFrames
 
-PIXELS = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
+UNPACKED = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
+PIXELS = (*UNPACKED, *PACKINGS)
 SOCKET_BUFFER_BYTES = 8 << 20  # with the default one, every frame loses its tail
 BUFFERS = 16
 # A sender or receiver that a busy machine holds up for a tenth of a second (the default) would lose its frame.
@@ -59,6 +62,8 @@ class AravisCapture:
         Whole frames to throw away first: those that may have been exposed under earlier conditions.
     patience_s
         Longest wait for a frame, s.
+    resend
+        Whether packets that did not come are asked for again (GigE Vision).
     owner
         The camera's driver.
     """
@@ -72,6 +77,7 @@ class AravisCapture:
         frames: int,
         discard: int,
         patience_s: float,
+        resend: bool,
         owner: Owner,
     ) -> None:
         if settings.pixel_format not in PIXELS:
@@ -80,19 +86,26 @@ class AravisCapture:
                 f"got {settings.pixel_format}"
             )
         self._library, self._camera, self._owner = library, camera, owner
-        self._wanted, self._discard, self._patience_s = frames, discard, patience_s
-        self._type = np.dtype(PIXELS[settings.pixel_format])
+        self._patience_s, self._resend = patience_s, resend
+        self._format = settings.pixel_format
         self._shape = (settings.rows or 0, settings.columns or 0)
         self._stream: int | None = None
         self._numbers = BlockNumbers()
-        self._expected: int | None = None
-        self._faults: dict[int, str] = {}
-        self.losses: tuple[LostFrames, ...] = ()
+        self._whole = WholeFrames(wanted=frames, discard=discard, identifier=owner.identifier)
+        self.lost_packets = 0
+        """Packets that did not come in time, once the capture has ended (GigE Vision)."""
+        self.resent_packets = 0
+        """Packets that came because they were asked for again."""
 
     @property
     def lost_frames(self) -> int:
         """Frames numbered by the camera since the first whole one and not whole."""
-        return sum(map(len, self.losses))
+        return self._whole.lost
+
+    @property
+    def losses(self) -> tuple[LostFrames, ...]:
+        """The same frames with their numbers and why they are not whole."""
+        return self._whole.losses
 
     def __enter__(self) -> Self:
         # A stream of its own, on a port of its own: no frame sent before can arrive in it.
@@ -100,6 +113,7 @@ class AravisCapture:
         if self._owner.is_gige:
             self._library.fix_socket_buffer(stream, SOCKET_BUFFER_BYTES)
             self._library.wait_for_packets(stream, LATE_PACKET_S)
+            self._library.ask_for_lost_packets(stream, self._resend)
         payload = self._library.call("arv_camera_get_payload", self._camera)
         for _ in range(BUFFERS):
             self._give_back(self._library.plain("arv_buffer_new", payload, None))
@@ -115,45 +129,34 @@ class AravisCapture:
                 self._library.call("arv_camera_stop_acquisition", self._camera)
         finally:
             if stream is not None:
+                if self._owner.is_gige:
+                    self.resent_packets, self.lost_packets = self._library.packets(stream)
                 self._owner.release(stream)
 
     def __iter__(self) -> Iterator[Frame]:
         """Hand out whole frames; a camera that falls silent or sends only broken ones is a `CameraError`."""
-        whole = broken = 0
-        while whole < self._discard + self._wanted:
-            frame = self._frame()
-            if frame is None:
-                broken += 1
-                self._require_some_whole(whole, broken)
-                continue
-            self._count_lost(frame.number, handed_out=whole >= self._discard)
-            whole += 1
-            if whole > self._discard:
-                yield frame
+        return self._whole.of(self._frame)
 
-    def _frame(self) -> Frame | None:
-        """Copy the next frame out of its buffer and give the buffer back; None for a broken frame."""
+    def _frame(self) -> Frame | Broken:
+        """Copy the next frame out of its buffer and give the buffer back."""
         buffer = self._next_buffer()
         plain = self._library.plain
         try:
             number = self._numbers.running(plain("arv_buffer_get_frame_id", buffer))
-            if fault := self._fault_of(buffer, late=self._expected is not None and number < self._expected):
-                self._faults[number] = fault
-                return None
+            if fault := self._fault_of(buffer):
+                return Broken(number=number, fault=fault)
             time_s = plain("arv_buffer_get_timestamp", buffer) * 1e-9
             return Frame(pixels=self._pixels(buffer), number=number, time_s=time_s)
         finally:
             self._give_back(buffer)
 
-    def _fault_of(self, buffer: int, *, late: bool) -> str:
+    def _fault_of(self, buffer: int) -> str:
         plain = self._library.plain
         status = plain("arv_buffer_get_status", buffer)
         if status != BUFFER_SUCCESS:
             return BUFFER_FAULTS.get(status, f"status {status}")
         size = (plain("arv_buffer_get_image_height", buffer), plain("arv_buffer_get_image_width", buffer))
-        if size != self._shape:
-            return f"{size} pixels instead of {self._shape}"
-        return "too late" if late else ""
+        return f"{size} pixels instead of {self._shape}" if size != self._shape else ""
 
     def _next_buffer(self) -> int:
         """Wait for a buffer; the camera's death is noticed by its closed port, else by its silence."""
@@ -171,29 +174,16 @@ class AravisCapture:
     def _give_back(self, buffer: int) -> None:
         self._library.plain("arv_stream_push_buffer", self._stream, buffer)
 
-    def _count_lost(self, number: int, *, handed_out: bool) -> None:
-        """Count the numbers that are missing since the last whole frame.
-
-        Frames broken before the first whole one are not of this run: the library gives its socket the buffer asked
-        for only when a frame is already coming, so that a busy machine receives the very first one without it.
-        """
-        if handed_out and self._expected is not None:
-            self.losses += losses_before(number, expected=self._expected, faults=self._faults)
-        self._faults.clear()
-        self._expected = number + 1
-
-    def _require_some_whole(self, whole: int, broken: int) -> None:
-        if broken > 20 + self._wanted:
-            raise CameraError(
-                f"camera {self._owner.identifier} must send whole frames, got {broken} broken ones "
-                f"(the last: {list(self._faults.values())[-1]}) beside {whole} whole"
-            )
-
     def _pixels(self, buffer: int) -> NDArray[Any]:
+        pixels = self._shape[0] * self._shape[1]
+        packing = PACKINGS.get(self._format)
+        kind = np.dtype(UNPACKED.get(self._format, "u1"))
+        expected = packing.size_bytes(pixels) if packing else pixels * kind.itemsize
         size = ctypes.c_size_t()
         address = self._library.plain("arv_buffer_get_data", buffer, ctypes.byref(size))
-        expected = self._shape[0] * self._shape[1] * self._type.itemsize
         if size.value < expected:
             raise CameraError(f"a frame of {self._shape} pixels must hold {expected} bytes, got {size.value}")
-        raw = np.frombuffer(ctypes.string_at(address, expected), self._type).reshape(self._shape)
-        return raw.astype(self._type.newbyteorder("="), copy=False)
+        raw = np.frombuffer(ctypes.string_at(address, expected), kind)
+        if packing:
+            return packing.unpacked(raw, pixels).reshape(self._shape)
+        return raw.reshape(self._shape).astype(kind.newbyteorder("="), copy=False)

@@ -65,6 +65,11 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "arv_camera_get_frame_rate_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
     "arv_camera_set_frame_rate": (None, (c_void_p, c_double), True),
     "arv_camera_get_frame_rate": (c_double, (c_void_p,), True),
+    "arv_camera_set_trigger": (None, (c_void_p, c_char_p), True),
+    "arv_camera_clear_triggers": (None, (c_void_p,), True),
+    "arv_camera_get_trigger_source": (c_char_p, (c_void_p,), True),
+    "arv_camera_is_feature_available": (c_bool, (c_void_p, c_char_p), True),
+    "arv_camera_get_string": (c_char_p, (c_void_p, c_char_p), True),
     "arv_camera_get_payload": (c_uint, (c_void_p,), True),
     "arv_camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p), True),
     "arv_camera_start_acquisition": (None, (c_void_p,), True),
@@ -76,6 +81,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "arv_buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t)), False),
     "arv_buffer_get_image_width": (c_int, (c_void_p,), False),
     "arv_buffer_get_image_height": (c_int, (c_void_p,), False),
+    "arv_gv_stream_get_statistics": (None, (c_void_p, *[POINTER(c_uint64)] * 2), False),
     "arv_stream_push_buffer": (None, (c_void_p, c_void_p), False),
     "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64), False),
 }
@@ -128,6 +134,16 @@ class Aravis:
     def wait_for_packets(self, stream: int, longest_s: float) -> None:
         """Keep an unfinished frame of a GigE Vision stream open this long after its last packet."""
         self._gobject.g_object_set(c_void_p(stream), b"frame-retention", c_uint(round(longest_s * 1e6)), c_void_p(None))
+
+    def ask_for_lost_packets(self, stream: int, wanted: bool) -> None:
+        """Have a GigE Vision stream ask again for packets that did not come, or never."""
+        self._gobject.g_object_set(c_void_p(stream), b"packet-resend", c_int(1 if wanted else 0), c_void_p(None))
+
+    def packets(self, stream: int) -> tuple[int, int]:
+        """Return how many packets of a GigE Vision stream were sent again, and how many never came."""
+        resent, missing = c_uint64(), c_uint64()
+        self.plain("arv_gv_stream_get_statistics", stream, byref(resent), byref(missing))
+        return resent.value, missing.value
 
     def address(self, device: int) -> str:
         """Return the IP address of a GigE Vision device."""

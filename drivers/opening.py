@@ -4,7 +4,7 @@ from pathlib import Path
 
 from drivers.plan_check import same_but_wires
 from labdata.border import from_toml, to_toml
-from labdata.capture import CameraSettings
+from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.plan import Plan
@@ -14,21 +14,21 @@ from labdata.session import MANIFEST
 from labdata.store import SessionWriter
 
 PLAN = "plan.toml"
-BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
 
 
 def whole_sensor(sensor: Sensor | None) -> CameraSettings:
     """Ask for the size and depth that the sensor's description names; without one the camera stays as it is."""
     if sensor is None:
         return CameraSettings()
-    depth = next(name for name, bits in BITS.items() if bits >= sensor.video.bit_depth)
-    wide = "Mono8" if depth == "Mono8" else "Mono16"
-    return CameraSettings(rows=sensor.ccd.rows, columns=sensor.ccd.columns, pixel_format=wide)
+    wide = "Mono8" if sensor.video.bit_depth <= 8 else "Mono16"
+    return CameraSettings(
+        rows=sensor.ccd.rows, columns=sensor.ccd.columns, first_row=0, first_column=0, pixel_format=wide
+    )
 
 
 def bit_depth(sensor: Sensor | None, settings: CameraSettings) -> int:
     """Return the bits of the digitiser: those of the sensor's description, else those of the camera's format."""
-    return sensor.video.bit_depth if sensor else BITS[settings.pixel_format or "Mono16"]
+    return sensor.video.bit_depth if sensor else PIXEL_BITS[settings.pixel_format or "Mono16"]
 
 
 def keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
@@ -55,8 +55,19 @@ def session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: Ca
         name=plan.name,
         sensor=_sensor_name(plan, folder, sensor),
         bit_depth=bit_depth(sensor, settings),
-        interlaced=sensor.video.interlaced if sensor else None,
+        interlaced=sensor.video.interlaced if sensor else _interlaced(settings),
+        notes=_notes_of(settings),
     )
+
+
+def _interlaced(settings: CameraSettings) -> bool | None:
+    """Whether the two fields of a frame follow one another, as the camera says."""
+    return None if settings.field_order is None else settings.field_order in ("top first", "bottom first")
+
+
+def _notes_of(settings: CameraSettings) -> tuple[str, ...]:
+    fields = () if settings.field_order is None else (f"field order of the camera: {settings.field_order}",)
+    return (*fields, *settings.notes)
 
 
 def _sensor_name(plan: Plan, folder: Path, sensor: Sensor | None) -> str | None:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from drivers.errors import BenchError
 from drivers.interface import Bench, Camera, Operator
-from drivers.opening import BITS
 from drivers.pace import Pace, StepClock
 from drivers.read_back import merged, require_same
 from drivers.requests import Requests
-from labdata.capture import CameraSettings, LostFrames
+from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
@@ -140,7 +139,7 @@ class Run:
             watcher.see(pixels)
 
     def _begin(self, step: Step, conditions: Conditions) -> StoredStack:
-        pixel = np.uint8 if BITS[self._settings.pixel_format or "Mono16"] <= 8 else np.uint16
+        pixel = np.uint8 if PIXEL_BITS[self._settings.pixel_format or "Mono16"] <= 8 else np.uint16
         shape = (self._settings.rows or 0, self._settings.columns or 0)
         return self._storage.begin_stack(
             step.label, step.kind, shape, pixel, conditions, asked=step.conditions, target=step.target

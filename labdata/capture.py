@@ -1,12 +1,30 @@
 """What passes between a camera and whoever records it: settings, frames with their numbers, and the lost ones."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
+
+PIXEL_BITS = {
+    "Mono8": 8,
+    "Mono10": 10,
+    "Mono12": 12,
+    "Mono14": 14,
+    "Mono16": 16,
+    "Mono10p": 10,
+    "Mono10Packed": 10,
+    "Mono12p": 12,
+    "Mono12Packed": 12,
+    **dict.fromkeys(("YUYV", "YVYU", "UYVY", "VYUY", "NV12", "NV21", "NV16", "YU12", "YV12", "422P"), 8),
+}
+"""Bits of a pixel by the name of its format: grey by GenICam, luma of colour video by the kernel's four letters."""
+
+FieldOrder = Literal["progressive", "top first", "bottom first", "top only", "bottom only"]
+"""Which rows of a frame were exposed first: all at once, those of the top field (rows 0, 2, ...), or the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,28 +35,45 @@ class CameraSettings:
     ----------
     rows, columns
         Size of the picture, px.
+    first_row, first_column
+        Where on the sensor the picture begins, px.
     pixel_format
-        GenICam name such as "Mono8" or "Mono16".
+        A name of `PIXEL_BITS`, such as "Mono8" or "Mono16".
     exposure_s
         Exposure of one field or frame, s.
     gain_db
         Gain behind the sensor, dB (a camera with a raw gain counts it in its own steps).
     frame_rate_hz
         Frames per second, Hz.
+    trigger
+        "off": frames follow one another freely; else the camera's name of what triggers each, such as "Line1".
+    field_order
+        Order of the two fields of a frame.
+    notes
+        What the camera says of its frames; only read back, never set.
     """
 
     rows: int | None = None
     columns: int | None = None
+    first_row: int | None = None
+    first_column: int | None = None
     pixel_format: str | None = None
     exposure_s: float | None = None
     gain_db: float | None = None
     frame_rate_hz: float | None = None
+    trigger: str | None = None
+    field_order: FieldOrder | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("rows", "columns", "exposure_s", "frame_rate_hz"):
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise BadInput(f"{name} of a camera must be positive, got {value:g}")
+        for name in ("first_row", "first_column"):
+            value = getattr(self, name)
+            if value is not None and value < 0:
+                raise BadInput(f"{name} of a camera must not be negative, got {value}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +88,14 @@ class Frame:
         The camera's own running number; a gap is a lost frame.
     time_s
         The camera's own time stamp, s.
+    field_order
+        Order of its two fields; None where the camera does not say.
     """
 
     pixels: NDArray
     number: int
     time_s: float
+    field_order: FieldOrder | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pixels", read_only(self.pixels))
@@ -104,20 +142,32 @@ def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> t
     faults
         What was wrong with the frames that came in part, by number; any other never arrived.
     """
-    return _joined((missing, faults.get(missing, NEVER_ARRIVED)) for missing in range(expected, number))
+    return _joined(_stretches_before(number, expected=expected, faults=faults))
 
 
 def lost_for(reason: str, numbers: Iterable[int]) -> tuple[LostFrames, ...]:
     """Return frames, by number in order, that are all lost for one reason."""
-    return _joined((number, reason) for number in numbers)
+    return _joined((number, number, reason) for number in numbers)
 
 
-def _joined(lost: Iterable[tuple[int, str]]) -> tuple[LostFrames, ...]:
-    """Join lost frames, number and reason, that follow one another and have the same reason."""
+def _stretches_before(number: int, *, expected: int, faults: Mapping[int, str]) -> Iterator[tuple[int, int, str]]:
+    """Yield what is missing as first, last and reason; a camera may leap by thousands of millions of numbers."""
+    missing = expected
+    for faulty in sorted(one for one in faults if expected <= one < number):
+        if missing < faulty:
+            yield missing, faulty - 1, NEVER_ARRIVED
+        yield faulty, faulty, faults[faulty]
+        missing = faulty + 1
+    if missing < number:
+        yield missing, number - 1, NEVER_ARRIVED
+
+
+def _joined(lost: Iterable[tuple[int, int, str]]) -> tuple[LostFrames, ...]:
+    """Join lost frames, first, last and reason, that follow one another and have the same reason."""
     runs: list[tuple[int, int, str]] = []
-    for number, reason in lost:
-        if runs and runs[-1][1:] == (number - 1, reason):
-            runs[-1] = (runs[-1][0], number, reason)
+    for first, last, reason in lost:
+        if runs and runs[-1][1:] == (first - 1, reason):
+            runs[-1] = (runs[-1][0], last, reason)
         else:
-            runs.append((number, number, reason))
+            runs.append((first, last, reason))
     return tuple(LostFrames(first=first, last=last, reason=reason) for first, last, reason in runs)

@@ -1,0 +1,223 @@
+"""What V4L2 and a program hand each other: the kernel's structures, byte for byte, of a 64-bit Linux.
+
+Names, order and sizes are those of the kernel's `linux/videodev2.h` (Linux Media userspace API, part I).
+"""
+
+import ctypes
+from ctypes import c_char, c_int32, c_int64, c_uint8, c_uint32, c_uint64
+
+CAPTURE = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
+MEMORY_MAPPED = 1  # V4L2_MEMORY_MMAP
+
+CAN_CAPTURE = 0x00000001
+CAN_STREAM = 0x04000000
+HAS_OWN_CAPABILITIES = 0x80000000
+
+BUFFER_FAULTY = 0x0040  # V4L2_BUF_FLAG_ERROR: the data may be spoiled
+
+CONTROL_DISABLED, CONTROL_READ_ONLY, CONTROL_INACTIVE, CONTROL_WRITE_ONLY = 0x0001, 0x0004, 0x0010, 0x0040
+NEXT_CONTROL = 0x80000000
+CAN_SET_FRAME_PERIOD = 0x1000
+
+STANDARDS_525 = 0x0000F900
+"""V4L2_STD_525_60: NTSC in its kinds, and PAL of 525 lines (M, 60)."""
+
+
+class Capability(ctypes.Structure):
+    """VIDIOC_QUERYCAP."""
+
+    _fields_ = (
+        ("driver", c_char * 16),
+        ("card", c_char * 32),
+        ("bus_info", c_char * 32),
+        ("version", c_uint32),
+        ("capabilities", c_uint32),
+        ("device_caps", c_uint32),
+        ("reserved", c_uint32 * 3),
+    )
+
+
+class FormatDescription(ctypes.Structure):
+    """VIDIOC_ENUM_FMT."""
+
+    _fields_ = (
+        ("index", c_uint32),
+        ("type", c_uint32),
+        ("flags", c_uint32),
+        ("description", c_char * 32),
+        ("pixelformat", c_uint32),
+        ("mbus_code", c_uint32),
+        ("reserved", c_uint32 * 3),
+    )
+
+
+class FrameSize(ctypes.Structure):
+    """VIDIOC_ENUM_FRAMESIZES; a discrete size has its width and height in the first two of `sizes`.
+
+    Stepwise: least width, most width, step of width, least height, most height, step of height.
+    """
+
+    _fields_ = (
+        ("index", c_uint32),
+        ("pixel_format", c_uint32),
+        ("type", c_uint32),
+        ("sizes", c_uint32 * 6),
+        ("reserved", c_uint32 * 2),
+    )
+
+
+class PixelFormat(ctypes.Structure):
+    """The picture in memory."""
+
+    _fields_ = (
+        ("width", c_uint32),
+        ("height", c_uint32),
+        ("pixelformat", c_uint32),
+        ("field", c_uint32),
+        ("bytesperline", c_uint32),
+        ("sizeimage", c_uint32),
+        ("colorspace", c_uint32),
+        ("priv", c_uint32),
+        ("flags", c_uint32),
+        ("ycbcr_enc", c_uint32),
+        ("quantization", c_uint32),
+        ("xfer_func", c_uint32),
+    )
+
+
+class _FormatOf(ctypes.Union):
+    # Another member of the kernel's union holds a pointer, which is what aligns it.
+    _fields_ = (("pix", PixelFormat), ("raw", c_uint8 * 200), ("alignment", c_uint64))
+
+
+class Format(ctypes.Structure):
+    """VIDIOC_G_FMT, VIDIOC_S_FMT."""
+
+    _fields_ = (("type", c_uint32), ("of", _FormatOf))
+
+
+class BufferRequest(ctypes.Structure):
+    """VIDIOC_REQBUFS."""
+
+    _fields_ = (
+        ("count", c_uint32),
+        ("type", c_uint32),
+        ("memory", c_uint32),
+        ("capabilities", c_uint32),
+        ("flags", c_uint8),
+        ("reserved", c_uint8 * 3),
+    )
+
+
+class TimeStamp(ctypes.Structure):
+    """Seconds and microseconds of the kernel's clock."""
+
+    _fields_ = (("seconds", c_int64), ("microseconds", c_int64))
+
+
+class _TimeCode(ctypes.Structure):
+    _fields_ = (("type", c_uint32), ("flags", c_uint32), ("digits", c_uint8 * 8))
+
+
+class Buffer(ctypes.Structure):
+    """VIDIOC_QUERYBUF, VIDIOC_QBUF, VIDIOC_DQBUF."""
+
+    _fields_ = (
+        ("index", c_uint32),
+        ("type", c_uint32),
+        ("bytesused", c_uint32),
+        ("flags", c_uint32),
+        ("field", c_uint32),
+        ("timestamp", TimeStamp),
+        ("timecode", _TimeCode),
+        ("sequence", c_uint32),
+        ("memory", c_uint32),
+        ("offset", c_uint64),  # a union of 8 bytes; the offset is its lower half on a little-endian machine
+        ("length", c_uint32),
+        ("reserved2", c_uint32),
+        ("request_fd", c_int32),
+    )
+
+
+class ControlQuery(ctypes.Structure):
+    """VIDIOC_QUERYCTRL."""
+
+    _fields_ = (
+        ("id", c_uint32),
+        ("type", c_uint32),
+        ("name", c_char * 32),
+        ("minimum", c_int32),
+        ("maximum", c_int32),
+        ("step", c_int32),
+        ("default_value", c_int32),
+        ("flags", c_uint32),
+        ("reserved", c_uint32 * 2),
+    )
+
+
+class MenuQuery(ctypes.Structure):
+    """VIDIOC_QUERYMENU."""
+
+    _pack_ = 1
+    _fields_ = (("id", c_uint32), ("index", c_uint32), ("name", c_char * 32), ("reserved", c_uint32))
+
+
+class ControlValue(ctypes.Structure):
+    """VIDIOC_G_CTRL, VIDIOC_S_CTRL."""
+
+    _fields_ = (("id", c_uint32), ("value", c_int32))
+
+
+class CaptureParameters(ctypes.Structure):
+    """Frame period as a fraction of a second."""
+
+    _fields_ = (
+        ("capability", c_uint32),
+        ("capturemode", c_uint32),
+        ("numerator", c_uint32),
+        ("denominator", c_uint32),
+        ("extendedmode", c_uint32),
+        ("readbuffers", c_uint32),
+        ("reserved", c_uint32 * 4),
+    )
+
+
+class _ParametersOf(ctypes.Union):
+    _fields_ = (("capture", CaptureParameters), ("raw", c_uint8 * 200))
+
+
+class StreamParameters(ctypes.Structure):
+    """VIDIOC_G_PARM, VIDIOC_S_PARM."""
+
+    _fields_ = (("type", c_uint32), ("of", _ParametersOf))
+
+
+class Input(ctypes.Structure):
+    """VIDIOC_ENUMINPUT."""
+
+    _fields_ = (
+        ("index", c_uint32),
+        ("name", c_char * 32),
+        ("type", c_uint32),
+        ("audioset", c_uint32),
+        ("tuner", c_uint32),
+        ("std", c_uint64),
+        ("status", c_uint32),
+        ("capabilities", c_uint32),
+        ("reserved", c_uint32 * 3),
+    )
+
+
+def words(text: bytes) -> str:
+    """Return a name of the kernel's as text, whatever bytes it holds."""
+    return text.split(b"\0")[0].decode("ascii", errors="replace").strip()
+
+
+def four_letters(code: int) -> str:
+    """Return the four letters of a pixel format."""
+    return words(bytes(code >> shift & 0xFF for shift in (0, 8, 16, 24)))
+
+
+def code_of(letters: str) -> int:
+    """Return the number of a pixel format's four letters."""
+    return int.from_bytes(letters.ljust(4).encode("ascii")[:4], "little")
