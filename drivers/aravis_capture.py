@@ -1,6 +1,7 @@
 """A running capture of an Aravis camera: buffers become frames that are whole, or are counted lost."""
 
 import ctypes
+import math
 import time
 from collections.abc import Iterator
 from types import TracebackType
@@ -19,7 +20,8 @@ from labdata.capture import CameraSettings, Frame, LostFrames
 UNPACKED = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
 PIXELS = (*UNPACKED, *PACKINGS)
 SOCKET_BUFFER_BYTES = 8 << 20  # with the default one, every frame loses its tail
-BUFFERS = 16
+LEAST_BUFFERS = 16
+MOST_BUFFER_BYTES = 256 << 20
 # A sender or receiver that a busy machine holds up for a tenth of a second (the default) would lose its frame.
 LATE_PACKET_S = 0.4
 _POLL_S = 0.05
@@ -87,7 +89,7 @@ class AravisCapture:
             )
         self._library, self._camera, self._owner = library, camera, owner
         self._patience_s, self._resend = patience_s, resend
-        self._format = settings.pixel_format
+        self._format, self._frame_rate_hz = settings.pixel_format, settings.frame_rate_hz
         self._shape = (settings.rows or 0, settings.columns or 0)
         self._stream: int | None = None
         self._numbers = BlockNumbers()
@@ -115,7 +117,7 @@ class AravisCapture:
             self._library.wait_for_packets(stream, LATE_PACKET_S)
             self._library.ask_for_lost_packets(stream, self._resend)
         payload = self._library.call("arv_camera_get_payload", self._camera)
-        for _ in range(BUFFERS):
+        for _ in range(self._buffers(payload)):
             self._give_back(self._library.plain("arv_buffer_new", payload, None))
         self._library.call("arv_camera_start_acquisition", self._camera)
         return self
@@ -157,6 +159,11 @@ class AravisCapture:
             return BUFFER_FAULTS.get(status, f"status {status}")
         size = (plain("arv_buffer_get_image_height", buffer), plain("arv_buffer_get_image_width", buffer))
         return f"{size} pixels instead of {self._shape}" if size != self._shape else ""
+
+    def _buffers(self, payload: int) -> int:
+        """Return how many buffers the stream needs: each frame that still waits for a packet keeps one."""
+        waiting = math.ceil((self._frame_rate_hz or 0.0) * LATE_PACKET_S)
+        return max(LEAST_BUFFERS, min(LEAST_BUFFERS + waiting, MOST_BUFFER_BYTES // max(1, payload)))
 
     def _next_buffer(self) -> int:
         """Wait for a buffer; the camera's death is noticed by its closed port, else by its silence."""

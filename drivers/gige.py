@@ -55,7 +55,8 @@ class BlockNumbers:
             self._block = self._number = block
             return block
         step = block - self._block
-        if max(block, self._block) <= self._CYCLE and step < -self._CYCLE // 2:
-            step += self._CYCLE
+        if max(block, self._block) <= self._CYCLE and abs(step) > self._CYCLE // 2:
+            # Back: the count began again. Forward: a late block of before, which is not a whole cycle ahead.
+            step += self._CYCLE if step < 0 else -self._CYCLE
         self._block, self._number = block, self._number + step
         return self._number

@@ -127,6 +127,19 @@ def listed(device: Device, request: Request, **known: int) -> Iterator[Any]:
     raise CameraError(f"a list of the video device must end, {request.name} gave {MOST_LISTED} entries")
 
 
+def asked(device: Device, request: Request, structure: Any, rule: str) -> None:
+    """Ask the device; a refusal is a `CameraError` that begins with the rule it breaks."""
+    try:
+        device.ask(request, structure)
+    except OSError as error:
+        raise CameraError(f"{rule}, got: {error.strerror or error}") from None
+
+
+def copied(structure: Any) -> Any:
+    """Return a copy of one of the kernel's structures."""
+    return type(structure).from_buffer_copy(structure)
+
+
 def is_gone(error: OSError) -> bool:
     """Whether a refusal means that the device is there no more."""
     return error.errno in _GONE

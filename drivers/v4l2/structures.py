@@ -15,9 +15,9 @@ HAS_OWN_CAPABILITIES = 0x80000000
 
 BUFFER_FAULTY = 0x0040  # V4L2_BUF_FLAG_ERROR: the data may be spoiled
 
-CONTROL_DISABLED, CONTROL_READ_ONLY, CONTROL_INACTIVE, CONTROL_WRITE_ONLY = 0x0001, 0x0004, 0x0010, 0x0040
+CONTROL_DISABLED, CONTROL_READ_ONLY, CONTROL_INACTIVE = 0x0001, 0x0004, 0x0010
 NEXT_CONTROL = 0x80000000
-CAN_SET_FRAME_PERIOD = 0x1000
+BIG_ENDIAN = 0x80000000
 
 STANDARDS_525 = 0x0000F900
 """V4L2_STD_525_60: NTSC in its kinds, and PAL of 525 lines (M, 60)."""
@@ -214,8 +214,9 @@ def words(text: bytes) -> str:
 
 
 def four_letters(code: int) -> str:
-    """Return the four letters of a pixel format."""
-    return words(bytes(code >> shift & 0xFF for shift in (0, 8, 16, 24)))
+    """Return the four letters of a pixel format; its highest bit says that the bytes of a value come big end first."""
+    letters = words(bytes(code >> shift & 0x7F for shift in (0, 8, 16, 24)))
+    return f"{letters}-BE" if code & BIG_ENDIAN else letters
 
 
 def code_of(letters: str) -> int:

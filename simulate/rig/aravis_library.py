@@ -24,6 +24,7 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_fake_camera_write_register": (c_bool, (c_void_p, c_uint32, c_uint32)),
     "arv_fake_camera_write_memory": (c_bool, (c_void_p, c_uint32, c_uint32, c_char_p)),
     "arv_fake_camera_set_trigger_frequency": (None, (c_void_p, c_double)),
+    "arv_buffer_get_frame_id": (c_uint64, (c_void_p,)),
     "arv_buffer_get_data": (c_void_p, (c_void_p, c_void_p)),
     "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
     "arv_buffer_set_timestamp": (None, (c_void_p, c_uint64)),
@@ -92,20 +93,24 @@ class FakeCamera:
         gobject.g_object_set.argtypes = (c_void_p, c_char_p, c_double, c_void_p)
         gobject.g_object_set(self._camera, b"gvsp-lost-ratio", share, None)
 
-    def send_when_triggered(self, frame_rate_hz: float, ready: Callable[[], bytes]) -> None:
-        """Send a frame for each `trigger`, at most so many a second, with the pixels that `ready` hands over."""
+    def fill_frames(self, pixels: Callable[[int], bytes]) -> None:
+        """Give every frame the pixels that `pixels` returns for its number; called by the wire's thread."""
 
         def fill(buffer: int, *_: int | None) -> None:
-            pixels = ready()
+            data = pixels(self._call("arv_buffer_get_frame_id", buffer))
             # The buffer reports a size of 0 here; its memory holds width x height pixels.
-            ctypes.memmove(self._call("arv_buffer_get_data", buffer, None), pixels, len(pixels))
+            ctypes.memmove(self._call("arv_buffer_get_data", buffer, None), data, len(data))
             if self.clock_jump_ns:
                 stamp_ns = self._call("arv_buffer_get_timestamp", buffer)
                 self._call("arv_buffer_set_timestamp", buffer, stamp_ns + self.clock_jump_ns)
 
         self._callback = _FILL(fill)
-        self._call("arv_fake_camera_set_trigger_frequency", self._registers, frame_rate_hz)
         self._call("arv_fake_camera_set_fill_pattern", self._registers, self._callback, None)
+
+    def send_when_triggered(self, frame_rate_hz: float, ready: Callable[[], bytes]) -> None:
+        """Send a frame for each `trigger`, at most so many a second, with the pixels that `ready` hands over."""
+        self._call("arv_fake_camera_set_trigger_frequency", self._registers, frame_rate_hz)
+        self.fill_frames(lambda _: ready())
         self.hold_trigger()
 
     def hold_trigger(self) -> None:

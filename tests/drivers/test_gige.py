@@ -24,6 +24,11 @@ def test_a_late_block_keeps_its_place_before_the_later_ones():
     assert [numbers.running(block) for block in (100, 102, 101, 103)] == [100, 102, 101, 103]
 
 
+def test_a_late_block_from_before_the_wrap_is_late_and_not_a_cycle_ahead():
+    numbers = BlockNumbers()
+    assert [numbers.running(block) for block in (65534, 1, 65535, 2)] == [65534, 65536, 65535, 65537]
+
+
 def test_blocks_of_64_bits_do_not_wrap():
     numbers = BlockNumbers()
     assert [numbers.running(block) for block in (65534, 65535, 65536, 200000)] == [65534, 65535, 65536, 200000]

@@ -1,0 +1,154 @@
+"""What every camera keeps to, whatever its wire: one suite for all of them.
+
+A test module makes a `Bench` for its camera in a fixture called `laws` and inherits from `CameraLaws`.
+"""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.interface import CameraError
+from labdata.capture import CameraSettings, Frame
+from labdata.errors import BadInput
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """A camera under test.
+
+    Parameters
+    ----------
+    open
+        Returns the camera, not yet open.
+    is_whole
+        Whether a frame holds exactly the picture that the camera sent under its number.
+    asked
+        Settings that the camera can take, each tried alone.
+    refused
+        Settings that it must refuse, each with the rule that the sentence states.
+    frames
+        Whole frames to take at a time.
+    loses
+        Whether its wire loses frames.
+    goes_on
+        Whether the numbers of a capture go on where those of the one before ended.
+    """
+
+    open: Callable[[], AbstractContextManager[Any]]
+    is_whole: Callable[[Frame], bool]
+    asked: tuple[CameraSettings, ...] = ()
+    refused: tuple[tuple[CameraSettings, str], ...] = field(default_factory=tuple)
+    frames: int = 12
+    loses: bool = False
+    goes_on: bool = False
+
+
+def taken(camera: Any, frames: int, discard: int = 0) -> tuple[list[Frame], Any]:
+    with camera.capture(frames=frames, discard=discard) as capture:
+        return list(capture), capture
+
+
+class CameraLaws:
+    """The laws."""
+
+    def test_as_many_whole_frames_come_as_were_asked_for(self, laws: Bench) -> None:
+        with laws.open() as camera:
+            settings = camera.configure(CameraSettings())
+            frames, capture = taken(camera, laws.frames)
+        assert len(frames) == laws.frames
+        assert all(laws.is_whole(frame) for frame in frames)
+        assert {frame.pixels.shape for frame in frames} == {(settings.rows, settings.columns)}
+        assert all(not frame.pixels.flags.writeable for frame in frames)
+        span = frames[-1].number - frames[0].number + 1
+        print(f"\n    asked {laws.frames}, whole {len(frames)}, counted lost {capture.lost_frames} of {span} numbered")
+
+    def test_numbers_and_time_stamps_rise_and_every_gap_is_counted(self, laws: Bench) -> None:
+        with laws.open() as camera:
+            frames, capture = taken(camera, laws.frames)
+        steps = np.diff([frame.number for frame in frames])
+        assert np.all(steps >= 1)
+        assert np.all(np.diff([frame.time_s for frame in frames]) > 0)
+        assert capture.lost_frames == int(np.sum(steps - 1))
+        assert capture.lost_frames == sum(map(len, capture.losses))
+        there = {frame.number for frame in frames}
+        missing = {number for loss in capture.losses for number in range(loss.first, loss.last + 1)}
+        assert missing == set(range(frames[0].number, frames[-1].number + 1)) - there
+        assert laws.loses or capture.lost_frames == 0
+
+    def test_discarded_frames_are_not_handed_out(self, laws: Bench) -> None:
+        with laws.open() as camera:
+            (first, *_), _ = taken(camera, 1)
+        with laws.open() as camera:
+            frames, _ = taken(camera, 2, discard=3)
+        before = first.number if not laws.goes_on else first.number + 1
+        assert len(frames) == 2
+        assert frames[0].number >= before + 3
+
+    def test_settings_are_read_back_and_stay_when_nothing_is_asked(self, laws: Bench) -> None:
+        with laws.open() as camera:
+            before = camera.configure(CameraSettings())
+            assert camera.configure(CameraSettings()) == before
+            for asked in laws.asked:
+                given = {name: value for name, value in vars(asked).items() if value not in (None, ())}
+                read_back = camera.configure(asked)
+                for name, value in given.items():
+                    expected = value if isinstance(value, str) else pytest.approx(value, rel=0.01)
+                    assert getattr(read_back, name) == expected, name
+                frames, _ = taken(camera, 2)
+                assert frames[0].pixels.shape == (read_back.rows, read_back.columns)
+                camera.configure(_set_of(before, given))
+
+    def test_what_it_cannot_do_is_refused_in_a_sentence_and_leaves_it_as_it_was(self, laws: Bench) -> None:
+        with laws.open() as camera:
+            before = camera.configure(CameraSettings())
+            for asked, rule in laws.refused:
+                with pytest.raises(BadInput, match=rule):
+                    camera.configure(asked)
+            assert camera.configure(CameraSettings()) == before
+            assert len(taken(camera, 1)[0]) == 1
+
+    @pytest.mark.parametrize(("frames", "discard"), [(0, 0), (1, -1)])
+    def test_a_capture_of_nothing_is_refused(self, laws: Bench, frames: int, discard: int) -> None:
+        with laws.open() as camera, pytest.raises(BadInput, match="at least 1 frame"):
+            camera.capture(frames=frames, discard=discard)
+
+    def test_a_capture_left_early_or_by_an_error_leaves_the_camera_fit_for_the_next(self, laws: Bench) -> None:
+        with laws.open() as camera:
+            with camera.capture(frames=laws.frames) as capture:
+                next(iter(capture))
+            with pytest.raises(ZeroDivisionError), camera.capture(frames=laws.frames) as capture:
+                for _ in capture:
+                    raise ZeroDivisionError
+            frames, _ = taken(camera, 3)
+        assert len(frames) == 3
+        assert all(laws.is_whole(frame) for frame in frames)
+
+    def test_it_opens_again_after_it_was_closed(self, laws: Bench) -> None:
+        for _ in range(2):
+            with laws.open() as camera:
+                assert len(taken(camera, 2)[0]) == 2
+
+    def test_a_camera_that_is_not_open_says_so(self, laws: Bench) -> None:
+        with laws.open() as camera:
+            pass
+        with pytest.raises(CameraError, match="must be opened with a with block"):
+            camera.configure(CameraSettings())
+        with pytest.raises(CameraError, match="must be opened with a with block"):
+            camera.capture(frames=1)
+
+
+def _set_of(settings: CameraSettings, names: dict[str, Any]) -> CameraSettings:
+    """The settings of the given names alone."""
+    return CameraSettings(**{name: getattr(settings, name) for name in names})
+
+
+def ends_within(seconds: float, doing: Callable[[], Any]) -> None:
+    """Fail unless something ends in time."""
+    began_s = time.monotonic()
+    doing()
+    assert time.monotonic() - began_s < seconds

@@ -1,0 +1,73 @@
+"""A GigE Vision camera on loopback whose every frame can be told from its number: Aravis' fake camera, losing packets.
+
+Run as `python -m tests.drivers.pattern_camera FOLDER SERIAL PARENT LOST_PACKET_SHARE`.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from simulate.rig import aravis_library as aravis
+from simulate.rig.camera import LOOPBACK, hold_loopback
+from tests.drivers.fake_video import luma
+
+ROWS, COLUMNS, PERIOD_US = 61, 84, 10_000
+PACKETS = 4 + 2
+"""Packets of a frame of 61 x 84 bytes: four of at most 1400 bytes or so, a leader and a trailer."""
+
+
+def main(folder: Path, serial: str, parent: int, lost_packet_share: float) -> None:
+    lock = hold_loopback(parent)
+    description = folder / "camera.genicam.xml"
+    description.write_text(aravis.described(1e5))
+    wire = aravis.FakeCamera(LOOPBACK, serial, description)
+    wire.lose_packets(lost_packet_share)
+    for register, value in {
+        aravis.SENSOR_WIDTH: COLUMNS,
+        aravis.SENSOR_HEIGHT: ROWS,
+        aravis.WIDTH: COLUMNS,
+        aravis.HEIGHT: ROWS,
+        aravis.PIXEL_FORMAT: aravis.MONO_8,
+        aravis.FRAME_PERIOD_US: PERIOD_US,
+    }.items():
+        wire.write(register, value)
+
+    def pixels(number: int) -> bytes:
+        deep = wire.read(aravis.PIXEL_FORMAT) == aravis.MONO_16
+        size = wire.read(aravis.HEIGHT), wire.read(aravis.WIDTH)
+        return luma(number, *size, deep=deep).astype("<u2" if deep else "u1").tobytes()
+
+    wire.fill_frames(pixels)
+    print(f"Aravis-Fake-{serial}", flush=True)
+    while os.getppid() == parent:
+        time.sleep(0.05)
+    lock.close()
+    os._exit(0)
+
+
+@contextmanager
+def running(folder: Path, lost_packet_share: float) -> Iterator[str]:
+    """The camera's identifier while it runs."""
+    serial = f"PT{os.getpid()}"
+    arguments = [str(folder), serial, str(os.getpid()), str(lost_packet_share)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.drivers.pattern_camera", *arguments],
+        cwd=Path(__file__).resolve().parents[2],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            while (line := (process.stdout.readline() if process.stdout else "")).startswith("{"):
+                pass
+            assert line, "the camera must come up"
+            yield line.strip()
+        finally:
+            process.kill()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), float(sys.argv[4]))

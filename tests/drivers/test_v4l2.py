@@ -1,0 +1,209 @@
+"""What goes wrong between a program and a video device: unplugging, silence, spoiled frames, numbers that leap."""
+
+import errno
+import time
+from itertools import chain, count, islice
+
+import numpy as np
+import pytest
+
+from drivers.interface import CameraError
+from drivers.v4l2 import V4l2Camera
+from drivers.v4l2.fields import ALTERNATE, BOTTOM_THEN_TOP, INTERLACED, TOP_THEN_BOTTOM
+from labdata.capture import CameraSettings
+from labdata.errors import BadInput
+from tests.drivers.camera_laws import taken
+from tests.drivers.fake_video import COLUMNS, ROWS, FakeDevice, Sent, luma, steadily
+
+NTSC, PAL = 0x1000, 0xFF
+
+
+def camera_on(device: FakeDevice, **options) -> V4l2Camera:
+    return V4l2Camera("fake", open_device=lambda _: device, **options)
+
+
+def test_a_device_that_has_nothing_yet_is_asked_again():
+    def late():
+        for sent in steadily():
+            yield Sent(error=errno.EAGAIN)
+            yield sent
+
+    with camera_on(FakeDevice(late)) as camera:
+        frames, capture = taken(camera, 5)
+    assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
+    assert capture.lost_frames == 0
+
+
+def test_silence_ends_in_the_time_allowed():
+    device = FakeDevice(lambda: [Sent(sequence=0)])
+    device.wait = lambda timeout_s: time.sleep(timeout_s)
+    began_s = time.monotonic()
+    with camera_on(device, silence_s=0.1) as camera, pytest.raises(CameraError, match="has sent no frame for"):
+        taken(camera, 2)
+    assert time.monotonic() - began_s < 1.0
+    assert device.is_closed
+
+
+def test_a_device_that_is_always_ready_and_never_has_a_frame_is_left_in_time():
+    began_s = time.monotonic()
+    device = FakeDevice(list)
+    with camera_on(device, silence_s=0.05) as camera, pytest.raises(CameraError, match="has sent no frame for"):
+        taken(camera, 1)
+    assert time.monotonic() - began_s < 1.0
+
+
+@pytest.mark.parametrize("error", [errno.ENODEV, errno.EIO])
+def test_a_camera_unplugged_in_mid_stream_is_noticed_at_once_and_everything_is_given_back(error):
+    device = FakeDevice(lambda: chain(islice(steadily(), 3), [Sent(error=error)]))
+    got: list[int] = []
+    with (
+        pytest.raises(CameraError, match="has gone or failed"),
+        camera_on(device) as camera,
+        camera.capture(frames=10) as capture,
+    ):
+        frames = iter(capture)
+        got = [next(frames).number for _ in range(3)]
+        next(frames)
+    assert got == [0, 1, 2]
+    assert device.is_closed
+    assert all(memory.is_closed for memory in device.memory)
+
+
+def test_a_spoiled_frame_is_counted_with_its_reason_and_never_handed_out():
+    script = [Sent(sequence=n, faulty=n == 2, share=0.4 if n == 4 else 1.0) for n in range(8)]
+    with camera_on(FakeDevice(lambda: script)) as camera:
+        frames, capture = taken(camera, 6)
+    assert [frame.number for frame in frames] == [0, 1, 3, 5, 6, 7]
+    assert [(loss.first, loss.last) for loss in capture.losses] == [(2, 2), (4, 4)]
+    assert "spoiled" in capture.losses[0].reason
+    assert f"instead of {ROWS * COLUMNS}" in capture.losses[1].reason
+
+
+def test_a_gap_in_the_sequence_is_as_many_lost_frames():
+    with camera_on(FakeDevice(lambda: (Sent(sequence=n) for n in (7, 8, 12, 13)))) as camera:
+        frames, capture = taken(camera, 4)
+    assert [frame.number for frame in frames] == [7, 8, 12, 13]
+    assert [(loss.first, loss.last, loss.reason) for loss in capture.losses] == [(9, 11, "never arrived")]
+
+
+def test_numbers_run_on_across_the_end_of_32_bits():
+    last = (1 << 32) - 1
+    with camera_on(FakeDevice(lambda: (Sent(sequence=n) for n in (last - 1, last, 1, 2)))) as camera:
+        frames, capture = taken(camera, 4)
+    assert np.diff([frame.number for frame in frames]).tolist() == [1, 2, 1]
+    assert capture.lost_frames == 1
+
+
+def test_a_leap_of_a_thousand_million_frames_is_counted_without_waiting():
+    began_s = time.monotonic()
+    with camera_on(FakeDevice(lambda: (Sent(sequence=n) for n in (0, 1 << 30)))) as camera:
+        _, capture = taken(camera, 2)
+    assert capture.lost_frames == (1 << 30) - 1
+    assert time.monotonic() - began_s < 1.0
+
+
+def test_a_number_that_comes_again_is_too_late():
+    with camera_on(FakeDevice(lambda: (Sent(sequence=n) for n in (0, 1, 1, 0, 2)))) as camera:
+        frames, capture = taken(camera, 3)
+    assert [frame.number for frame in frames] == [0, 1, 2]
+    assert capture.lost_frames == 0
+
+
+def test_a_camera_that_sends_only_broken_frames_is_given_up():
+    broken = FakeDevice(lambda: (Sent(sequence=n, faulty=True) for n in count()))
+    with camera_on(broken) as camera, pytest.raises(CameraError, match="must send whole frames, got 24 broken"):
+        taken(camera, 3)
+
+
+def test_a_buffer_that_was_never_lent_is_refused():
+    device = FakeDevice(lambda: [Sent(sequence=0, index=99)])
+    with camera_on(device) as camera, pytest.raises(CameraError, match="one of 8 buffers, got number 99"):
+        taken(camera, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "rule"),
+    [
+        ("REQBUFS", {"count": 0}, "must lend 2 to 32 buffers, got 0"),
+        ("REQBUFS", {"count": 4_000_000_000}, "must lend 2 to 32 buffers"),
+        ("QUERYBUF", {"length": 10}, "must hold a picture of 768 bytes, got 10"),
+        ("QUERYBUF", {"length": 0xFFFFFFFF}, "must hold a picture"),
+        ("QUERYBUF", {"length": 1 << 25}, "must be mapped"),
+        ("QUERYCAP", {"capabilities": 0}, "must capture video into mapped memory"),
+    ],
+)
+def test_an_answer_of_the_wrong_size_is_refused_in_a_sentence(name, spoil, rule):
+    def change(answered, structure):
+        if answered == name:
+            for key, value in spoil.items():
+                setattr(structure, key, value)
+
+    with pytest.raises(CameraError, match=rule), camera_on(FakeDevice(spoil=change)) as camera:
+        taken(camera, 1)
+
+
+@pytest.mark.parametrize("standard", [NTSC, PAL])
+def test_the_older_field_follows_the_video_standard(standard):
+    with camera_on(FakeDevice(field=INTERLACED, standard=standard)) as camera:
+        order = camera.configure(CameraSettings()).field_order
+        (frame,), _ = taken(camera, 1)
+    assert order == frame.field_order == ("bottom first" if standard == NTSC else "top first")
+
+
+@pytest.mark.parametrize(("field", "order"), [(TOP_THEN_BOTTOM, "top first"), (BOTTOM_THEN_TOP, "bottom first")])
+def test_fields_that_come_one_after_the_other_are_woven_into_rows(field, order):
+    with camera_on(FakeDevice(field=field, standard=NTSC)) as camera:
+        (frame,), _ = taken(camera, 1)
+    sent = luma(0)
+    first, second = (0, 1) if order == "top first" else (1, 0)
+    assert frame.field_order == order
+    assert np.array_equal(frame.pixels[first::2], sent[: ROWS // 2])
+    assert np.array_equal(frame.pixels[second::2], sent[ROWS // 2 :])
+
+
+def test_fields_that_come_each_for_itself_are_refused():
+    device = FakeDevice(field=ALTERNATE, standard=NTSC)
+    with camera_on(device) as camera, pytest.raises(BadInput, match="must hold its fields together"):
+        camera.configure(CameraSettings())
+
+
+def test_grey_of_8_bits_is_the_luma_of_video_where_the_camera_has_no_grey_and_says_so():
+    with camera_on(FakeDevice(letters=("UYVY",))) as camera:
+        settings = camera.configure(CameraSettings(pixel_format="Mono8"))
+        (frame,), _ = taken(camera, 1)
+    assert settings.pixel_format == "UYVY"
+    assert settings.notes[0] == "grey is the luma of UYVY video: black is 16 and white is 235 DN"
+    assert np.array_equal(frame.pixels, luma(0))
+
+
+def test_automatic_gain_and_exposure_are_told_and_end_when_a_value_is_asked():
+    device = FakeDevice()
+    with camera_on(device) as camera:
+        assert set(camera.configure(CameraSettings()).notes) == {
+            "the camera's automatic gain is on",
+            "the camera's automatic exposure is on",
+        }
+        settings = camera.configure(CameraSettings(exposure_s=0.01, gain_db=7.0))
+    assert settings.notes == ()
+    assert (settings.exposure_s, settings.gain_db) == (pytest.approx(0.01), 7.0)
+
+
+def test_a_control_that_takes_another_value_is_told():
+    device = FakeDevice()
+    device._s_ctrl = lambda it: None
+    with (
+        camera_on(device) as camera,
+        pytest.raises(CameraError, match="'Brightness' must take the value asked, 9"),
+    ):
+        camera.set_control("Brightness", 9)
+
+
+def test_buffers_are_given_back_in_the_order_of_use_and_the_camera_is_stopped():
+    device = FakeDevice()
+    with camera_on(device) as camera:
+        taken(camera, 20)
+        memory = list(device.memory)
+    stream = [name for name in device.asked if name in ("STREAMON", "DQBUF", "STREAMOFF", "REQBUFS")]
+    assert stream == ["REQBUFS", "STREAMON", *["DQBUF"] * 20, "STREAMOFF", "REQBUFS"]
+    assert all(one.is_closed for one in memory)
+    assert device.is_closed
