@@ -27,6 +27,15 @@ check: $(READY)
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 
+.PHONY: vivid fuzz-cameras
+# The V4L2 driver against a kernel's own virtual camera, in an emulated machine made of Debian's packages; two minutes.
+vivid: $(READY)
+	$(BIN)/python tests/vivid/guest.py
+
+# Answers of the kernel with noise in them, many times over; ten minutes.
+fuzz-cameras: $(READY)
+	CHARACT_FUZZ_EXAMPLES=60000 $(BIN)/pytest -q tests/drivers/test_v4l2_fuzz.py
+
 bench: $(READY)
 	$(BIN)/python -m benchmarks
 

@@ -103,7 +103,13 @@ class ReplayCamera:
                 f"stack {entry.label!r} has {len(stack)}"
             )
         return ReplayCapture(
-            stack, self._stamps(entry, stack), frames=frames, discard=discard, speed=self._speed, name=self.identifier
+            stack,
+            self._stamps(entry, stack),
+            entry.losses,
+            frames=frames,
+            discard=discard,
+            speed=self._speed,
+            name=self.identifier,
         )
 
     def _next(self) -> StackEntry:
@@ -155,6 +161,7 @@ class ReplayCapture:
         self,
         stack: OpenStack,
         stamps: list[tuple[int, float]],
+        recorded: tuple[LostFrames, ...],
         *,
         frames: int,
         discard: int,
@@ -162,7 +169,7 @@ class ReplayCapture:
         name: str,
     ) -> None:
         self._stack, self._stamps, self._speed, self._name = stack, stamps, speed, name
-        self._at = 0
+        self._recorded, self._at, self._first = recorded, 0, discard
         self._whole = WholeFrames(wanted=frames, discard=discard, identifier=name)
 
     @property
@@ -172,8 +179,10 @@ class ReplayCapture:
 
     @property
     def losses(self) -> tuple[LostFrames, ...]:
-        """The same frames with their numbers."""
-        return self._whole.losses
+        """The same frames with their numbers and, where it was recorded, why they were lost."""
+        played = [number for number, _ in self._stamps[max(0, self._first - 1) : self._at]]
+        known = tuple(loss for loss in self._recorded if played and played[0] < loss.first and loss.last < played[-1])
+        return known if sum(map(len, known)) == self._whole.lost else self._whole.losses
 
     def __enter__(self) -> Self:
         return self

@@ -28,7 +28,9 @@ class Wires:
     gate_address, supply_address
         GPIB addresses of those behind an adapter.
     camera
-        Aravis camera identifier.
+        Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card); "replay:FOLDER" or
+        "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the only camera there is, or the virtual
+        bench's own.
     """
 
     bench: Literal["virtual", "in-process", "real"] = "virtual"

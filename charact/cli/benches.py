@@ -1,14 +1,20 @@
 """Wires a plan to its bench: the virtual one with its own processes, or real ports, camera and a person at the lamp."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from charact.cli.cameras import camera_named
 from charact.cli.output import say
 from charact.cli.progress import Progress
 from labdata.errors import BadInput
 from labdata.plan import Plan
 from labdata.session import Session
+
+if TYPE_CHECKING:
+    from drivers.interface import Camera
+    from simulate.rig.bench import VirtualBench
 
 WATCHDOG_LOG = "watchdog.jsonl"
 
@@ -42,7 +48,6 @@ def _on_virtual_bench(
 ) -> Session:
     from charact.cli.judge import SaturationJudge
     from drivers.acquire import acquire
-    from drivers.aravis import AravisCamera
     from drivers.interlock import Bench
     from drivers.lines import gate_line, supply_line
     from drivers.requests import Requests
@@ -60,9 +65,7 @@ def _on_virtual_bench(
         return acquire(
             plan,
             session,
-            camera=virtual.in_process_camera()
-            if wires.camera is None
-            else AravisCamera(wires.camera, silence_s=virtual.silence_s, say=tell),
+            camera=_eye(plan, virtual, tell),
             bench=Bench(
                 wires,
                 plan.limits,
@@ -78,20 +81,30 @@ def _on_virtual_bench(
         )
 
 
+def _eye(plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]) -> "AbstractContextManager[Camera]":
+    """Return the virtual bench's own camera, or the one that the plan names in its place."""
+    if plan.wires.camera is not None:
+        return camera_named(plan.wires.camera, tell=tell)
+    if virtual.camera is None:
+        return virtual.in_process_camera()
+    from drivers.aravis import AravisCamera
+
+    return AravisCamera(virtual.camera.identifier, silence_s=virtual.silence_s, say=tell)
+
+
 def _on_real_bench(
     plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
 ) -> Session:
     from charact.cli.judge import SaturationJudge
     from charact.cli.prompting import PromptingOperator
     from drivers.acquire import acquire
-    from drivers.aravis import AravisCamera
     from drivers.interlock import Bench
     from drivers.requests import Requests
 
     return acquire(
         plan,
         session,
-        camera=AravisCamera(plan.wires.camera),
+        camera=camera_named(plan.wires.camera, tell=tell),
         bench=Bench(plan.wires, plan.limits, log=session.with_name(f"{session.name}.{WATCHDOG_LOG}")),
         operator=PromptingOperator(),
         judge=SaturationJudge(),

@@ -2,13 +2,16 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING
 
 from charact.cli.output import say
-from drivers.interface import Camera
 from labdata.errors import BadInput
 
+if TYPE_CHECKING:
+    from drivers.interface import Camera
 
-def camera_named(name: str | None, *, tell: Callable[[str], None] = say) -> AbstractContextManager[Camera]:
+
+def camera_named(name: str | None, *, tell: Callable[[str], None] = say) -> "AbstractContextManager[Camera]":
     """Return the camera of a name, not yet open.
 
     Parameters

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.interface import CameraError
 from drivers.replay import LONGEST_PAUSE_S, ReplayCamera
-from labdata.capture import CameraSettings, Frame
+from labdata.capture import CameraSettings, Frame, lost_for
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import open_session
@@ -29,7 +29,8 @@ def recorded(tmp_path_factory):
             with writer.begin_stack(label, "flat", (24, 32), np.uint8, CONDITIONS) as stack:
                 for number in numbers:
                     stack.append(luma(number), 100.0 + number * PERIOD_S, number)
-                stack.finish(lost_frames=sum(later - one - 1 for one, later in pairwise(numbers)))
+                missing = [number for one, later in pairwise(numbers) for number in range(one + 1, later)]
+                stack.finish(losses=lost_for("missing packets", missing))
     return folder
 
 
@@ -67,6 +68,8 @@ def test_what_is_played_is_what_was_recorded_to_the_last_frame(recorded):
     assert [frame.number for frame in frames] == stack.frame_number.tolist() == WHOLE
     assert [frame.time_s for frame in frames] == stack.time_s.tolist()
     assert capture.lost_frames == entry.lost_frames == 9
+    assert capture.losses == entry.losses
+    assert {loss.reason for loss in capture.losses} == {"missing packets"}
 
 
 def test_a_session_is_played_stack_after_stack_and_then_has_ended(recorded):

@@ -85,7 +85,7 @@ class TestWebcam(CameraLaws):
 class TestComposite(CameraLaws):
     @pytest.fixture
     def laws(self) -> Bench:
-        return Bench(open=lambda: vivid(COMPOSITE), is_whole=is_checkered, frames=10, loses=True)
+        return Bench(open=lambda: vivid(COMPOSITE, video_lines=525), is_whole=is_checkered, frames=10, loses=True)
 
 
 def test_the_device_is_listed_with_what_it_offers() -> None:
@@ -147,9 +147,10 @@ def test_a_frame_that_the_driver_marks_as_spoiled_is_counted_and_not_handed_out(
             numbers.append(frame.number)
             if len(numbers) == 5:
                 camera.set_control(SPOIL, 1)
-    assert capture.lost_frames == 1
-    assert [loss.reason for loss in capture.losses] == ["marked as spoiled by its driver"]
-    assert capture.losses[0].first not in numbers
+    # An emulated machine that is held up may drop others of its own.
+    (spoiled,) = [loss for loss in capture.losses if loss.reason == "marked as spoiled by its driver"]
+    assert len(spoiled) == 1
+    assert spoiled.first not in numbers
 
 
 def test_numbers_run_on_where_32_bits_start_again() -> None:
@@ -165,8 +166,10 @@ def test_time_stamps_are_those_of_the_kernels_clock() -> None:
     before_s = time.monotonic()
     with vivid() as camera:
         frames, _ = taken(camera, 10)
-    assert before_s < frames[0].time_s < frames[-1].time_s < time.monotonic()
-    assert np.median(np.diff([frame.time_s for frame in frames])) == pytest.approx(1 / 30, rel=0.5)
+    # This driver stamps the end of the frame that it has drawn, which may be still to come.
+    assert before_s < frames[0].time_s < frames[-1].time_s < time.monotonic() + 1 / 30
+    seconds, numbered = (np.ptp([getattr(frame, name) for frame in frames]) for name in ("time_s", "number"))
+    assert seconds / numbered == pytest.approx(1 / 30, rel=0.2)
 
 
 @pytest.mark.parametrize(
