@@ -93,6 +93,7 @@ def acquire(
         storage = opened.enter_context(Storage(writer))
         opened.callback(operator.darken)
         tube = opened.enter_context(bench)
+        operator = tube.guard(operator)
         log("bench opened", finished=finished, broken_off=partial, doubtful=doubtful)
         pace = Pace(
             frames=sum(step.most_frames for step in plan.steps),
@@ -108,6 +109,7 @@ def acquire(
             settings=settings,
             full_scale_dn=2.0 ** bit_depth(sensor, settings) - 1.0,
             judge=judge,
+            settle=plan.settle,
             pace=pace,
             progress=progress,
             finished=finished,

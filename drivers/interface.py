@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import Protocol, Self
 
+from numpy.typing import NDArray
+
 from drivers.errors import BenchError
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.conditions import Conditions
@@ -62,6 +64,19 @@ class Bench(Protocol):
 
         `gate_ns` None or 0 leaves the gate shut.
         """
+        ...
+
+    def guard(self, operator: "Operator") -> "Operator":
+        """Put whoever places targets and light behind the bench's interlock; only what is returned may be used."""
+        ...
+
+    @property
+    def dark_seen(self) -> bool:
+        """Whether a dark frame was seen through the open gate since the bench was opened; no light is set before."""
+        ...
+
+    def saw_without_light(self, pixels: NDArray, full_scale_dn: float) -> None:
+        """Look at a frame, shape (row, col), taken without light; one that is not dark is a BenchError."""
         ...
 
     def check(self) -> None:

@@ -11,15 +11,24 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType, TracebackType
 
+from numpy.typing import NDArray
+
+from drivers.dark_check import must_be_dark
 from drivers.errors import BenchError, WatchdogLost
+from drivers.guarded_light import GuardedLight
+from drivers.guarded_tube import GuardedTube
+from drivers.interface import Operator
 from drivers.line import Line
 from drivers.models import model
 from drivers.roles import Gate, Supply
 from drivers.safe import Safety, make_safe
+from drivers.tube_interlock import Interlock
+from drivers.tube_state import DarkSeen, Failed, GainRead, GateRead, Heard, LightRead, SafeOrdered
 from drivers.watched import Guard
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.plan import Limits, Wires
+from labdata.limits import Limits, LimitsInForce, limits_in_force
+from labdata.plan import Wires
 
 FIELD_RATE_HZ = 60.0 / 1.001
 """Fields a second of 525-line video, Hz: the gate opens once in each."""
@@ -30,6 +39,7 @@ _SIGNALS = (signal.SIGTERM, signal.SIGHUP)
 class Bench:
     """Gate and gain of the tube, between `with` and the end of its block.
 
+    Nothing reaches gate, supply or light but through its interlock, whose rules stand in `drivers.tube_rules`.
     Opening shuts the gate and switches the high voltage off before anything else. Leaving, by whatever door
     (an exception, Ctrl-C, SIGTERM), does the same and follows the voltage down; a killed process is seen to by the
     watchdog process, which owns the serial ports.
@@ -39,7 +49,8 @@ class Bench:
     wires
         Models and serial ports of the gate and of the supply.
     limits
-        What may never be exceeded; also set in the supply itself.
+        What may never be exceeded; the voltage is also set in the supply itself. A plan's bare limits are completed
+        by those of a tube that nobody described.
     log
         File to which every safety step is appended as a line of JSON.
     lines
@@ -59,7 +70,7 @@ class Bench:
     def __init__(
         self,
         wires: Wires,
-        limits: Limits,
+        limits: Limits | LimitsInForce,
         *,
         log: Path,
         lines: tuple[Line, Line] | None = None,
@@ -69,14 +80,14 @@ class Bench:
             raise BadInput(
                 f"gate_port and supply_port must name serial ports, got {wires.gate_port!r} and {wires.supply_port!r}"
             )
-        self._wires, self._limits, self._log, self._lines = wires, limits, Path(log), lines
+        self._wires, self._log, self._lines = wires, Path(log), lines
         self._gate_hz = gate_hz
         self._gate_model, self._supply_model = model(wires.gate, "gate"), model(wires.supply, "supply")
+        self.interlock = Interlock(limits if isinstance(limits, LimitsInForce) else limits_in_force(limits))
         self._guard: Guard | None = None
         self._taking_over = threading.Lock()
         self._taken_over: Safety | None = None
         self._before: dict[signal.Signals, Callable | int | None] = {}
-        self._conditions = Conditions()
 
     @property
     def wires_left_out(self) -> tuple[str, ...]:
@@ -94,9 +105,20 @@ class Bench:
             self._gate.identify()
             self._gate.shut()
             self._supply.identify()
-            self._supply.prepare(limit_v=self._limits.mcp_v)
+            self._supply.prepare(limit_v=self.interlock.limits.mcp_v)
             if self._guard is not None:
                 self._guard.gate.watch(True)
+            self._tube = GuardedTube(
+                gate=self._gate,
+                supply=self._supply,
+                interlock=self.interlock,
+                gate_hz=self._gate_hz,
+                check=self.check,
+                watch_supply=self._watch_supply,
+            )
+            self._tube.read_anew()
+            # Until `guard` is called there is no light that anybody here could switch on.
+            self.interlock.tell(LightRead(illuminance_lux=0.0))
         except BaseException as error:
             self._leave(error)
             raise
@@ -125,56 +147,58 @@ class Bench:
         BadInput
             If a limit is exceeded or an instrument could not do it; nothing was changed then.
         """
-        volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
-        self._check_limits(conditions, volts, width_ns)
+        read_v, read_ns = self._tube.set(mcp_v=conditions.mcp_v or 0.0, gate_ns=conditions.gate_ns or 0.0)
         self.check()
-        self._gate.shut()
-        read_v = self._set_gain(volts)
-        read_ns = self._gate.open(width_ns=width_ns, rate_hz=self._gate_hz) if width_ns else 0.0
-        self.check()
-        self._conditions = replace(conditions, mcp_v=read_v, gate_ns=read_ns)
-        return self._conditions
+        return replace(conditions, mcp_v=read_v, gate_ns=read_ns)
+
+    def guard(self, operator: Operator) -> Operator:
+        """Put whoever places targets and light behind the interlock; use only what is returned from then on."""
+        self.interlock.tell(LightRead(illuminance_lux=math.inf))
+        return GuardedLight(operator, interlock=self.interlock, check=self.check)
+
+    @property
+    def dark_seen(self) -> bool:
+        """Whether a dark frame was seen through the open gate since the bench was opened; no light before."""
+        return self.interlock.state.dark_seen
+
+    def saw_without_light(self, pixels: NDArray, full_scale_dn: float) -> None:
+        """Look at a frame, shape (row, col), taken without light; one that is not dark is a BenchError."""
+        try:
+            must_be_dark(pixels, full_scale_dn)
+        except BenchError as error:
+            self.interlock.tell(Failed(sentence=str(error)))
+            raise
+        self.interlock.tell(DarkSeen())
 
     def check(self) -> None:
-        """Raise what went wrong at the bench since the last look: a trip, a silent line, a lost port."""
-        if self._guard is not None:
-            self._guard.check()
-        elif self._supply.is_on:
-            self._supply.check_on()
+        """Raise what went wrong at the bench since the last look: a trip, a silent line, a lost port, too much light.
+
+        A failure is remembered: nothing makes the tube hotter before the bench is opened anew.
+        """
+        try:
+            if self._guard is not None:
+                self._guard.check()
+            elif self._supply.is_on:
+                self._supply.check_on()
+        except BenchError as error:
+            self.interlock.tell(Failed(sentence=str(error)))
+            raise
+        self.interlock.tell(Heard(now_s=time.monotonic()))
+        if why := self.interlock.alarm():
+            self.safe()
+            raise BenchError(f"the tube was made safe: {why}")
 
     def safe(self) -> None:
         """Shut the gate and switch the high voltage off now; a BenchError if that could not be verified."""
+        self.interlock.tell(SafeOrdered())
         if self._guard is not None:
             safety = self._guard.safe()
         else:
             safety = make_safe(gate=self._gate, supply=self._supply, record=self._record)
         self._supply.is_on = False
         _raise_unless_whole(safety)
-
-    def _check_limits(self, conditions: Conditions, volts: float, width_ns: float) -> None:
-        # The light is the operator's, and the plan's limits know an extended target from a pinhole.
-        for name in ("mcp_v", "gate_ns"):
-            asked, limit = getattr(conditions, name), getattr(self._limits, name)
-            if asked is not None and not asked <= limit:
-                raise BadInput(f"{name} must not exceed the limit {limit:g}, got {asked:g}")
-        if volts:
-            self._supply.check_voltage(volts)
-        if width_ns:
-            self._gate.check_pulse(width_ns=width_ns, rate_hz=self._gate_hz)
-
-    def _set_gain(self, volts: float) -> float:
-        if not volts:
-            return self._gain_off()
-        if not self._supply.is_on:
-            self._supply.switch_on()
-            self._watch_supply(True)
-        elif volts < (present_v := self._supply.measured_v()) and not math.isclose(volts, present_v, abs_tol=0.5):
-            return self._supply.lower_to(volts, check=self.check)
-        return self._supply.raise_to(volts, rate_v_per_s=self._limits.ramp_v_per_s, check=self.check)
-
-    def _gain_off(self) -> float:
-        self._watch_supply(False)
-        return self._supply.off()
+        self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
+        self.interlock.tell(GainRead(mcp_v=0.0))
 
     def _watch_supply(self, on: bool) -> None:
         if self._guard is not None:

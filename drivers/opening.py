@@ -7,6 +7,7 @@ from labdata.border import from_toml, to_toml
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.durable import write_durably
 from labdata.errors import BadInput
+from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from labdata.sensor import Sensor
 from labdata.sensors import save_sensor, shipped
@@ -57,6 +58,7 @@ def session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: Ca
         bit_depth=bit_depth(sensor, settings),
         interlaced=sensor.video.interlaced if sensor else _interlaced(settings),
         notes=_notes_of(settings),
+        notes=limits_in_force(plan.limits, sensor, plan.overrides).overridden,
     )
 
 

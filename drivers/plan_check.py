@@ -4,14 +4,18 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+from drivers.interlock import FIELD_RATE_HZ
+from drivers.tube_interlock import Interlock
+from drivers.tube_state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
 from labdata.errors import BadInput
+from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
 
 _NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
 _SPARE_BYTES = 64 << 20
 # Conditions that no driver sets or reads back: the record would repeat what was asked as if it had been in force.
-_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control")
+_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "filter_density", "gain_control")
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
@@ -20,7 +24,7 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     Parameters
     ----------
     plan
-        The plan; its own limits were checked when it was made.
+        The plan.
     folder
         Where the session will be.
     sensor
@@ -29,12 +33,20 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     Raises
     ------
     BadInput
-        At the first rule broken: a label that is no file name, light on a dark, a target without its numbers, a gate
-        wider than the exposure, a condition that no driver sets, or a disk too small.
+        At the first rule broken: what the interlock would refuse, a limit above the tube's, a label that is no file
+        name, light on a dark, a target without its numbers, a gate wider than the exposure, a condition that no driver
+        sets, or a disk too small.
     """
+    limits = limits_in_force(plan.limits, sensor, plan.overrides)
     for step in plan.steps:
         _check_step(step, sensor)
+        _check_rules(step.brightest, limits, gate_hz(sensor))
     _check_disk(plan, folder, sensor)
+
+
+def gate_hz(sensor: Sensor | None) -> float:
+    """Openings of the gate a second, Hz: one for each exposure of the camera, or of 525-line video if unknown."""
+    return float(sensor.video.field_rate_hz) if sensor else FIELD_RATE_HZ
 
 
 def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
@@ -53,7 +65,7 @@ def same_but_wires(plan: Plan, other: Plan) -> str | None:
     for step in plan.steps:
         if steps.get(step.label) != step:
             return f"step {step.label!r}"
-    names = ("name", "sensor", "seed", "scene", "limits")
+    names = ("name", "sensor", "tube", "seed", "scene", "limits", "overrides", "settle")
     return next((name for name in names if getattr(plan, name) != getattr(other, name)), "steps")
 
 
@@ -73,6 +85,23 @@ def _check_step(step: Step, sensor: Sensor | None) -> None:
         raise BadInput(
             f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got {asked.gate_ns:g} in {step.label!r}"
         )
+
+
+def _check_rules(step: Step, limits: LimitsInForce, rate_hz: float) -> None:
+    """Let the interlock's own rules look at what the step will order, with nothing there to obey."""
+    asked, point = step.conditions, step.kind == "point"
+    commands: list[Command] = [SetLight(illuminance_lux=0.0, point=point, target=step.target)]
+    if asked.mcp_v:
+        commands.append(RaiseGain(goal_v=asked.mcp_v, rate_v_per_s=limits.ramp_v_per_s))
+    if asked.gate_ns:
+        commands.append(OpenGate(width_ns=asked.gate_ns, rate_hz=rate_hz))
+    if asked.illuminance_lux:
+        commands.append(SetLight(illuminance_lux=asked.illuminance_lux, point=point, target=step.target))
+    safe = TubeState(duty=0.0, mcp_v=0.0, light_lux=0.0, dark_seen=True, heard_s=0.0)
+    try:
+        Interlock(limits, clock=lambda: 0.0).foresee(*commands, state=safe)
+    except InterlockRefused as error:
+        raise BadInput(f"{error}, in step {step.label!r}") from None
 
 
 def _check_settable(step: Step) -> None:

@@ -1,5 +1,6 @@
 """One run with everything open: each step set, filled and finished in the order that spares the tube."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -17,10 +18,11 @@ from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
-from labdata.plan import Judge, Step, Watcher
+from labdata.plan import Judge, Settle, Step, Watcher
 from labdata.session import open_session
 from labdata.store.storage import Storage, StoredStack
 
+LOOK_S = 0.1
 DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one for the phosphor
 
 
@@ -39,6 +41,7 @@ class Run:
         settings: CameraSettings,
         full_scale_dn: float,
         judge: Judge | None,
+        settle: Settle,
         pace: Pace,
         progress: Callable[[str, float], None],
         finished: Sequence[str],
@@ -49,6 +52,7 @@ class Run:
         self._camera, self._bench, self._operator = camera, bench, operator
         self._settings, self._full_scale_dn, self._judge = settings, full_scale_dn, judge
         self._pace, self._progress = pace, progress
+        self._settle, self._before = settle, None
         self.finished, self._partial, self._doubtful = finished, partial, doubtful
 
     def between_steps(self, requests: Requests) -> None:
@@ -127,9 +131,28 @@ class Run:
             )
             tube = self._bench.set_conditions(asked)
             if asked.illuminance_lux:
+                self._look_for_light()
                 light = self._operator.place(kind=step.kind, target=step.target, illuminance_lux=asked.illuminance_lux)
+        self._wait(self._settle.wait_s(self._before, asked), clock)
+        self._before = asked
         camera = Conditions(exposure_s=self._settings.exposure_s, camera_gain_db=self._settings.gain_db)
         return merged(asked, tube, light, camera)
+
+    def _wait(self, seconds: float, clock: StepClock) -> None:
+        """Let gain and light settle, with an eye on the bench."""
+        with clock.settling():
+            until_s = time.monotonic() + seconds
+            while (left_s := until_s - time.monotonic()) > 0.0:
+                self._bench.check()
+                time.sleep(min(left_s, LOOK_S))
+
+    def _look_for_light(self) -> None:
+        """Before the first light: a frame through the open gate must be dark."""
+        if self._bench.dark_seen:
+            return
+        with self._camera.capture(frames=1, discard=DISCARDED_FRAMES) as capture:
+            for frame in capture:
+                self._bench.saw_without_light(frame.pixels, self._full_scale_dn)
 
     def _look_back(self, step: Step, conditions: Conditions, watcher: Watcher) -> None:
         """Before a stack is gone on with: it was begun under the same conditions, and its frames are judged with it."""
@@ -160,6 +183,8 @@ class Run:
                 for frame in clock.waiting_for(capture):
                     with self._doubting(stack), clock.wire():
                         self._bench.check()
+                        if step.kind == "dark" and not self._bench.dark_seen:
+                            self._bench.saw_without_light(frame.pixels, self._full_scale_dn)
                     stack.put(frame)
                     taken += 1
                     watcher.see(frame.pixels)

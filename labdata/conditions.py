@@ -48,6 +48,8 @@ class Conditions:
         Multiplication of an electron-multiplying register, dimensionless, at least 1.
     gain_control
         Control word of the tube's gain, counts.
+    filter_density
+        Optical density of the neutral filter in the beam, dimensionless, base 10; the illuminance is behind it.
     """
 
     exposure_s: float | None = None
@@ -63,6 +65,7 @@ class Conditions:
     brightness_control: bool | None = None
     em_gain: float | None = None
     gain_control: float | None = None
+    filter_density: float | None = None
 
     def __post_init__(self) -> None:
         for item in fields(Conditions):

@@ -6,8 +6,10 @@ from typing import Any
 from labdata.adaptive import SaturationSearch, Until
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
-from labdata.plan import Limits, Plan, Step, Wires
+from labdata.limits import Limits, Override
+from labdata.plan import Plan, Settle, Step, Wires
 from labdata.session import Kind
+from labdata.sweep import SweepForm
 from labdata.target import Target
 
 
@@ -138,6 +140,8 @@ class PlanForm:
         Name of the plan and of the session that it makes.
     sensor
         Name of a shipped sensor description, or the path of one.
+    tube
+        Name of the tube, such as its serial number, under which its dose is kept over sessions.
     seed
         Seed of the virtual bench.
     scene
@@ -145,29 +149,42 @@ class PlanForm:
     wires
         How the instruments are reached.
     limits
-        What the plan may never exceed.
+        What the plan may never exceed, where that is tighter than the tube's limits.
+    override
+        Limits of the tube that are set aside, with reasons.
+    settle
+        How long to wait after a change.
     step
         The stacks to take, in order.
+    sweep
+        Series of stacks, taken after the single steps, in order.
     """
 
     name: str
     sensor: str | None = None
+    tube: str | None = None
     seed: int = 0
     scene: str | None = None
     wires: Wires = field(default_factory=Wires)
     limits: Limits = field(default_factory=Limits)
+    override: tuple[Override, ...] = ()
+    settle: Settle = field(default_factory=Settle)
     step: tuple[StepForm, ...] = ()
+    sweep: tuple[SweepForm, ...] = ()
 
     def built(self) -> Plan:
         """Return the plan that this file describes."""
         return Plan(
             name=self.name,
             sensor=self.sensor,
+            tube=self.tube,
             seed=self.seed,
             scene=self.scene,
             wires=self.wires,
             limits=self.limits,
-            steps=tuple(step.step() for step in self.step),
+            overrides=self.override,
+            settle=self.settle,
+            steps=(*(step.step() for step in self.step), *(step for sweep in self.sweep for step in sweep.steps())),
         )
 
     @classmethod
@@ -176,10 +193,13 @@ class PlanForm:
         return cls(
             name=plan.name,
             sensor=plan.sensor,
+            tube=plan.tube,
             seed=plan.seed,
             scene=plan.scene,
             wires=plan.wires,
             limits=plan.limits,
+            override=plan.overrides,
+            settle=plan.settle,
             step=tuple(_step_form(step) for step in plan.steps),
         )
 

@@ -8,8 +8,12 @@ from numpy.typing import NDArray
 from labdata.adaptive import SaturationSearch, Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
 from labdata.session import Kind
 from labdata.target import Target
+
+LONGEST_SETTLE_S = 86400.0
+"""A wait longer than a day is a slip of the pen, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,34 +117,68 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What the plan may never exceed; checked in full before anything is switched on."""
+class Settle:
+    """How long to wait after a change, before frames are taken.
 
-    mcp_v: float = 900.0
-    illuminance_lux: float = 1e-2
-    point_illuminance_lux: float = 10.0  # inside the image of a pinhole, which is too small to strain the whole tube
-    gate_ns: float = 2e7
-    ramp_v_per_s: float = 50.0
+    Parameters
+    ----------
+    after_gain_s
+        After the plate's voltage was changed and verified, s.
+    after_light_s
+        After light, filter, gate or target were changed, s.
+    """
 
-    def check(self, step: Step) -> None:
-        """Refuse a step that asks for more than is allowed, in a BadInput that names setting and limit."""
-        light = "point_illuminance_lux" if step.kind == "point" else "illuminance_lux"
-        for name, bound in (("mcp_v", "mcp_v"), ("illuminance_lux", light), ("gate_ns", "gate_ns")):
-            asked, limit = getattr(step.conditions, name), getattr(self, bound)
-            if asked is not None and asked > limit:
-                raise BadInput(f"{name} of step {step.label!r} must not exceed the limit {limit:g}, got {asked:g}")
+    after_gain_s: float = 0.0
+    after_light_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("after_gain_s", "after_light_s"):
+            if not 0.0 <= getattr(self, name) <= LONGEST_SETTLE_S:
+                raise BadInput(f"{name} must lie between 0 and {LONGEST_SETTLE_S:g}, got {getattr(self, name):g}")
+
+    def wait_s(self, before: Conditions | None, now: Conditions) -> float:
+        """Time to wait between settings, s; `before` None: nothing was set yet."""
+        gain_moved = before is None or (before.mcp_v or 0.0) != (now.mcp_v or 0.0)
+        return max(self.after_gain_s if gain_moved else 0.0, self.after_light_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """An acquisition plan."""
+    """An acquisition plan.
+
+    Parameters
+    ----------
+    name
+        Name of the plan and of the session that it makes.
+    sensor
+        Name of a shipped sensor description, or the path of one.
+    tube
+        Name of the tube, such as its serial number, under which its dose is kept over sessions.
+    seed
+        Seed of the virtual bench.
+    scene
+        Lab scene of the virtual bench.
+    wires
+        How the instruments are reached.
+    limits
+        What the plan may never exceed, where that is tighter than the tube's limits.
+    overrides
+        Limits of the tube that are set aside, with reasons.
+    settle
+        How long to wait after a change.
+    steps
+        The stacks to take, in order.
+    """
 
     name: str
     sensor: str | None = None
+    tube: str | None = None
     seed: int = 0
     scene: str | None = None
     wires: Wires = field(default_factory=Wires)
     limits: Limits = field(default_factory=Limits)
+    overrides: tuple[Override, ...] = ()
+    settle: Settle = field(default_factory=Settle)
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
@@ -149,8 +187,24 @@ class Plan:
             raise BadInput("a plan must have at least one step, got none")
         if len(set(labels)) != len(labels):
             raise BadInput(f"every step's label must be its own, got {labels}")
-        for step in self.steps:
-            self.limits.check(step.brightest)
+        # Where a sensor is named, its own limits are known to whoever has read it; see drivers.plan_check.
+        if self.sensor is None:
+            known = limits_in_force(self.limits, None, self.overrides)
+            for step in self.steps:
+                _check_against(known, step.brightest)
+
+
+def _check_against(limits: LimitsInForce, step: Step) -> None:
+    """Refuse a step that asks for more than is allowed, in a BadInput that names setting and limit."""
+    bounds = {
+        "mcp_v": limits.mcp_v,
+        "illuminance_lux": limits.largest_lux(point=step.kind == "point"),
+        "gate_ns": limits.gate_ns,
+    }
+    for name, limit in bounds.items():
+        asked = getattr(step.conditions, name)
+        if asked is not None and asked > limit:
+            raise BadInput(f"{name} of step {step.label!r} must not exceed the limit {limit:g}, got {asked:g}")
 
 
 class Watcher(Protocol):

@@ -13,6 +13,7 @@ from labdata.description import (
     must_not_be_negative,
 )
 from labdata.errors import BadInput
+from labdata.limits import TubeLimits
 from labdata.parameter import Parameter
 
 
@@ -331,6 +332,7 @@ class Sensor(Description):
     taper: Taper
     ccd: Ccd
     video: Video
+    limits: TubeLimits = field(default_factory=TubeLimits)
     draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
 

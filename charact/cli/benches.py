@@ -9,6 +9,7 @@ from charact.cli.cameras import camera_named
 from charact.cli.output import say
 from charact.cli.progress import Progress
 from labdata.errors import BadInput
+from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from labdata.session import Session
 
@@ -68,7 +69,7 @@ def _on_virtual_bench(
             camera=_eye(plan, virtual, tell),
             bench=Bench(
                 wires,
-                plan.limits,
+                limits_in_force(plan.limits, sensor, plan.overrides),
                 log=bench_folder(session) / WATCHDOG_LOG,
                 lines=lines,
                 gate_hz=float(sensor.video.field_rate_hz),
@@ -99,13 +100,21 @@ def _on_real_bench(
     from charact.cli.prompting import PromptingOperator
     from drivers.acquire import acquire
     from drivers.interlock import Bench
+    from drivers.plan_check import gate_hz
     from drivers.requests import Requests
+    from labdata.sensors import load_sensor
 
+    sensor = None if plan.sensor is None else load_sensor(plan.sensor)
     return acquire(
         plan,
         session,
         camera=camera_named(plan.wires.camera, tell=tell),
-        bench=Bench(plan.wires, plan.limits, log=session.with_name(f"{session.name}.{WATCHDOG_LOG}")),
+        bench=Bench(
+            plan.wires,
+            limits_in_force(plan.limits, sensor, plan.overrides),
+            log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"),
+            gate_hz=gate_hz(sensor),
+        ),
         operator=PromptingOperator(),
         judge=SaturationJudge(),
         resume=resume,

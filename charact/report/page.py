@@ -11,6 +11,7 @@ from charact.report.emva import emva_summary
 from charact.report.extents import completed
 from charact.report.pictures import aspect_of, representative
 from charact.report.truth import Truth, beside_truth
+from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
 
@@ -87,6 +88,7 @@ def page(
         stacks=tables.stack_table(session),
         sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),
         sensor_facts=tables.sensor_facts(session.sensor) if session.sensor else (),
+        overridden=[note for note in session.notes if note.startswith(OVERRIDDEN)],
         left_out=left_out(session),
         provenance=tables.provenance(result.measurements),
         charted=tables.charted(result),
@@ -159,4 +161,4 @@ def _health(p: Posterior) -> str:
 
 def left_out(session: Session) -> tuple[str, ...]:
     """What the session says of itself: wires left out, effects left out, what readers should know of the frames."""
-    return tuple(dict.fromkeys(session.notes))
+    return tuple(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN)))

@@ -95,6 +95,13 @@ class FakeCapture:
 
 class FakeBench(_Opened):
     name = "bench"
+    dark_seen = True
+
+    def guard(self, operator: "FakeOperator") -> "FakeOperator":
+        return operator
+
+    def saw_without_light(self, pixels: np.ndarray, full_scale_dn: float) -> None:
+        raise AssertionError("a bench that has seen the dark looks no more")
 
     def __exit__(self, *_: object) -> None:
         self.rig.gate_open, self.rig.mcp_v = False, 0.0

@@ -11,7 +11,8 @@ from drivers.interlock import Bench
 from drivers.lines import gate_line, supply_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.plan import Limits, Plan, Step
+from labdata.limits import Override, limits_in_force
+from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from labdata.target import Target
 from simulate.rig import aravis_library
@@ -34,15 +35,15 @@ STEPS = (
     ),
 )
 
+FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life")
+
 
 def taken(folder, wires):
     sensor = load_sensor("pulnix-ag5745ef3")
     small = replace(sensor, ccd=replace(sensor.ccd, rows=61, columns=84))
     folder.mkdir()
     save_sensor(small, folder / "small.toml")
-    plan = Plan(
-        name="twice", sensor=str(folder / "small.toml"), seed=5, limits=Limits(ramp_v_per_s=4000.0), steps=STEPS
-    )
+    plan = Plan(name="twice", sensor=str(folder / "small.toml"), seed=5, overrides=(FAST,), steps=STEPS)
     with VirtualBench(folder / "bench", small, plan.seed, wires=wires, time_scale=20.0) as rig:
         lines = None
         camera = rig.in_process_camera()
@@ -50,7 +51,8 @@ def taken(folder, wires):
             lines = gate_line(inside.gate_port), supply_line(inside.supply_port, address=rig.wires.supply_address)
         elif rig.camera:
             camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
-        bench = Bench(rig.wires, plan.limits, log=folder / "safety.jsonl", lines=lines)
+        limits = limits_in_force(plan.limits, small, plan.overrides)
+        bench = Bench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines)
         session = acquire(plan, folder / "session", camera=camera, bench=bench, operator=rig.operator)
         left_open, left_v = rig.outputs().gate_open, rig.outputs().mcp_v
         return session, rig.left_out, left_open, left_v

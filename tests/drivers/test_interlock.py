@@ -8,15 +8,19 @@ import threading
 import time
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 
 from drivers import high_voltage, safe
 from drivers.errors import BenchError, InstrumentSilent, InstrumentTripped
 from drivers.interlock import FIELD_RATE_HZ, Bench
 from drivers.lines import gate_line, supply_line
+from drivers.tube_state import InterlockRefused, OpenGate
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.plan import Limits, Wires
+from labdata.limits import Limits
+from labdata.plan import Wires
+from labdata.target import Target
 from simulate.rig.faults import Faults
 from simulate.rig.in_process import InProcessInstruments
 
@@ -218,3 +222,79 @@ def test_the_wires_left_out_are_named(bench, tmp_path):
 def test_a_bench_needs_ports(tmp_path):
     with pytest.raises(BadInput, match="gate_port and supply_port must name serial ports, got None and None"):
         Bench(Wires(), LIMITS, log=tmp_path / "log")
+
+
+class Hands:
+    """An operator whose meter reads what is asked times a factor."""
+
+    def __init__(self, factor: float = 1.0) -> None:
+        self.factor, self.placed = factor, []
+
+    def darken(self) -> None:
+        self.placed.append(0.0)
+
+    def place(self, *, kind, target, illuminance_lux) -> Conditions:
+        self.placed.append(illuminance_lux)
+        return Conditions(illuminance_lux=self.factor * illuminance_lux)
+
+
+def dark_frame():
+    return np.full((4, 6), 12, np.uint8)
+
+
+def lit(bench, hands, lux: float, **conditions):
+    """Light at the end of the proper order."""
+    light = bench.guard(hands)
+    light.place(kind="flat", target=Target(), illuminance_lux=0.0)
+    bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6, **conditions))
+    bench.saw_without_light(dark_frame(), 255.0)
+    return light.place(kind="flat", target=Target(), illuminance_lux=lux)
+
+
+def test_no_light_before_a_dark_frame_was_seen_through_the_open_gate(bench):
+    hands = Hands()
+    with bench:
+        light = bench.guard(hands)
+        light.place(kind="flat", target=Target(), illuminance_lux=0.0)
+        bench.saw_without_light(dark_frame(), 255.0)
+        assert not bench.dark_seen  # behind a shut gate every frame is dark
+        with pytest.raises(InterlockRefused, match="a dark frame must be seen through the open gate"):
+            light.place(kind="flat", target=Target(), illuminance_lux=1e-4)
+        assert hands.placed == [0.0]
+
+
+def test_light_goes_on_in_the_proper_order_and_not_further_than_the_gain_bears(bench):
+    with bench:
+        hands = Hands()
+        assert lit(bench, hands, 1e-4).illuminance_lux == 1e-4
+        assert hands.placed == [0.0, 1e-4]
+        with pytest.raises(InterlockRefused, match="the light must be down before the gain goes up"):
+            bench.set_conditions(Conditions(mcp_v=800.0))
+
+
+def test_light_that_reads_too_bright_makes_the_tube_safe(bench, virtual):
+    with bench, pytest.raises(BenchError, match="the tube was made safe: the light must"):
+        lit(bench, Hands(factor=1e5), 1e-4)
+    assert not virtual.outputs().gate_open
+    assert virtual.outputs().mcp_v < 11
+
+
+def test_a_bright_frame_without_light_ends_the_work(bench, virtual):
+    with bench:
+        bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6))
+        with pytest.raises(BenchError, match=r"mean below 25% of full scale .* got 78% and 0.0%"):
+            bench.saw_without_light(np.full((4, 6), 200, np.uint8), 255.0)
+        with pytest.raises(BenchError, match="the tube was made safe: a frame without light"):
+            bench.set_conditions(Conditions(mcp_v=600.0, gate_ns=1e6))
+        assert not virtual.outputs().gate_open
+
+
+def test_after_a_trip_nothing_gets_hotter_before_the_bench_is_opened_anew(bench, virtual):
+    with bench:
+        bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6))
+        virtual.supply_port.faults = Faults(tripped=True)
+        virtual.outputs()
+        with pytest.raises(InstrumentTripped):
+            bench.check()
+        with pytest.raises(BadInput, match="opened anew after a failure"):
+            bench.interlock.permit(OpenGate(width_ns=1e6, rate_hz=50.0))

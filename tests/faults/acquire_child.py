@@ -11,6 +11,7 @@ from drivers.interlock import Bench
 from drivers.lines import gate_line, supply_line
 from labdata.border import from_toml
 from labdata.errors import BadInput
+from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from labdata.sensors import load_sensor
 from simulate.rig.bench import VirtualBench
@@ -50,7 +51,7 @@ def main() -> int:
                 else rig.in_process_camera(),
                 bench=Bench(
                     rig.wires,
-                    plan.limits,
+                    limits_in_force(plan.limits, sensor, plan.overrides),
                     log=options.bench / "safety.jsonl",
                     lines=lines,
                     gate_hz=float(sensor.video.field_rate_hz),

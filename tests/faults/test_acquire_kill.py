@@ -30,7 +30,7 @@ PLAN = """
 name = "killed"
 sensor = "{sensor}"
 seed = 11
-limits = {{ ramp_v_per_s = 4000.0 }}
+override = [{{ limit = "ramp_v_per_s", value = 4000.0, reason = "the virtual output moves faster than life" }}]
 """
 STEP = """
 [[step]]

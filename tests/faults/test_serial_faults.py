@@ -9,7 +9,8 @@ from drivers.errors import BenchError, InstrumentLost, InstrumentSilent, Instrum
 from drivers.interlock import Bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.plan import Limits, Wires
+from labdata.limits import Limits
+from labdata.plan import Wires
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.outputs import read_outputs
 from simulate.rig.process import VirtualInstruments

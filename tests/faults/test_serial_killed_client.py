@@ -23,7 +23,8 @@ CLIENT = """
     import sys, time
     from drivers.interlock import Bench
     from labdata import Conditions
-    from labdata.plan import Limits, Wires
+    from labdata.limits import Limits
+    from labdata.plan import Wires
     gate, supply, log, step, then = sys.argv[1:]
     with Bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=float(step)), log=log) as bench:
         print("open", flush=True)

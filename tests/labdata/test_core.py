@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Result, Target
 from labdata.flags import FLAGS, checked
+from labdata.limits import Limits
 from labdata.measurement import from_draws, from_sd, measured, refused
 from labdata.parameter import Parameter
-from labdata.plan import Limits, Plan, Step
+from labdata.plan import Plan, Step
 from labdata.quantity import QUANTITIES, convert_frequency
 
 

@@ -12,6 +12,7 @@ from drivers.errors import BenchError
 from drivers.interlock import Bench
 from drivers.opening import PLAN
 from labdata.errors import BadInput
+from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from tests.faults.campaign.rig import CampaignRig
 
@@ -102,7 +103,12 @@ def _exit_code(rig: CampaignRig, plan: Plan, session: Path, silence_s: float) ->
             plan,
             session,
             camera=AravisCamera(rig.wires.camera, silence_s=silence_s),
-            bench=Bench(rig.wires, plan.limits, log=rig.watchdog_log, gate_hz=float(rig.sensor.video.field_rate_hz)),
+            bench=Bench(
+                rig.wires,
+                limits_in_force(plan.limits, rig.sensor, plan.overrides),
+                log=rig.watchdog_log,
+                gate_hz=float(rig.sensor.video.field_rate_hz),
+            ),
             operator=rig.operator,
             judge=SaturationJudge(),
             resume=(session / PLAN).exists(),

@@ -3,10 +3,12 @@
 from pathlib import Path
 
 from labdata.conditions import Conditions
-from labdata.plan import Limits, Plan, Step
+from labdata.limits import Override
+from labdata.plan import Plan, Step
 
 FRAMES = 10
 GATE_NS = 1.6e7
+FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life")
 
 
 def small_plan(sensor: Path, seed: int) -> Plan:
@@ -16,7 +18,7 @@ def small_plan(sensor: Path, seed: int) -> Plan:
         _flat("low", 650.0),
         _flat("high", 720.0),
     )
-    return Plan(name="campaign", sensor=str(sensor), seed=seed, limits=Limits(ramp_v_per_s=4000.0), steps=steps)
+    return Plan(name="campaign", sensor=str(sensor), seed=seed, overrides=(FAST,), steps=steps)
 
 
 def _flat(label: str, mcp_v: float) -> Step:

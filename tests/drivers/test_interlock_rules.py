@@ -1,0 +1,191 @@
+"""No sequence of orders, half obeyed or not, hurts a tube behind the interlock; without any one rule, one does."""
+
+import importlib.util
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
+
+from drivers.tube_rules import REACTIONS, RULES
+from drivers.tube_state import (
+    DarkSeen,
+    Failed,
+    GainRead,
+    GateRead,
+    Heard,
+    InterlockRefused,
+    LightRead,
+    LowerGain,
+    OpenGate,
+    RaiseGain,
+    SetLight,
+)
+from labdata.limits import LIMITS
+from labdata.target import Target
+
+_spec = importlib.util.spec_from_file_location("plant", Path(__file__).with_name("plant.py"))
+plant = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(plant)
+
+LEAST_STEPS = 100_000
+ALL = [one.name for one in (*RULES, *REACTIONS)]
+
+
+class AnythingHappens(RuleBasedStateMachine):
+    """A tube behind all rules, to which bursts of up to 400 things happen at a time."""
+
+    tally: ClassVar[Counter] = Counter()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.plant = plant.new_plant()
+
+    @rule(program=st.binary(min_size=300, max_size=1200))
+    def things_happen(self, program: bytes) -> None:
+        before = self.plant.steps, self.plant.passed
+        plant.run(self.plant, program)
+        self.tally["steps"] += self.plant.steps - before[0]
+        self.tally["commands passed"] += self.plant.passed - before[1]
+
+    @rule(seconds=st.floats(0.0, 3.0))
+    def time_passes(self, seconds: float) -> None:
+        self.plant.passes(seconds)
+
+    @rule()
+    def the_bench_is_opened_anew(self) -> None:
+        old = self.plant
+        self.plant = plant.new_plant()
+        self.plant.open, self.plant.volts, self.plant.lux = old.open, old.volts, old.lux
+
+    @invariant()
+    def nothing_hurts(self) -> None:
+        assert not self.plant.hurts, self.plant.hurts
+
+
+def test_no_reachable_state_breaks_a_limit():
+    """At least 100,000 random steps; hypothesis looks for the shortest story that hurts."""
+    AnythingHappens.tally.clear()
+    relaxed = settings(
+        max_examples=240,
+        stateful_step_count=12,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate, Phase.shrink],
+        suppress_health_check=list(HealthCheck),
+    )
+    run_state_machine_as_test(AnythingHappens, settings=relaxed)
+    tally = AnythingHappens.tally
+    print(f"{tally['steps']} random steps, {tally['commands passed']} commands passed, 0 violations")
+    assert tally["steps"] >= LEAST_STEPS
+    assert tally["commands passed"] > LEAST_STEPS / 20, "an interlock that lets nothing pass proves nothing"
+
+
+def hurts_of(rng, *, steps: int = 60_000, **made) -> list[str]:
+    """What hurts a plant first, over programs of 400 steps."""
+    for _ in range(steps // 400):
+        tube = plant.new_plant(**made)
+        plant.run(tube, rng.bytes(1200))
+        if tube.hurts:
+            return tube.hurts
+    return []
+
+
+@pytest.mark.parametrize("without", ALL)
+def test_each_rule_is_needed(without):
+    """An interlock that lacks one rule lets the tube be hurt."""
+    assert hurts_of(np.random.default_rng(8), without=without)
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_limit_a_tenth_too_high_is_found_out(name):
+    loose = replace(plant.LIMITS, **{name: 1.1 * getattr(plant.LIMITS, name)})
+    assert hurts_of(np.random.default_rng(9), limits=loose)
+
+
+def hot():
+    """An interlock in a sound hot state: gate open at gain, light out, dark seen."""
+    tube = plant.new_plant().interlock
+    for event in (
+        GateRead(width_ns=0.0, rate_hz=0.0),
+        GainRead(mcp_v=0.0),
+        LightRead(illuminance_lux=0.0),
+        Heard(now_s=100.0),
+    ):
+        tube.tell(event)
+    tube.permit(SetLight(illuminance_lux=0.0, point=False, target=Target()))
+    tube.permit(RaiseGain(goal_v=800.0, rate_v_per_s=50.0))
+    tube.tell(GainRead(mcp_v=800.0))
+    tube.permit(OpenGate(width_ns=1.6e7, rate_hz=59.94))
+    tube.tell(GateRead(width_ns=1.6e7, rate_hz=59.94))
+    tube.tell(DarkSeen())
+    return tube
+
+
+def light(lux: float, **changes) -> SetLight:
+    return SetLight(**{"illuminance_lux": lux, "point": False, "target": Target(), **changes})
+
+
+@pytest.mark.parametrize(
+    ("event", "command", "sentence"),
+    [
+        (None, light(0.02), "illuminance_lux must not exceed the limit 0.01, got 0.02"),
+        (None, RaiseGain(goal_v=850.0, rate_v_per_s=50.0), "the gate must be shut while the gain moves"),
+        (None, LowerGain(goal_v=700.0), "the gate must be shut while the gain moves"),
+        (None, light(0.0, target=Target(bars=4)), "the gate must be shut while a target is placed"),
+        (None, OpenGate(width_ns=2.1e7, rate_hz=10.0), r"gate_ns must not exceed the limit 2e\+07, got 2.1e\+07"),
+        (None, OpenGate(width_ns=1.9e7, rate_hz=59.94), "open for at most 0.999 of the time, got 1.139"),
+        (
+            LightRead(illuminance_lux=1e-4),
+            OpenGate(width_ns=1e6, rate_hz=50.0),
+            "light must be out when the gate opens",
+        ),
+        (Failed(sentence="the supply tripped"), light(1e-4), "opened anew after a failure, got: the supply tripped"),
+        (Heard(now_s=99.0), light(1e-4), "shown life within 0.6 s, got 1 s of silence"),
+    ],
+)
+def test_a_refusal_names_the_rule_and_the_value(event, command, sentence):
+    tube = hot()
+    if event is not None:
+        tube.tell(event)
+    with pytest.raises(InterlockRefused, match=sentence):
+        tube.permit(command)
+
+
+def test_more_light_is_allowed_at_less_gain():
+    tube = hot()
+    tube.permit(light(9e-3))
+    tube = hot()
+    tube.tell(GainRead(mcp_v=890.0))
+    with pytest.raises(InterlockRefused, match=r"more than 120 nA/cm2 of the plate, got 169.2.*lower the gain before"):
+        tube.permit(light(9e-3))
+    tube.permit(light(6e-3))
+
+
+def test_the_example_of_the_data_sheet_is_met():
+    """18 mm, 250 uA/lm, plate gain of 1000, 1 mlux: 64 nA over the anode, 25 nA/cm2."""
+    load = replace(
+        plant.LIMITS.load, luminous_sensitivity_ua_per_lm=250.0, electron_gain=1000.0, reference_v=800.0, ebi_lux=0.0
+    )
+    assert load.anode_na_per_cm2(1e-3, 800.0, 1.0) == pytest.approx(25.0, rel=0.01)
+
+
+def test_nothing_is_known_before_it_is_read():
+    tube = plant.new_plant().interlock
+    tube.tell(Heard(now_s=100.0))
+    for command in (RaiseGain(goal_v=100.0, rate_v_per_s=1.0), OpenGate(width_ns=1e3, rate_hz=1.0), light(1e-6)):
+        with pytest.raises(InterlockRefused):
+            tube.permit(command)
+
+
+def test_a_dark_frame_behind_a_gate_not_surely_open_proves_nothing():
+    tube = plant.new_plant().interlock
+    tube.tell(LightRead(illuminance_lux=0.0))
+    tube.tell(DarkSeen())
+    assert not tube.state.dark_seen
