@@ -57,8 +57,7 @@ def session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: Ca
         sensor=_sensor_name(plan, folder, sensor),
         bit_depth=bit_depth(sensor, settings),
         interlaced=sensor.video.interlaced if sensor else _interlaced(settings),
-        notes=_notes_of(settings),
-        notes=limits_in_force(plan.limits, sensor, plan.overrides).overridden,
+        notes=(*_notes_of(settings), *limits_in_force(plan.limits, sensor, plan.overrides).overridden),
     )
 
 
