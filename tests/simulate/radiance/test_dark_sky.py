@@ -1,0 +1,79 @@
+"""The moonless sky has the bands, the luminance, the colour and the slope towards the horizon that were measured."""
+
+import numpy as np
+import pytest
+
+from simulate.radiance.sky import NightSky
+from simulate.radiance.sky.dark_sky import dark_sky, van_rhijn
+
+# Means over 50 nm, 1e-6 W m-2 sr-1 um-1 and 1e12 photons s-1 m-2 sr-1 um-1.
+BANDS = [
+    (400, 2.41, 5.2), (450, 2.54, 6.1), (500, 2.54, 6.7), (550, 3.71, 10.7), (600, 5.08, 16.1), (650, 3.20, 10.9),
+    (700, 4.00, 14.6), (750, 6.28, 24.6), (800, 6.84, 28.4), (850, 9.10, 40.2), (900, 13.9, 64.8), (950, 17.2, 84.8),
+]  # fmt: skip
+JOULE_METRE = 6.62607015e-34 * 2.99792458e8
+UP = np.array([[0.0, 0.0, 1.0]])
+
+
+def photons(spectrum, low, high):
+    """Photons per s between two wavelengths."""
+    return spectrum.weighted(lambda nm: nm * 1e-9 / JOULE_METRE * ((nm >= low) & (nm <= high)))
+
+
+@pytest.mark.parametrize(("start", "power", "count"), BANDS)
+def test_bands_of_the_zenith(start, power, count):
+    whole = dark_sky().total
+    assert 1e9 * whole.total(start, start + 50) / 50.0 == pytest.approx(power, rel=0.005)
+    assert photons(whole, start, start + 50) / 0.05 / 1e12 == pytest.approx(count, rel=0.03)
+
+
+def test_luminance_and_illuminance():
+    assert dark_sky().total.lumens == pytest.approx(2.45e-4, rel=0.03)
+    assert np.pi * dark_sky().total.lumens == pytest.approx(7.7e-4, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "watts", "count"),
+    [(400, 700, 3.06e-6, 8.7e12), (700, 900, 4.12e-6, 1.69e13), (400, 950, 9.35e-6, 3.58e13)],
+)
+def test_irradiance_of_a_uniform_dark_sky(low, high, watts, count):
+    assert np.pi * dark_sky().total.total(low, high) == pytest.approx(watts, rel=0.01)
+    assert np.pi * photons(dark_sky().total, low, high) == pytest.approx(count, rel=0.02)
+
+
+def test_the_near_infrared_holds_three_times_the_photons_of_the_visible():
+    whole = dark_sky().total
+    visible = photons(whole, 400, 700) / 300.0
+    assert photons(whole, 700, 900) / 200.0 / visible == pytest.approx(2.9, rel=0.05)
+    assert photons(whole, 900, 950) / 50.0 / visible == pytest.approx(7.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("elevation", "factor"), [(90.0, 1.0), (60.0, 1.15), (30.0, 1.92), (15.0, 3.28), (10.0, 4.19), (0.0, 6.01)]
+)
+def test_airglow_grows_towards_the_horizon(elevation, factor):
+    assert van_rhijn(elevation) == pytest.approx(factor, rel=2e-3)
+
+
+def test_airglow_on_level_ground_is_more_than_its_zenith_says():
+    """E/(pi L) is 1.71 without air, and 1.42 with 0.15 mag of extinction, near what the default air has at 550 nm."""
+    cosine = (np.arange(4000) + 0.5) / 4000
+    assert np.mean(2.0 * cosine * van_rhijn(np.rad2deg(np.arcsin(cosine)))) == pytest.approx(1.71, rel=5e-3)
+    grid = np.array([540.0, 550.0, 560.0])
+    airglow = NightSky(zodiacal=0.0, starlight=0.0)
+    ratio = airglow.irradiance(grid) / np.pi / airglow.radiance(UP, grid)[:, 0]
+    assert ratio[1] == pytest.approx(1.42, rel=0.02)
+
+
+def test_the_three_parts_scale_by_themselves_and_add_up():
+    grid = np.linspace(400.0, 950.0, 56)
+    direction = np.array([[0.0, 0.6, 0.8], [0.0, 0.0, 1.0]])
+    names = ("airglow", "zodiacal", "starlight")
+    none = dict.fromkeys(names, 0.0)
+    parts = [NightSky(**{**none, name: 1.0}).radiance(direction, grid) for name in names]
+    assert np.allclose(sum(parts), NightSky().radiance(direction, grid), rtol=1e-12)
+    assert np.allclose(NightSky(**{**none, "airglow": 2.0}).radiance(direction, grid), 2.0 * parts[0])
+    assert all((part > 0.0).all() for part in parts)
+    luminous = dark_sky().total.lumens
+    assert dark_sky().zodiacal.lumens / luminous == pytest.approx(0.30, rel=1e-3)
+    assert dark_sky().starlight.lumens / luminous == pytest.approx(0.20, rel=1e-3)

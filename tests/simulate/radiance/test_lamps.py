@@ -1,0 +1,178 @@
+"""Lamps have the lumens asked for, the photoelectrons that the tube makes of them, and shine where they say."""
+
+import numpy as np
+import pytest
+
+from labdata.errors import BadInput
+from simulate.iiccd.photons import JOULE_METRE, quantum_efficiency
+from simulate.radiance.lamps import KINDS, Cosine, Isotropic, Lamp, Spot, Table, read_spectrum, spectrum
+from simulate.radiance.photometry import luminous_efficiency, planck
+from simulate.radiance.sky.dark_sky import dark_sky
+from simulate.radiance.sky.moon import moon_spectrum
+
+
+def per_lumen(sheet, light):
+    """Photoelectrons of the case-study tube (1350 uA/lm) per lumen."""
+    electrons = light.weighted(lambda nm: quantum_efficiency(sheet, nm) * nm * 1e-9 / JOULE_METRE)
+    return electrons / light.lumens
+
+
+# lm per W within 380 to 780 nm, and photoelectrons per lumen; without near-infrared lines.
+@pytest.mark.parametrize(
+    ("kind", "efficacy", "electrons"),
+    [
+        ("incandescent", 156.0, 8.4e15),
+        ("high-pressure-sodium", 382.0, 1.53e15),
+        ("low-pressure-sodium", 523.0, 1.13e15),
+        ("mercury", 336.0, 1.0e15),
+        ("mercury-coated", 310.0, 1.45e15),
+        ("metal-halide", 253.0, 1.9e15),
+        ("led-cool", 294.0, 1.2e15),
+        ("led-warm", 294.0, 2.0e15),
+    ],
+)
+def test_photoelectrons_of_a_lumen_differ_eightfold_between_lamps(sheet, kind, efficacy, electrons):
+    share = {} if kind == "incandescent" else {"near_infrared_share": 0.0}
+    light = spectrum(kind, **share)
+    assert 1.0 / light.total(380.0, 780.0) == pytest.approx(efficacy, rel=0.01)
+    assert per_lumen(sheet, light) == pytest.approx(electrons, rel=0.025)
+
+
+def test_photoelectrons_of_a_lumen_of_moon_and_dark_sky(sheet):
+    assert per_lumen(sheet, moon_spectrum(5.0)) == pytest.approx(3.7e15, rel=0.02)
+    assert per_lumen(sheet, dark_sky().total) == pytest.approx(6.6e15, rel=0.02)
+
+
+def test_a_tenth_more_power_in_the_near_infrared_makes_a_sixth_more_photoelectrons(sheet):
+    plain, more = (per_lumen(sheet, spectrum("high-pressure-sodium", near_infrared_share=x)) for x in (0.0, 0.1))
+    assert more - plain == pytest.approx(0.25e15, rel=0.05)
+
+
+def test_a_2856_kelvin_lamp_shines_mostly_unseen():
+    fine = np.geomspace(250.0, 200_000.0, 40_000)
+    total = np.trapezoid(planck(fine, 2856.0), fine)
+    light = spectrum("incandescent", temperature_k=2856.0)
+    scale = light.total(400.0, 900.0) / np.trapezoid(planck(np.arange(400.0, 901.0), 2856.0))
+    assert light.total(400.0, 700.0) / scale / total == pytest.approx(0.065, rel=0.02)
+    assert light.total(700.0, 950.0) / scale / total == pytest.approx(0.142, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("temperature", [2200.0, 3200.0])
+def test_every_lamp_has_the_lumens_asked_for(kind, temperature):
+    light = spectrum(kind, lumens=1234.0, temperature_k=temperature)
+    assert light.lumens == pytest.approx(1234.0, rel=1e-9)
+    fine = np.arange(300.0, 1201.0, 0.25)
+    assert 683.0 * np.sum(light.on(fine) * luminous_efficiency(fine)) * 0.25 == pytest.approx(1234.0, rel=2e-3)
+
+
+def test_a_hotter_lamp_is_bluer():
+    blue = [spectrum("incandescent", temperature_k=t).total(400, 500) for t in (2000.0, 2856.0, 5000.0)]
+    assert blue[0] < blue[1] < blue[2]
+
+
+DIRECTIONS = 400
+
+
+def whole_sphere():
+    """Directions and solid angles of an even mesh over all directions."""
+    up = -1.0 + (np.arange(DIRECTIONS) + 0.5) * 2.0 / DIRECTIONS
+    turn = (np.arange(DIRECTIONS) + 0.5) * 2.0 * np.pi / DIRECTIONS
+    z, phi = (axis.ravel() for axis in np.meshgrid(up, turn, indexing="ij"))
+    level = np.sqrt(1.0 - z**2)
+    return np.column_stack([level * np.cos(phi), level * np.sin(phi), z]), 4.0 * np.pi / DIRECTIONS**2
+
+
+POLAR = np.array([0.0, 30.0, 60.0, 80.0, 90.0])
+STREET = np.array([[100.0, 120.0, 260.0, 90.0, 0.0], [100.0, 110.0, 150.0, 40.0, 0.0], [100.0, 90.0, 60.0, 10.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    "distribution",
+    [
+        Isotropic(),
+        Cosine(),
+        Spot(half_angle_deg=10.0),
+        Spot(half_angle_deg=60.0),
+        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0]), candela=STREET[:1]),
+        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET),
+        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 90.0, 180.0]), candela=STREET),
+        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 120.0, 360.0]), candela=STREET[[0, 1, 0]]),
+    ],
+    ids=str,
+)
+def test_a_lamp_shines_all_of_its_light_and_no_more(distribution):
+    direction, each = whole_sphere()
+    assert distribution.per_sr(direction).sum() * each == pytest.approx(1.0, rel=4e-3)
+
+
+def test_a_table_is_read_at_its_angles_and_mirrored():
+    lamp = Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET)
+    turn = np.deg2rad([45.0, 135.0, 225.0, 315.0])
+    down = np.deg2rad(60.0)
+    ring = np.column_stack([np.sin(down) * np.cos(turn), np.sin(down) * np.sin(turn), np.full(4, np.cos(down))])
+    found = lamp.per_sr(ring) / lamp.per_sr(np.array([[0.0, 0.0, 1.0]]))
+    assert np.allclose(found, 1.5)
+    assert lamp.per_sr(np.array([[0.0, 0.0, -1.0]])) == 0.0
+
+
+def test_a_spot_falls_to_half_at_its_half_angle():
+    spot, angle = Spot(half_angle_deg=12.0), np.deg2rad(12.0)
+    edge, axis = spot.per_sr(np.array([[np.sin(angle), 0.0, np.cos(angle)], [0.0, 0.0, 1.0]]))
+    assert edge / axis == pytest.approx(0.5, rel=1e-9)
+
+
+def test_an_isotropic_lamp_of_1000_lumens_gives_3_lux_at_5_metres():
+    grid = np.arange(380.0, 771.0, 5.0)
+    lamp = Lamp(flux=spectrum("incandescent", lumens=1000.0))
+    candela = 683.0 * 5.0 * np.sum(lamp.intensity(np.array([[0.0, 0.0, 1.0]]), grid)[:, 0] * luminous_efficiency(grid))
+    assert candela / 25.0 == pytest.approx(3.1831, rel=2e-3)
+    exitance = lamp.exitance(2.0, grid)
+    assert 683.0 * 5.0 * np.sum(exitance * luminous_efficiency(grid)) == pytest.approx(500.0, rel=2e-3)
+
+
+def test_a_spectrum_comes_from_a_file(tmp_path):
+    path = tmp_path / "lamp.csv"
+    path.write_text("# any unit\nnm,power\n500,1\n600,3\n700,0\n")
+    found = read_spectrum(path, lumens=10.0)
+    assert found.lumens == pytest.approx(10.0)
+    assert found.on(np.array([490.0, 550.0, 600.0, 650.0]))[2] > 0.0
+    assert found.density[1] / found.density[0] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("500 1\n", "at least two lines of numbers, got 1"),
+        ("nm p\n500 1\n600 x\n", "two numbers on each line, got '600 x'"),
+        ("600 1\n500 1\n", "must be positive and ascend"),
+        ("900 1\n950 1\n", "must hold visible light"),
+        ("500 1\n600 -1\n", "finite and not negative"),
+    ],
+)
+def test_a_bad_file_is_refused_in_a_sentence(tmp_path, text, says):
+    path = tmp_path / "lamp.txt"
+    path.write_text(text)
+    with pytest.raises(BadInput, match=says):
+        read_spectrum(path)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: spectrum("neon"), "one of the kinds incandescent"),
+        (lambda: spectrum("mercury", lumens=-1.0), "lumens must not be negative, got -1"),
+        (lambda: spectrum("incandescent", temperature_k=300.0), r"temperature_k must lie in \[1000, 20000\], got 300"),
+        (lambda: spectrum("led-warm", near_infrared_share=0.1), "near_infrared_share must be 0 for led-warm"),
+        (lambda: spectrum("incandescent", near_infrared_share=0.1), "has no near_infrared_share"),
+        (lambda: Spot(half_angle_deg=90.0), "half_angle_deg must lie in"),
+        (
+            lambda: Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 70.0]), candela=STREET[:2]),
+            "azimuth_deg must ascend from 0 to 0, 90, 180 or 360",
+        ),
+        (lambda: read_spectrum("nowhere.csv"), "readable text file, got nowhere.csv"),
+    ],
+)
+def test_impossible_lamps_are_refused_in_a_sentence(make, says):
+    with pytest.raises(BadInput, match=says):
+        make()
