@@ -131,7 +131,7 @@ def test_the_moonlit_horizon_fades_as_visibility_grows():
     [
         (
             lambda: Atmosphere(visibility_km=0.0),
-            "visibility_km must lie between 0.01 and that of clean air, 339, got 0",
+            "between 0.01 and that of clean air, 339, got 0",
         ),
         (lambda: Atmosphere(visibility_km=1000.0), "that of clean air, 339, got 1000"),
         (lambda: Atmosphere(relative_humidity=1.2), r"relative_humidity must lie in \[0, 1\], got 1.2"),
