@@ -7,7 +7,19 @@ from typing import Annotated
 import typer
 
 from charact import __version__
-from charact.cli import acquisition, importing, looking, loop, mtf, reference, sessions, simulation, studies, watching
+from charact.cli import (
+    acquisition,
+    doctoring,
+    importing,
+    looking,
+    loop,
+    mtf,
+    reference,
+    sessions,
+    simulation,
+    studies,
+    watching,
+)
 
 app = typer.Typer(
     name="charact",
@@ -39,7 +51,7 @@ def charact(
 
 app.add_typer(mtf.app, name="mtf")
 app.add_typer(importing.app, name="import")
-for verbs in (loop, simulation, acquisition, looking, watching, sessions, studies, reference):
+for verbs in (loop, simulation, acquisition, looking, watching, doctoring, sessions, studies, reference):
     verbs.add_to(app)
 
 
