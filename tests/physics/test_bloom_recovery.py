@@ -1,9 +1,12 @@
-"""The halo of simulated specimens is found again, and is as wide at any light."""
+"""The halo of simulated specimens is found again, as wide at any light; blooms step up to it where physics says."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.signal import fftconvolve
 
 from charact import bloom
 from charact.method import Context
@@ -34,18 +37,17 @@ class HeldStack(StackEntry):
         return self.held
 
 
-def series(sensor, lights_lux, seed, *, frames, depletes=False):
+def series(sensor, lights_lux, seed, *, frames, depletes=False, darks=False):
     """A point series of a specimen, in memory."""
     bench = LabBench(sensor)
     bench.camera = replace(bench.camera, local_depletion=depletes)
     stacks = []
-    for index, lux in enumerate(lights_lux):
+    for index, lux in enumerate([*lights_lux, 0.0] if darks else lights_lux):
         conditions = replace(SETTINGS, illuminance_lux=lux)
-        held = bench.expose("point", Target(pinhole_px=1.0), conditions, frames=frames, seed=100 * seed + index)
-        label = f"point-{index}"
-        stacks.append(
-            HeldStack(label=label, kind="point", frames="", conditions=conditions, folder=Path("."), held=held)
-        )
+        kind = "point" if lux else "dark"
+        held = bench.expose(kind, Target(pinhole_px=1.0), conditions, frames=frames, seed=100 * seed + index)
+        label = f"{kind}-{index}"
+        stacks.append(HeldStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held))
     return Session(folder=Path("."), name="simulated", stacks=tuple(stacks), interlaced=True)
 
 
@@ -93,3 +95,69 @@ def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap
     assert abs(gap_mm - float(sensor.photocathode.gap_mm)) < 0.03 * float(sensor.photocathode.gap_mm)
     (share,) = result.find("halo_fraction")
     assert abs(share.value - 0.1) < 4.5 * 0.5 * (share.interval68[1] - share.interval68[0])
+
+
+def landing_places(diameter_px, elastic_share, pitch_ratio, rng, electrons=2_000_000):
+    """Share of bounced electrons in each pixel about their source, from the closed forms of their landing radii.
+
+    A bounced electron of energy share e lands within the radius 2 d e sin 2t of a cosine law: the share
+    1 - sqrt(1 - x^2) of those that keep their energy lands within x halo radii, and x arccos x - sqrt(1 - x^2) + 1 of
+    those whose energies are evenly spread.
+    """
+    x = np.linspace(0.0, 1.0, 4001)
+    evenly = x * np.arccos(x) - np.sqrt(1.0 - x**2) + 1.0
+    share = rng.random(electrons)
+    keeps = rng.random(electrons) < elastic_share
+    radius = 0.5 * diameter_px * np.where(keeps, np.sqrt(1.0 - (1.0 - share) ** 2), np.interp(share, evenly, x))
+    angle = 2.0 * np.pi * rng.random(electrons)
+    edges = np.arange(-40.5, 41.0)
+    where = (radius * np.sin(angle) / pitch_ratio, radius * np.cos(angle))
+    return np.histogram2d(*where, bins=(edges, edges))[0] / electrons
+
+
+def light_without_halo(sensor):
+    """Noiseless picture of the pinhole at 1 lux and the dark level, of a tube from whose plate nothing bounces, DN."""
+    bench = LabBench(sensor.with_values({"photocathode.halo_fraction": 0.0}))
+    faint, dark = (
+        bench.mean("point", Target(pinhole_px=1.0), replace(SETTINGS, illuminance_lux=lux)).astype(float)
+        for lux in (1e-3, 0.0)
+    )
+    return (faint - dark) / 1e-3, float(dark.mean())
+
+
+@pytest.mark.parametrize("elastic_share", [0.3, 0.6])
+def test_blooms_step_up_to_the_halo_where_its_share_the_gap_and_the_threshold_say(elastic_share, seed):
+    """The light at which the bloom is .8 of a halo wide, from a core alone and the closed form of bounced electrons."""
+    sheet = load_sensor("pulnix-ag5745ef3")
+    share = 0.12
+    sensor = specimen(sheet, seed, **{
+        "photocathode.halo_fraction": share, "photocathode.halo_elastic_share": elastic_share,
+    })  # fmt: skip
+    ccd = sensor.ccd
+    ratio = float(ccd.pitch_y_um) / float(ccd.pitch_x_um)
+    diameter_px = (
+        4e3 * float(sensor.photocathode.gap_mm) / (float(ccd.pitch_x_um) * float(sensor.taper.demagnification))
+    )
+    per_lux, dark_dn = light_without_halo(sensor)
+    spread = np.median(per_lux)
+    places = landing_places(diameter_px, elastic_share, ratio, np.random.default_rng(seed))
+    core = per_lux - spread
+    light = spread + (1.0 - share) * core + share * fftconvolve(core, places, mode="same")
+    lights_lux = np.geomspace(2.0, 40.0, 240)
+    wide_px = [bloom_of(dark_dn + lux * light, dark_dn + 0.5 * (255.0 - dark_dn), ratio) for lux in lights_lux]
+    foretold_lux = float(np.exp(np.interp(0.8 * diameter_px, wide_px, np.log(lights_lux))))
+
+    near_lux = foretold_lux * np.geomspace(0.87, 1.15, 7)
+    session = series(sensor, tuple(near_lux), seed, frames=6, darks=True)
+    context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
+    found = bloom.measure(session, method="threshold", context=context).find("bloom_diameter")
+    step_lux = float(np.exp(np.interp(0.8 * diameter_px, [one.value for one in found], np.log(near_lux))))
+    assert found[0].value < 0.8 * diameter_px < found[-1].value
+    assert abs(step_lux / foretold_lux - 1.0) < 0.05
+
+
+def bloom_of(picture_dn, level_dn, pitch_ratio):
+    """Diameter of the circle of equal area to the region around the brightest pixel at or above a level, px."""
+    regions, _ = ndimage.label(picture_dn >= level_dn)
+    here = regions[np.unravel_index(picture_dn.argmax(), picture_dn.shape)]
+    return 2.0 * np.sqrt((regions == here).sum() * pitch_ratio / np.pi) if here else 0.0
