@@ -37,7 +37,7 @@ OF_ALL_LIGHT = ("halo_fraction", "halo_plateau", "encircled_radius_50", "encircl
 LEFT_OUT = {
     "halo_fraction": (0.012, 3.0),
     "halo_plateau": (0.012, 3.0),
-    "halo_rim": (0.005, 1.0),
+    "halo_rim": (0.013, 1.0),
     "encircled_radius_50": (0.006, 1.0),
     "encircled_radius_90": (0.015, 1.0),
     "veiling_glare": (0.05, 3.0),
