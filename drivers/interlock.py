@@ -14,6 +14,7 @@ from types import FrameType, TracebackType
 from numpy.typing import NDArray
 
 from drivers.dark_check import must_be_dark
+from drivers.dose_meter import DoseMeter
 from drivers.errors import BenchError, WatchdogLost
 from drivers.guarded_light import GuardedLight
 from drivers.guarded_tube import GuardedTube
@@ -26,6 +27,7 @@ from drivers.tube_interlock import Interlock
 from drivers.tube_state import DarkSeen, Failed, GainRead, GateRead, Heard, LightRead, SafeOrdered
 from drivers.watched import Guard
 from labdata.conditions import Conditions
+from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
 from labdata.limits import Limits, LimitsInForce, limits_in_force
 from labdata.plan import Wires
@@ -58,6 +60,10 @@ class Bench:
         guards the bench, and `wires_left_out` says so.
     gate_hz
         Openings of the gate a second, Hz: one for each exposure of the camera.
+    dose
+        Ledger of the tube, to which is added what it goes through; None: nobody keeps count.
+    session
+        Name of the session, for readers of the ledger.
 
     Raises
     ------
@@ -75,6 +81,8 @@ class Bench:
         log: Path,
         lines: tuple[Line, Line] | None = None,
         gate_hz: float = FIELD_RATE_HZ,
+        dose: DoseLedger | None = None,
+        session: str = "",
     ) -> None:
         if lines is None and not (wires.gate_port and wires.supply_port):
             raise BadInput(
@@ -84,6 +92,9 @@ class Bench:
         self._gate_hz = gate_hz
         self._gate_model, self._supply_model = model(wires.gate, "gate"), model(wires.supply, "supply")
         self.interlock = Interlock(limits if isinstance(limits, LimitsInForce) else limits_in_force(limits))
+        self._dose = None if dose is None else DoseMeter(dose, self.interlock.limits, session=session)
+        if self._dose is not None:
+            self.interlock.watch(self._dose.watch)
         self._guard: Guard | None = None
         self._taking_over = threading.Lock()
         self._taken_over: Safety | None = None
@@ -183,6 +194,8 @@ class Bench:
         except BenchError as error:
             self.interlock.tell(Failed(sentence=str(error)))
             raise
+        if self._dose is not None and self._dose.failure:
+            self.interlock.tell(Failed(sentence=self._dose.failure))
         self.interlock.tell(Heard(now_s=time.monotonic()))
         if why := self.interlock.alarm():
             self.safe()
@@ -228,12 +241,23 @@ class Bench:
             return
         finally:
             self._restore_signals()
+            unwritten = self._last_dose()
+        if unwritten and error is None:
+            raise BenchError(unwritten)
         if safety is None or safety.whole:
             return
         if error is None:
             _raise_unless_whole(safety)
         else:
             error.add_note(_left_unsafe(safety))
+
+    def _last_dose(self) -> str | None:
+        """Write down what the tube went through to the end; return why that failed, if it did."""
+        if self._dose is None:
+            return None
+        self.interlock.tell(SafeOrdered())
+        self._dose.write()
+        return self._dose.failure
 
     def _left_safe(self) -> Safety | None:
         if self._lines is not None:

@@ -1,6 +1,5 @@
 """The verb `acquire`: a plan becomes a session, on real or virtual instruments."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +16,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def acquire(
-    plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML.")],
+    plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
     out: Annotated[Path, typer.Argument(help="Folder of the session.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a broken run; finished steps stay.")] = False,
     events: options.Events = False,
@@ -35,12 +34,9 @@ def acquire(
         progress_bar(events=events) as progress,
     ):
         from charact.cli.benches import take
-        from labdata.border import from_toml
-        from labdata.plan import Plan
+        from charact.cli.plan_files import load_plan
 
-        asked = from_toml(plan, Plan)
-        beside = plan.parent / (asked.sensor or "")
-        if asked.sensor is not None and beside.is_file():
-            asked = replace(asked, sensor=str(beside.resolve()))
-        session = take(asked, out, resume=resume, progress=progress, tell=lambda sentence: say(sentence, events=events))
+        session = take(
+            load_plan(plan), out, resume=resume, progress=progress, tell=lambda sentence: say(sentence, events=events)
+        )
         print(f"{out}: {len(session.stacks)} stacks\nNext: charact measure {out}")

@@ -14,6 +14,7 @@ from charact.cli import (
     looking,
     loop,
     mtf,
+    planning,
     reference,
     sessions,
     simulation,
@@ -51,7 +52,7 @@ def charact(
 
 app.add_typer(mtf.app, name="mtf")
 app.add_typer(importing.app, name="import")
-for verbs in (loop, simulation, acquisition, looking, watching, doctoring, sessions, studies, reference):
+for verbs in (loop, simulation, planning, acquisition, looking, watching, doctoring, sessions, studies, reference):
     verbs.add_to(app)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from charact.cli.cameras import camera_named
 from charact.cli.output import say
 from charact.cli.progress import Progress
+from labdata.dose_ledger import DoseLedger, ledger_of
 from labdata.errors import BadInput
 from labdata.limits import limits_in_force
 from labdata.plan import Plan
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from simulate.rig.bench import VirtualBench
 
 WATCHDOG_LOG = "watchdog.jsonl"
+DOSE = "dose.jsonl"
 
 
 @contextmanager
@@ -42,6 +44,11 @@ def take(plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: C
         if plan.wires.bench == "real":
             return _on_real_bench(plan, session, resume=resume, progress=progress, tell=tell)
         return _on_virtual_bench(plan, session, resume=resume, progress=progress, tell=tell)
+
+
+def _ledger(plan: Plan, nameless: Path) -> DoseLedger:
+    """Return the ledger of the plan's tube; the dose of one without a name is kept beside its session."""
+    return DoseLedger(nameless) if plan.tube is None else ledger_of(plan.tube)
 
 
 def _on_virtual_bench(
@@ -73,6 +80,8 @@ def _on_virtual_bench(
                 log=bench_folder(session) / WATCHDOG_LOG,
                 lines=lines,
                 gate_hz=float(sensor.video.field_rate_hz),
+                dose=_ledger(plan, bench_folder(session) / DOSE),
+                session=str(session),
             ),
             operator=virtual.operator,
             judge=SaturationJudge(),
@@ -114,6 +123,8 @@ def _on_real_bench(
             limits_in_force(plan.limits, sensor, plan.overrides),
             log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"),
             gate_hz=gate_hz(sensor),
+            dose=_ledger(plan, session.with_name(f"{session.name}.{DOSE}")),
+            session=str(session),
         ),
         operator=PromptingOperator(),
         judge=SaturationJudge(),

@@ -1,0 +1,33 @@
+"""Plans by path or by the name of a shipped one, each with its sensor found beside it."""
+
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+
+from labdata.border import from_toml
+from labdata.errors import BadInput
+from labdata.plan import Plan
+
+
+def shipped_plans() -> tuple[str, ...]:
+    """Names of the plans that come with the package."""
+    files = (resources.files("charact.cli") / "plans").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def load_plan(path: Path) -> Plan:
+    """Read a plan from a file, or a shipped one by its name; a sensor file is found beside the plan.
+
+    Raises
+    ------
+    BadInput
+        If there is no such plan or it breaks a rule.
+    """
+    if str(path) in shipped_plans():
+        with resources.as_file(resources.files("charact.cli") / "plans" / f"{path}.toml") as shipped:
+            return from_toml(shipped, Plan)
+    if not path.exists():
+        raise BadInput(f"a plan must be a file or one of {', '.join(shipped_plans())}, got {path}")
+    plan = from_toml(path, Plan)
+    beside = path.parent / (plan.sensor or "")
+    return replace(plan, sensor=str(beside.resolve())) if plan.sensor is not None and beside.is_file() else plan
