@@ -1,6 +1,7 @@
 """Reading the focus beside the picture: in a process of its own, so that no frame waits for an edge to be fitted."""
 
 import multiprocessing
+import signal
 from collections import deque
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager
@@ -32,7 +33,9 @@ class FocusReader(AbstractContextManager["FocusReader"]):
 
     def __init__(self, context: Context, region: Region | None = None, executor: Executor | None = None) -> None:
         self._context, self._asked = context, region
-        self._executor = executor or ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        self._executor = executor or ProcessPoolExecutor(
+            1, mp_context=multiprocessing.get_context("spawn"), initializer=_left_to_its_parent
+        )
         self._frames: deque[NDArray] = deque(maxlen=AVERAGED_FRAMES)
         self._window = region
         self._reading: Future[Focus] | None = None
@@ -58,14 +61,22 @@ class FocusReader(AbstractContextManager["FocusReader"]):
         if self._frames and self._frames[-1].shape != frame.shape:
             self._frames.clear()
         self._frames.append(frame)
-        if self._reading is not None and self._reading.done():
-            self._take_up(self._reading.result())
-            self._reading = None
+        self.take_up()
         if self._reading is None and len(self._frames) == AVERAGED_FRAMES:
             self._reading = self._executor.submit(read_focus, np.stack(self._frames), self._window, self._context)
 
-    def _take_up(self, focus: Focus) -> None:
+    def take_up(self) -> bool:
+        """Take up a reading that is done; return whether there was one."""
+        if self._reading is None or not self._reading.done():
+            return False
+        focus, self._reading = self._reading.result(), None
         self.newest, self.best = focus, self.best.after(focus)
         if self._asked is None:
             found = focus.region if focus.mtf50_cy_per_px is not None else None
             self._window = None if found is None else window_about(found)
+        return True
+
+
+def _left_to_its_parent() -> None:
+    """Let Ctrl-C on the terminal end the parent alone, which then ends this process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -12,9 +12,10 @@ from labdata.form import SessionForm, StackForm, conditions_of
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.session import MANIFEST
-from labdata.store import Following, is_ours
+from labdata.store import Acknowledged, Following, is_ours
 
-LOOK_S = 0.03  # a frame of ordinary video lasts as long
+LOOK_S = 0.04  # 25 looks a second
+FIRST_SHOWN = 4  # enough for noise and focus of a stack that is there already
 
 
 class SessionSource:
@@ -54,9 +55,8 @@ class SessionSource:
             newest = self._newest()
             if newest is not None and (stack is None or stack.form.label != newest.label):
                 stack = _Stack(newest, self.folder / _array_of(newest), self.context)
-            seen = stack.newest() if stack else None
-            yield seen
-            if seen is None:
+            for seen in (stack.newest() if stack else ()) or (None,):
+                yield seen
                 time.sleep(self._look_s)
 
     def _newest(self) -> StackForm | None:
@@ -81,19 +81,21 @@ class _Stack:
         self._following = Following(path)
         self._first_number: int | None = None
 
-    def newest(self) -> Seen | None:
-        """Return the newest frame, None where none came since the last look."""
+    def newest(self) -> tuple[Seen, ...]:
+        """Return the newest frame, at the first look the newest few; none where none came since the last look."""
         news = self._following.news()
-        if not news:
-            return None
-        if self._first_number is None:
-            self._first_number = news[0].frame_number
-        frame = self._following.frame(news[-1])
+        shown = news[-1:]
+        if news and self._first_number is None:
+            self._first_number, shown = news[0].frame_number, news[-FIRST_SHOWN:]
+        return tuple(self._seen(entry) for entry in shown)
+
+    def _seen(self, entry: Acknowledged) -> Seen:
+        frame = self._following.frame(entry)
         return Seen(
             frame=frame,
             of=f"stack {self.form.label}",
             full_scale_dn=self._full_scale_dn or highest_code(frame.pixels.dtype),
-            lost_frames=frame.number - self._first_number - news[-1].index,
+            lost_frames=frame.number - (self._first_number or 0) - entry.index,
             conditions=conditions_of(self.form),
         )
 

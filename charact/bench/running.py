@@ -2,6 +2,7 @@
 
 import threading
 import time
+from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
@@ -74,6 +75,8 @@ class Running:
                     return
                 if seen is not None:
                     self._take_in(seen)
+                else:
+                    self._renew_focus()
             self.newest.end(f"{self._source.name} has no more frames")
         except (BadInput, BenchError, OSError) as error:
             self.newest.end(str(error))
@@ -105,6 +108,13 @@ class Running:
                 region=self._region,
             )
         )
+
+    def _renew_focus(self) -> None:
+        """Show a reading of the focus that came after its frame."""
+        view = self.newest.view
+        if view is not None and self._focus is not None and self._focus.take_up():
+            self._number += 1
+            self.newest.put(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
 
 
 class _Before:

@@ -82,28 +82,41 @@ class CameraSource:
         What is known of it; a full scale in it goes before that of the camera's pixel format.
     most_hz
         Pace of a camera without a clock of its own, frames/s; None: the camera paces itself.
+    frames_each
+        Frames of one capture, after which the next begins; fewer where a recording has no more.
     """
 
     def __init__(
-        self, camera: AbstractContextManager[Camera], *, name: str, context: Context, most_hz: float | None = None
+        self,
+        camera: AbstractContextManager[Camera],
+        *,
+        name: str,
+        context: Context,
+        most_hz: float | None = None,
+        frames_each: int = ENDLESS,
     ) -> None:
         self._camera, self.name, self.context = camera, name, context
+        self._frames_each = frames_each
         self._period_s = 0.0 if most_hz is None else 1.0 / most_hz
 
     def __iter__(self) -> Iterator[Seen | None]:
         with self._camera as camera:
             settings = camera.configure(CameraSettings())
-            conditions = Conditions(exposure_s=settings.exposure_s, camera_gain_db=settings.gain_db)
-            with camera.capture(frames=ENDLESS) as capture:
-                due_s = time.monotonic()
-                for frame in capture:
-                    yield Seen(
-                        frame=frame,
-                        of=camera.identifier,
-                        full_scale_dn=self.context.full_scale_dn
-                        or highest_code(frame.pixels.dtype, settings.pixel_format),
-                        lost_frames=capture.lost_frames,
-                        conditions=conditions,
-                    )
-                    due_s = max(due_s + self._period_s, time.monotonic())
-                    time.sleep(max(due_s - time.monotonic(), 0.0) if self._period_s else 0.0)
+            while True:
+                yield from self._capture(camera, settings)
+
+    def _capture(self, camera: Camera, settings: CameraSettings) -> Iterator[Seen]:
+        conditions = Conditions(exposure_s=settings.exposure_s, camera_gain_db=settings.gain_db)
+        with camera.capture(frames=self._frames_each) as capture:
+            due_s = time.monotonic()
+            for frame in capture:
+                own_scale_dn = highest_code(frame.pixels.dtype, settings.pixel_format)
+                yield Seen(
+                    frame=frame,
+                    of=camera.identifier,
+                    full_scale_dn=self.context.full_scale_dn or own_scale_dn,
+                    lost_frames=capture.lost_frames,
+                    conditions=conditions,
+                )
+                due_s = max(due_s + self._period_s, time.monotonic())
+                time.sleep(max(due_s - time.monotonic(), 0.0) if self._period_s else 0.0)

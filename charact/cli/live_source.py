@@ -27,7 +27,7 @@ def live_source(
     Parameters
     ----------
     camera
-        Aravis identifier or address.
+        A camera as a plan names it, see `labdata.plan.Wires`.
     plan
         A plan: its camera, or the virtual bench with what its first lit target asks for.
     session
@@ -50,11 +50,11 @@ def live_source(
         yield SessionSource(session)
         return
     asked = None if plan is None else _plan(plan)
-    if camera is None and (asked is None or asked.wires.bench != "real"):
+    if camera is None and (asked is None or (asked.wires.bench != "real" and asked.wires.camera is None)):
         with _virtual(asked, seed, full_scale_dn, tell) as source:
             yield source
         return
-    yield _real(camera or (asked.wires.camera if asked else None), asked, full_scale_dn)
+    yield _named(camera or (asked.wires.camera if asked else None), asked, full_scale_dn, tell)
 
 
 def _plan(path: Path) -> "Plan":
@@ -66,15 +66,33 @@ def _plan(path: Path) -> "Plan":
     return replace(plan, sensor=str(beside.resolve())) if plan.sensor and beside.is_file() else plan
 
 
-def _real(camera: str | None, plan: "Plan | None", full_scale_dn: float | None) -> "Source":
+def _named(
+    camera: str | None, plan: "Plan | None", full_scale_dn: float | None, tell: Callable[[str], None]
+) -> "Source":
     from charact.bench.source import CameraSource
-    from drivers.aravis import AravisCamera
+    from charact.cli.cameras import camera_named
 
     return CameraSource(
-        AravisCamera(camera),
-        name=f"camera {camera or 'by Aravis'}",
+        camera_named(camera, tell=tell),
+        frames_each=_frames_each(camera or ""),
+        name=f"camera {camera or 'that is there'}",
         context=_context(plan.sensor if plan else None, full_scale_dn),
     )
+
+
+def _frames_each(camera: str) -> int:
+    """Return how many frames one capture may ask for: a recording plays what it holds, again and again."""
+    from charact.bench.source import ENDLESS
+    from labdata.opened import open_stack
+    from labdata.session import open_session
+
+    kind, _, place = camera.partition(":")
+    if kind != "replay":
+        return ENDLESS
+    folder, _, label = place.partition("#")
+    session = open_session(folder)
+    stacks = (session.stack(label),) if label else session.stacks
+    return min(len(open_stack(stack)) for stack in stacks)
 
 
 @contextmanager

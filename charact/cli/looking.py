@@ -8,7 +8,10 @@ import typer
 from charact.cli import options
 from charact.cli.output import bad_input_ends, say
 
-Camera = Annotated[str | None, typer.Option("--camera", help="Camera by its Aravis identifier or IP address.")]
+Camera = Annotated[
+    str | None,
+    typer.Option("--camera", help="Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."),
+]
 PlanFile = Annotated[
     Path | None, typer.Option("--plan", help="Plan whose camera is shown; on a virtual bench, its first edge.")
 ]

@@ -1,7 +1,8 @@
 """Cameras: those that Aravis finds on the network and on USB3, and the kernel's video devices."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from charact.bench.doctor.access import device, lets_in
 from charact.bench.doctor.finding import Finding
@@ -12,7 +13,7 @@ DEVICES, KERNEL = Path("/dev"), Path("/sys/class/video4linux")
 def findings() -> Iterator[Finding]:
     """Yield Aravis and its cameras, then the video devices."""
     yield from aravis_cameras()
-    yield from video_devices()
+    yield from video_devices(offered=_offered())
 
 
 def aravis_cameras() -> Iterator[Finding]:
@@ -35,17 +36,22 @@ def aravis_cameras() -> Iterator[Finding]:
         )
 
 
-def video_devices(devices: Path = DEVICES, kernel: Path = KERNEL) -> Iterator[Finding]:
+def video_devices(
+    devices: Path = DEVICES, kernel: Path = KERNEL, offered: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Finding]:
     """Yield the kernel's video devices with their names.
 
     Parameters
     ----------
     devices, kernel
         Folders of the device files and of what the kernel says of them.
+    offered
+        What those that can capture offer, by device file.
     """
     paths = sorted(devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video")))
     for path in paths:
-        yield device("video", path, _name(kernel / path.name / "name"))
+        told = offered.get(str(path), "captures nothing that can be read")
+        yield device("video", path, f"{_name(kernel / path.name / 'name')}, {told}")
     if not paths:
         yield Finding(area="video", says="no video device", fix="plug a capture card in, for analog video")
     if lets_in("video") is False:
@@ -54,6 +60,20 @@ def video_devices(devices: Path = DEVICES, kernel: Path = KERNEL) -> Iterator[Fi
             says="this user is not in the group video",
             fix="sudo usermod -a -G video $USER, then log in again",
         )
+
+
+def _offered() -> dict[str, str]:
+    """Return inputs and readable pixel formats of each device that can capture."""
+    from drivers.v4l2.listing import list_devices
+
+    told = {}
+    for one in list_devices():
+        formats = (
+            ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name)) or "no format that is read"
+        )
+        inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
+        told[one.path] = f"inputs {inputs or 'none'}; {formats or 'no format that can be read'}"
+    return told
 
 
 def _name(path: Path) -> str:

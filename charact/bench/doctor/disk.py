@@ -53,7 +53,7 @@ def speed(folder: Path, rate_hz: float) -> Finding:
     """Return whether a rate of writing keeps up with video, Hz."""
     told = f"{folder} takes {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, forced to the disk"
     if rate_hz >= SPARE * VIDEO_HZ:
-        return Finding(area="disk", says=told, core=True)
+        return Finding(area="disk", says=told)
     return Finding(
         area="disk", says=f"{told}; video needs {VIDEO_HZ:g}, and as many to spare", fix="name a faster disk"
     )

@@ -1,29 +1,18 @@
 """Focus: MTF50 of a known blur, and a best that only a sharper picture replaces."""
 
-from concurrent.futures import Executor, Future
-
 import numpy as np
 import pytest
 
 from charact.bench.focus import BestHeld, Focus, read_focus, window_about
 from charact.bench.focus_reader import AVERAGED_FRAMES, FocusReader
 from charact.method import Context
-from tests.charact.bench.sources import edge
+from tests.charact.bench.sources import AtOnce, edge
 
 CONTEXT = Context(quick=True, full_scale_dn=255.0)
 
 
 def reading(value: float, half: float = 0.01, flags: tuple[str, ...] = ()) -> Focus:
     return Focus(mtf50_cy_per_px=value, interval95=(value - half, value + half), flags=flags)
-
-
-class AtOnce(Executor):
-    """Does what it is given in this thread."""
-
-    def submit(self, fn, /, *args, **kwargs):  # type: ignore[override]
-        done: Future = Future()
-        done.set_result(fn(*args, **kwargs))
-        return done
 
 
 def test_focus_is_the_mtf50_of_the_blur(seed) -> None:

@@ -1,12 +1,17 @@
 """A growing session is seen as it grows, by reading alone."""
 
+import time
+
 import numpy as np
 import pytest
 
+from charact.bench.focus_reader import FocusReader
 from charact.bench.growing import SessionSource
+from charact.bench.running import Running
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.store import Following, SessionWriter
+from tests.charact.bench.sources import AtOnce, edge
 
 SHAPE = (24, 32)
 
@@ -73,3 +78,20 @@ def test_what_is_no_session_of_ours_is_refused_in_a_sentence(tmp_path) -> None:
     (tmp_path / "session.toml").write_text('name = "x"\n[[stack]]\nlabel = "f"\nkind = "flat"\nframes = "flat.npy"\n')
     with pytest.raises(BadInput, match="only frames taken by charact acquire"):
         next(iter(SessionSource(tmp_path)))
+
+
+def test_a_stack_that_is_there_already_is_shown_with_its_noise_and_its_focus(tmp_path, seed) -> None:
+    rng = np.random.default_rng(seed)
+    pictures = [edge(rng, blur_px=1.5, shape=(100, 100)) for _ in range(6)]
+    with SessionWriter.create(tmp_path / "day", name="day") as writer:
+        stack = writer.begin_stack("edge", "edge", (100, 100), np.uint8, Conditions())
+        for number, pixels in enumerate(pictures):
+            stack.append(pixels, number / 30.0, number)
+        stack.finish()
+    source = SessionSource(tmp_path / "day")
+    with FocusReader(source.context, None, AtOnce()) as reader, Running(source, focus=reader) as running:
+        view, until_s = None, time.monotonic() + 20.0
+        while (view is None or view.focus is None) and time.monotonic() < until_s:
+            view = running.newest.after(view.number if view else 0, timeout_s=1.0)
+    assert view is not None and view.seen.frame.number == 5 and view.meters.noise_dn is not None
+    assert view.focus is not None and view.focus.mtf50_cy_per_px is not None
