@@ -44,6 +44,10 @@ def from_toml(path: str | Path, type_: type[T]) -> T:
         raise BadInput(f"{path} must be a TOML file, got bytes that are no text") from None
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{path} must be a TOML file: {_lowered(str(error))}") from None
+    except ValueError:
+        raise BadInput(f"{path} must hold numbers that a person would write, got one of thousands of digits") from None
+    except RecursionError:
+        raise BadInput(f"{path} must be a TOML file, got brackets nested too deep to be read") from None
     return from_mapping(mapping, type_, where=path.name)
 
 

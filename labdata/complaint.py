@@ -58,6 +58,7 @@ def _about_a_key(
     kind: str, steps: Sequence[str | int], mapping: Mapping[str, Any], where: str, known: Sequence[str]
 ) -> str:
     *outer, key = steps
+    outer = _found(outer, mapping)
     place = _place(" in ", outer, mapping, where)
     if kind == "missing":
         return f"missing key {key!r}{place}"
@@ -83,7 +84,7 @@ def _found(steps: Sequence[str | int], mapping: Any) -> tuple[str | int, ...]:
         try:
             mapping = mapping[step]
         except (KeyError, IndexError, TypeError):
-            break
+            continue
         found.append(step)
     return tuple(found)
 
@@ -102,7 +103,7 @@ def _place(joint: str, steps: Sequence[str | int], mapping: Any, where: str) -> 
         at = at[step]
         if isinstance(step, int) and places:
             label = at.get("label") if isinstance(at, Mapping) else None
-            places[-1] += f" {step + 1}" + (f" ({json.dumps(label, ensure_ascii=False)})" if label else "")
+            places[-1] += f" {step + 1}" + (f" ({json.dumps(label, ensure_ascii=False, default=str)})" if label else "")
         else:
             places.append(str(step))
     words = places[::-1] + ([where] if where else [])

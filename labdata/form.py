@@ -6,10 +6,11 @@ from typing import Any
 from labdata.adaptive import SaturationSearch, Until
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
 from labdata.limits import Limits, Override
 from labdata.plan import Plan, Settle, Step, Wires
 from labdata.session import Kind
-from labdata.sweep import SweepForm
+from labdata.sweep import MOST_STEPS, SweepForm
 from labdata.target import Target
 
 
@@ -174,6 +175,8 @@ class PlanForm:
 
     def built(self) -> Plan:
         """Return the plan that this file describes."""
+        if (steps := len(self.step) + sum(sweep.count for sweep in self.sweep)) > MOST_STEPS:
+            raise BadInput(f"a plan must have at most {MOST_STEPS} steps, got {steps}")
         return Plan(
             name=self.name,
             sensor=self.sensor,

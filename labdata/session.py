@@ -1,5 +1,6 @@
 """A session: stacks of frames, the conditions they were taken under, and the sensor that took them."""
 
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -219,7 +220,7 @@ def session_of(folder: Path, form: "SessionForm") -> Session:
     stacks = tuple(_entry(stack, form, folder) for stack in form.stack)
     for entry in stacks:
         for path in entry.paths:
-            if not path.exists():
+            if not os.path.exists(path):  # where a name is no path at all, Path.exists would raise
                 raise BadInput(f"the frames of stack {entry.label!r} must exist, got {path}")
     return Session(
         folder=folder,

@@ -19,8 +19,8 @@ Numbers = float | tuple[float, ...]
 AXES = ("target", "mcp_v", "gate_ns", "exposure_s", "camera_gain_db", "filter_density", "illuminance_lux")
 """What can be swept, the slowest and hardest on the tube outermost."""
 
-MOST_STEPS = 100_000
-"""A sweep of more steps is a slip of the pen."""
+MOST_STEPS = 20_000
+"""A plan of more steps is a slip of the pen."""
 
 _SHORT = {
     "mcp_v": "{:g}V",

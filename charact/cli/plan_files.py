@@ -1,5 +1,6 @@
 """Plans by path or by the name of a shipped one, each with its sensor found beside it."""
 
+import os
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -26,8 +27,8 @@ def load_plan(path: Path) -> Plan:
     if str(path) in shipped_plans():
         with resources.as_file(resources.files("charact.cli") / "plans" / f"{path}.toml") as shipped:
             return from_toml(shipped, Plan)
-    if not path.exists():
+    if not os.path.exists(path):
         raise BadInput(f"a plan must be a file or one of {', '.join(shipped_plans())}, got {path}")
     plan = from_toml(path, Plan)
     beside = path.parent / (plan.sensor or "")
-    return replace(plan, sensor=str(beside.resolve())) if plan.sensor is not None and beside.is_file() else plan
+    return replace(plan, sensor=str(beside.resolve())) if plan.sensor is not None and os.path.isfile(beside) else plan

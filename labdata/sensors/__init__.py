@@ -1,5 +1,6 @@
 """Camera descriptions: the shipped ones by name, others by path."""
 
+import os
 import tomllib
 from importlib import resources
 from pathlib import Path
@@ -47,7 +48,7 @@ def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None)
         with resources.as_file(resources.files("labdata.sensors") / f"{name_or_path}.toml") as path:
             return from_toml(path, _type_of(path))
     path = Path(relative_to or ".") / Path(name_or_path).expanduser()
-    if not path.is_file():
+    if not os.path.isfile(path):  # where a name is no path at all, is_file would raise
         raise BadInput(
             f"a sensor must be one of {', '.join(shipped())} or the path of a TOML file, got {str(name_or_path)!r}"
         )
@@ -58,7 +59,7 @@ def _type_of(path: Path) -> type[Sensor] | type[SolidStateCamera]:
     """Return what a file describes; what cannot be read as TOML is left to the border to refuse."""
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return Sensor
     return SolidStateCamera if "silicon" in tables and "tube" not in tables else Sensor
 

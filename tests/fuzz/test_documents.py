@@ -1,0 +1,73 @@
+"""Mangled documents give one sentence or nothing: never another exception, never a hang."""
+
+import importlib.util
+import random
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labdata.errors import BadInput
+
+_spec = importlib.util.spec_from_file_location("fuzz_documents", Path(__file__).with_name("documents.py"))
+documents = importlib.util.module_from_spec(_spec)
+sys.modules["fuzz_documents"] = documents
+_spec.loader.exec_module(documents)
+
+unhurried = settings(deadline=None, derandomize=True, max_examples=120)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return documents.prepared(tmp_path_factory.mktemp("fuzz"))
+
+
+@pytest.mark.parametrize("target", documents.TARGETS)
+def test_the_documents_are_sound_before_they_are_mangled(target, folder):
+    _, sound, _ = documents.TARGETS[target]
+    assert all(documents.read(target, document, folder) for document in sound())
+
+
+@pytest.mark.parametrize("target", documents.TARGETS)
+def test_a_mangled_document_is_refused_in_a_sentence_or_read(target, folder):
+    sound = documents.TARGETS[target][1]()
+
+    @unhurried
+    @given(st.integers(0, 2**32), st.sampled_from(range(len(sound))))
+    def look(seed: int, which: int) -> None:
+        documents.read(target, documents.mangled(sound[which], random.Random(seed)), folder)
+
+    look()
+
+
+@unhurried
+@given(st.sampled_from(sorted(documents.TARGETS)), st.binary(max_size=300) | st.text(max_size=300).map(str.encode))
+def test_any_bytes_are_refused_in_a_sentence_or_read(folder, target, document):
+    documents.read(target, document, folder)
+
+
+FOUND = {
+    "brackets": (b'name = "p"\nstep = ' + b"[" * 3000, "nested too deep"),
+    "digits": (b'name = "p"\nseed = 1' + b"0" * 5000, "thousands of digits"),
+    "date": (b'name = "s"\n[[step]]\nlabel = 1979-05-27T07:32:00Z\nkind = "dark"\nframes = "x"', "must be"),
+    "union": (
+        b'name = "p"\n[[sweep]]\nkind = "flat"\nframes = 1\ntarget = { value = 1 }',
+        "unknown key 'value' in target",
+    ),
+    "path": (
+        b'name = "p"\nsensor = "' + b"x" * 5000 + b'"\n[[step]]\nlabel = "a"\nkind = "dark"\nframes = 1',
+        "a sensor",
+    ),
+    "sweeps": (b'name = "p"\n' + b'[[sweep]]\nkind = "dark"\nframes = 1\nrepeats = 20000\n' * 9, "at most 20000 steps"),
+}
+
+
+@pytest.mark.parametrize("found", FOUND)
+def test_what_was_found_before_stays_refused(found, folder):
+    document, words = FOUND[found]
+    path = folder / "plan.toml"
+    path.write_bytes(document)
+    with pytest.raises(BadInput, match=words):
+        documents.TARGETS["plan"][0](path)
