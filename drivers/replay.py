@@ -139,7 +139,7 @@ class ReplayCamera:
             gain_db=entry.conditions.camera_gain_db,
             frame_rate_hz=rate_hz,
             trigger="off",
-            notes=entry.notes,
+            notes=(f"frames are a {self.identifier}",),
         )
 
     def _stamps(self, entry: StackEntry, stack: OpenStack) -> list[tuple[int, float]]:

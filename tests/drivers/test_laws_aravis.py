@@ -77,7 +77,7 @@ def test_as_many_frames_are_whole_as_packets_that_all_arrive_would_leave(wire: t
     assert all(is_whole(frame) for frame in frames)
     # As rare on either side as four standard errors.
     assert binom.ppf(3e-5, numbered, 1 - whole) <= capture.lost_frames <= binom.ppf(1 - 3e-5, numbered, 1 - whole)
-    assert (capture.lost_packets > 0) == (capture.lost_frames > 0)
+    assert capture.lost_packets > 0 or capture.lost_frames == 0
     assert capture.resent_packets == 0
 
 

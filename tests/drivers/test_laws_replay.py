@@ -80,6 +80,11 @@ def test_a_session_is_played_stack_after_stack_and_then_has_ended(recorded):
             camera.capture(frames=1)
 
 
+def test_frames_that_are_played_back_are_never_taken_for_new_ones(recorded):
+    with ReplayCamera(recorded, label="whole") as camera:
+        assert camera.configure(CameraSettings()).notes == (f"frames are a replay of {recorded}#whole",)
+
+
 def test_more_frames_than_were_recorded_are_refused(recorded):
     with (
         ReplayCamera(recorded, label="whole", speed=None) as camera,
