@@ -101,6 +101,7 @@ class FakeDevice:
         self.rows, self.columns, self.code = ROWS, COLUMNS, code_of(self.letters[0])
         self.period = (1, 30)
         self.memory: list[FakeMemory] = []
+        self.lent: list[FakeMemory] = []
         self.queued: list[int] = []
         self.streaming: Iterator[Sent] | None = None
         self.is_closed = False
@@ -118,8 +119,9 @@ class FakeDevice:
     def map(self, length_bytes: int, offset: int) -> FakeMemory:
         if length_bytes > 1 << 24:
             raise OSError(errno.ENOMEM, "Cannot allocate memory")
-        self.memory.append(FakeMemory(length_bytes))
-        return self.memory[-1]
+        self.lent.append(FakeMemory(length_bytes))
+        self.memory.append(self.lent[-1])
+        return self.lent[-1]
 
     def wait(self, timeout_s: float) -> bool:
         self.waits_s.append(timeout_s)
@@ -172,7 +174,8 @@ class FakeDevice:
         it.of.capture.numerator, it.of.capture.denominator = self.period
 
     def _s_parm(self, it: Any) -> None:
-        self.period = (it.of.capture.numerator, it.of.capture.denominator)
+        asked = (it.of.capture.numerator, it.of.capture.denominator)
+        self.period = asked if 60 * asked[0] >= asked[1] else (1, 60)
 
     def _queryctrl(self, it: Any) -> None:
         last = it.id & ~NEXT_CONTROL
@@ -202,7 +205,7 @@ class FakeDevice:
 
     def _reqbufs(self, it: Any) -> None:
         self.queued.clear()
-        self.memory.clear()
+        self.lent = []
 
     def _querybuf(self, it: Any) -> None:
         it.length, it.offset = self.size_bytes, it.index * 4096
@@ -225,10 +228,10 @@ class FakeDevice:
         index = self.queued.pop(0)
         whole = self._bytes(sent.sequence)
         there = int(len(whole) * sent.share)
-        self.memory[index].data[:] = 0
-        self.memory[index].data[:there] = whole[:there]
+        self.lent[index].data[:] = 0
+        self.lent[index].data[:there] = whole[:there]
         if sent.faulty:
-            self.memory[index].data[there // 2 :] = 0
+            self.lent[index].data[there // 2 :] = 0
         it.index, it.bytesused, it.sequence = index if sent.index is None else sent.index, there, sent.sequence
         it.flags = BUFFER_FAULTY if sent.faulty else 0
         it.field = self.field if sent.field is None else sent.field

@@ -42,6 +42,8 @@ class TestV4l2(CameraLaws):
             ),
             refused=(
                 (CameraSettings(rows=5000), "rows and columns that it offers .*24x32, 12x16"),
+                (CameraSettings(rows=13, columns=17), "got 13x17, which it makes 12x16"),
+                (CameraSettings(frame_rate_hz=500.0), "must take the frame rate asked, 500 Hz, but reads back 60"),
                 (CameraSettings(pixel_format="RGB8"), "must be one of Mono8, Mono16, YUYV, got 'RGB8'"),
                 (CameraSettings(pixel_format="Mono12"), "must be one of Mono8, Mono16, YUYV, got 'Mono12'"),
                 (CameraSettings(exposure_s=100.0), r"must lie in 0\.0001\.\.1 s, got 100"),
