@@ -33,9 +33,20 @@ def from_toml(path: str | Path, type_: type[T]) -> T:
         If the file is missing, is not TOML, or holds an unknown key or a value that breaks a rule; one sentence
         that names the key and its place.
     """
+    return from_mapping(read_toml(path), type_, where=Path(path).name)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Read a TOML file into a mapping of plain values, for a caller that chooses the dataclass by what it holds.
+
+    Raises
+    ------
+    BadInput
+        If the file is missing or is not TOML.
+    """
     path = Path(path)
     try:
-        mapping = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise BadInput(f"a file must exist to be read, got {path}") from None
     except OSError as error:
@@ -48,7 +59,6 @@ def from_toml(path: str | Path, type_: type[T]) -> T:
         raise BadInput(f"{path} must hold numbers that a person would write, got one of thousands of digits") from None
     except RecursionError:
         raise BadInput(f"{path} must be a TOML file, got brackets nested too deep to be read") from None
-    return from_mapping(mapping, type_, where=path.name)
 
 
 def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") -> T:

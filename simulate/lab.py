@@ -21,7 +21,7 @@ from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.light import Light
 from simulate.radiance.photometry import planck
-from simulate.radiance.scene import LabScene, load_scene
+from simulate.radiance.scene import LabScene, load_bench
 from simulate.radiance.view import View
 
 WAVELENGTH_NM = np.arange(450.0, 951.0, 50.0)
@@ -56,7 +56,7 @@ class LabBench:
         self, sensor: Sensor, scene: LabScene | str | Path | None = None, *, left_out: frozenset[str] = frozenset()
     ) -> None:
         self.camera = IntensifiedCamera(sensor, left_out=left_out)
-        self.scene = scene if isinstance(scene, LabScene) else load_scene(scene or "bench")
+        self.scene = scene if isinstance(scene, LabScene) else load_bench(scene or "bench")
         self._pictures: OrderedDict[tuple[Kind, Target], NDArray[np.float32]] = OrderedDict()
 
     def expose(

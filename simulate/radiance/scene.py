@@ -1,11 +1,16 @@
-"""The lab bench as a scene: lamp, target plate and its holder, room light; read from TOML."""
+"""Scenes are read from TOML here; and the lab bench as a scene: lamp, target plate and its holder, room light."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import datetime
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from labdata.errors import BadInput
 from simulate.radiance.materials.material import Material
+
+if TYPE_CHECKING:
+    from simulate.radiance.world.description import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,18 +108,42 @@ class LabScene:
             )
 
 
-def load_scene(name_or_path: str | Path = "bench") -> LabScene:
-    """Return a lab scene by the name of a shipped one, or from a TOML file.
+def load_scene(name_or_path: str | Path = "bench") -> "LabScene | Scene":
+    """Return a scene by the name of a shipped one, or from a TOML file: a lab bench, or one out of doors with a camera.
 
     Raises
     ------
     BadInput
         If there is no such scene, or the file breaks a rule.
     """
-    from labdata.border import from_toml
-
     path = Path(name_or_path)
-    if path.suffix != ".toml":
-        with resources.as_file(resources.files("simulate") / "scenes" / f"{name_or_path}.toml") as shipped:
-            return from_toml(shipped, LabScene)
-    return from_toml(path, LabScene)
+    if path.suffix == ".toml":
+        return _read(path)
+    shipped = resources.files("simulate") / "scenes"
+    names = sorted(file.name.removesuffix(".toml") for file in shipped.iterdir() if file.name.endswith(".toml"))
+    if str(name_or_path) not in names:
+        raise BadInput(f"a scene must be a .toml file or one of {', '.join(names)}, got {str(name_or_path)!r}")
+    with resources.as_file(shipped / f"{name_or_path}.toml") as file:
+        return _read(file)
+
+
+def load_bench(name_or_path: str | Path = "bench") -> LabScene:
+    """Return a scene that is a lab bench, as `load_scene`; another kind is refused."""
+    scene = load_scene(name_or_path)
+    if not isinstance(scene, LabScene):
+        raise BadInput(f"a lab bench needs a scene with a sphere and a target, got {scene.name!r}")
+    return scene
+
+
+def _read(path: Path) -> "LabScene | Scene":
+    from labdata.border import from_mapping, read_toml
+
+    mapping = read_toml(path)
+    if "camera" not in mapping:
+        return from_mapping(mapping, LabScene, where=path.name)
+    from simulate.radiance.world.description import Scene
+
+    place = mapping.get("place")
+    if isinstance(place, dict) and isinstance(place.get("time"), datetime):
+        place["time"] = place["time"].isoformat()
+    return replace(from_mapping(mapping, Scene, where=path.name), folder=str(path.parent))

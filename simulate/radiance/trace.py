@@ -1,12 +1,37 @@
-"""Rays against surfaces, through embreex called directly: several times faster than through trimesh."""
+"""Rays against surfaces, through embreex called directly: several times faster than through trimesh.
+
+Embree computes in single precision. Surfaces are therefore moved to the middle of the scene, places where rays hit are
+found again in double precision on the plane of the triangle, and a ray that starts on a surface starts a little above
+it, by more than what single precision gets wrong there.
+"""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 CHUNK = 65536
+# A ray starts at least so far above the surface it leaves, m, or so large a share of the coordinates there. Measured on
+# a scene of 60 m, shifted by up to 10 km: no ray then hits its own triangle.
+CLEARANCE_M, CLEARANCE_SHARE = 1e-4, 3e-6
+NOTHING = -1
+
+
+@dataclass(frozen=True)
+class Hits:
+    """Where rays hit.
+
+    Parameters
+    ----------
+    face
+        Triangle that each ray hits first, `NOTHING` for none, shape (ray,).
+    range_m
+        Distance to it along a direction of unit length, infinite for none, shape (ray,), m.
+    """
+
+    face: NDArray[np.int64]
+    range_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -16,39 +41,111 @@ class Tracer:
     Parameters
     ----------
     scene
-        The embree scene.
-    faces
-        Number of triangles; a ray that hits none reports -1.
+        The embree scene; None without a triangle.
+    centre_m
+        Place that the embree scene has in its middle, shape (3,), m.
+    corner_m, normal
+        First corner and unit normal of each triangle, shape (face, 3).
+    clearance_m
+        How far above each triangle a ray starts, shape (face,), m.
     """
 
     scene: Any
-    faces: int
+    centre_m: NDArray[np.float64]
+    corner_m: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    clearance_m: NDArray[np.float64]
 
     def first_hit(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> NDArray[np.int64]:
-        """Return the triangle that each ray hits first, -1 for none, shape (ray,). Rays have shape (ray, 3)."""
-        return self._run(origin_m, direction, "INTERSECT")
+        """Return the triangle that each ray hits first, `NOTHING` for none, shape (ray,). Rays have shape (ray, 3)."""
+        return self._run(origin_m, direction, "INTERSECT", None)
 
-    def blocked(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Return whether anything stands in each ray's way, shape (ray,). Rays have shape (ray, 3)."""
-        return self._run(origin_m, direction, "OCCLUDED") == 0
+    def hits(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> Hits:
+        """Return where rays of unit direction hit first, on the plane of the triangle in double precision."""
+        face = self.first_hit(origin_m, direction)
+        met = face != NOTHING
+        to = self.normal[face[met]]
+        origin, towards = np.asarray(origin_m)[met], np.asarray(direction)[met]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            range_m = _dot(self.corner_m[face[met]] - origin, to) / _dot(towards, to)
+        # Where a ray runs within the plane, or rounding puts the plane behind it, it starts on the triangle.
+        found = np.full(len(face), np.inf)
+        found[met] = np.where(np.isfinite(range_m), np.maximum(range_m, 0.0), 0.0)
+        return Hits(face, found)
 
-    def _run(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating], query: str) -> NDArray[np.int64]:
-        origin = np.ascontiguousarray(origin_m, np.float32)
+    def blocked(
+        self, origin_m: NDArray[np.floating], direction: NDArray[np.floating], reach: ArrayLike | None = None
+    ) -> NDArray[np.bool_]:
+        """Return whether anything stands in each ray's way, shape (ray,).
+
+        Parameters
+        ----------
+        origin_m, direction
+            Rays, each of shape (ray, 3).
+        reach
+            How far to look, in lengths of the direction, one number or shape (ray,); without end if None.
+        """
+        limits = None if reach is None else np.broadcast_to(np.asarray(reach, np.float32), (len(origin_m),))
+        return self._run(origin_m, direction, "OCCLUDED", limits) == 0
+
+    def above(
+        self, face: NDArray[np.integer], place_m: NDArray[np.floating], side: NDArray[np.floating]
+    ) -> NDArray[np.float64]:
+        """Return places on triangles moved off them towards a side, for rays that start there.
+
+        Parameters
+        ----------
+        face, place_m
+            Triangle, shape (place,), and place on it, shape (place, 3), m.
+        side
+            Normal of the triangle, pointing to the side where the ray goes, shape (place, 3).
+        """
+        shift = np.maximum(self.clearance_m[face], CLEARANCE_SHARE * np.abs(place_m - self.centre_m).max(axis=1))
+        return place_m + shift[:, None] * side
+
+    def _run(
+        self,
+        origin_m: NDArray[np.floating],
+        direction: NDArray[np.floating],
+        query: str,
+        limits: NDArray[np.float32] | None,
+    ) -> NDArray[np.int64]:
+        if self.scene is None or not len(origin_m):
+            return np.full(len(origin_m), NOTHING, np.int64)
+        origin = np.ascontiguousarray(origin_m - self.centre_m, np.float32)
         towards = np.ascontiguousarray(direction, np.float32)
-        found = [
-            self.scene.run(origin[i : i + CHUNK], towards[i : i + CHUNK], query=query)
-            for i in range(0, len(origin), CHUNK)
-        ]
-        return np.concatenate(found).astype(np.int64) if found else np.empty(0, np.int64)
+        found = []
+        for i in range(0, len(origin), CHUNK):
+            part = slice(i, i + CHUNK)
+            distances = {} if limits is None else {"dists": np.array(limits[part])}
+            found.append(self.scene.run(origin[part], towards[part], query=query, **distances))
+        return np.concatenate(found).astype(np.int64)
 
 
 def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> Tracer:
     """Return a tracer of a mesh: vertices (vertex, 3) in m, faces (face, 3)."""
-    import trimesh
+    vertices, faces = np.asarray(vertices_m, float).reshape(-1, 3), np.asarray(faces, np.int64).reshape(-1, 3)
+    corners = vertices[faces]
+    if not len(faces):
+        return Tracer(None, np.zeros(3), corners[:, 0], np.zeros((0, 3)), np.zeros(0))
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
-    mesh = trimesh.Trimesh(vertices_m, faces, process=False)
+    centre = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
     scene = EmbreeScene()
-    TriangleMesh(scene, np.asarray(mesh.triangles, np.float32))
-    return Tracer(scene, len(mesh.faces))
+    TriangleMesh(scene, np.ascontiguousarray(corners - centre, np.float32))
+    extent = np.abs(corners - centre).max(axis=(1, 2))
+    return Tracer(
+        scene, centre, corners[:, 0], normals(corners), np.maximum(CLEARANCE_M, CLEARANCE_SHARE * extent)
+    )
+
+
+def normals(corners_m: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return unit normals of triangles (face, corner, 3), zero for those without area, shape (face, 3)."""
+    across = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    return np.divide(across, length, out=np.zeros_like(across), where=length > 0.0)
+
+
+def _dot(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.float64]:
+    return np.einsum("ij,ij->i", a, b)

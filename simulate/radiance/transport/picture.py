@@ -1,0 +1,255 @@
+"""The picture of a scene in spectral radiance: rays where they are needed, an estimate of its own error for each pixel.
+
+A first look along the middle of each pixel finds the edges of objects and shadows; a second, at some pixels of each
+tile, finds how much single rays differ. Both decide how many rays a pixel gets, and neither enters the picture: it is
+made of rays drawn afresh, so that choosing where to look closely does not bend what is seen.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.cube import RadianceCube
+from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.gather import R2, Effort, Parts, Stage
+from simulate.radiance.transport.small_sources import add_small_sources
+from simulate.radiance.transport.truth import Truth, truth
+from simulate.radiance.world.viewpoint import Viewpoint
+
+Array = NDArray[np.floating]
+# Rays that are followed at once, gathering counted.
+BATCH = 48_000
+# Side of a tile, px, and pixels and rays by which it is tried.
+TILE, TRIED, TRIES = 16, 6, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rays:
+    """How many rays pixels get.
+
+    Parameters
+    ----------
+    fewest, edge, most
+        Rays of a pixel where nothing changes, of one where objects or shadows meet, and of any pixel at most.
+    gathered
+        Rays by which each place that they hit gathers its hemisphere.
+    allowed
+        Variance that a pixel's signal may have by chance, by its signal; None: no pixel gets more for its variance.
+    """
+
+    fewest: int = 2
+    edge: int = 12
+    most: int = 64
+    gathered: int = 2
+    allowed: Callable[[Array], Array] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A picture and what is known of it.
+
+    Parameters
+    ----------
+    cube
+        Spectral radiance.
+    signal, variance
+        What the eye makes of each pixel, and how far chance may have moved that: an estimate of its variance from the
+        spread of the pixel's own rays, on average too large where rays are spread evenly, shape (row, col).
+    rays
+        Rays of each pixel, shape (row, col).
+    truth
+        What is where.
+    """
+
+    cube: RadianceCube
+    signal: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    rays: NDArray[np.int32]
+    truth: Truth
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each."""
+
+    pixels: NDArray[np.int64]
+    rays: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """All that a part of the picture is made from; it can be sent to another process."""
+
+    stage: Stage
+    view: Viewpoint
+    effort: Effort
+    weight: NDArray[np.float32]
+    gathered: int
+    seed: int
+
+    def seen(self, job: Job) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
+        rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0])])
+        count, columns = len(job.pixels), self.view.shape[1]
+        spread = (rng.random((count, 1, 2)) + np.arange(job.rays)[:, None] * R2) % 1.0
+        row, col = np.repeat(job.pixels // columns, job.rays), np.repeat(job.pixels % columns, job.rays)
+        origin, towards = self.view.rays(row + spread[..., 0].ravel(), col + spread[..., 1].ravel())
+        light = along(self.stage, origin, towards, self.effort, rng, gathered=self.gathered).total()
+        each = (light @ self.weight).reshape(count, job.rays)
+        variance = each.var(axis=1, ddof=1) / job.rays if job.rays > 1 else np.full(count, np.nan, np.float32)
+        return light.reshape(count, job.rays, -1).mean(axis=1), variance
+
+
+def along(
+    stage: Stage,
+    origin: Array,
+    towards: Array,
+    effort: Effort,
+    rng: np.random.Generator,
+    *,
+    gathered: int,
+    split: bool = False,
+) -> Parts:
+    """Return the radiance along rays of unit direction (ray, 3), in parts of shape (ray, band), as `Stage.leaving`.
+
+    Besides the sources, parts are "in view": sky and glow that the ray meets, and "air": what air adds on the way, less
+    what it takes of all the rest.
+    """
+    hit = stage.surfaces.tracer.hits(origin, towards)
+    met = np.flatnonzero(hit.face != NOTHING)
+    away = np.flatnonzero(hit.face == NOTHING)
+    bands = len(stage.coats.wavelength_nm)
+    parts = Parts(split=split)
+    view = np.zeros((len(towards), bands), np.float32)
+    view[away] = stage.lighting.dome.radiance(towards[away])
+    place = origin[met] + hit.range_m[met, None] * towards[met]
+    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met])
+    view[met] = stage.emitted(points)
+    parts.add("in view", view)
+    for name, light in stage.leaving(points, effort, rng, rays=gathered, split=split).found.items():
+        parts.add(name, _placed(light, met, len(towards)))
+    if stage.air.absorbs and "air" not in effort.left_out:
+        _through_air(stage, parts, hit.range_m[met], towards[met], met)
+    return parts
+
+
+def _placed(light: NDArray[np.float32], which: NDArray[np.int64], count: int) -> NDArray[np.float32]:
+    if len(which) == count:
+        return light
+    found = np.zeros((count, light.shape[1]), np.float32)
+    found[which] = light
+    return found
+
+
+def _through_air(stage: Stage, parts: Parts, range_m: Array, towards: Array, met: NDArray[np.int64]) -> None:
+    lost = np.float32(1.0) - stage.air.through(range_m)
+    whole = parts.total()
+    change = np.zeros_like(whole)
+    change[met] = -lost * whole[met]
+    if stage.air.added is not None:
+        change[met] += stage.air.added(range_m, towards)
+    parts.add("air", change)
+
+
+def picture(
+    stage: Stage,
+    view: Viewpoint,
+    rays: Rays,
+    effort: Effort,
+    *,
+    weight: NDArray[np.floating],
+    seed: int,
+    run: Callable[[Look, list[Job]], Iterator[tuple[NDArray, NDArray]]] | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Picture:
+    """Return the picture of a scene.
+
+    Parameters
+    ----------
+    stage
+        The scene on bands.
+    view
+        The camera.
+    rays, effort
+        How many rays, and how far light is followed.
+    weight
+        Signal of each band's radiance (`Eye.weight`), in which variances are stated, shape (band,).
+    seed
+        Seed: the picture follows from it, whatever runs it.
+    run
+        Does the jobs, in their order; one after the other here if None.
+    progress
+        Told the share done.
+    """
+    look = Look(
+        stage=stage,
+        view=view,
+        effort=effort,
+        weight=np.asarray(weight, np.float32),
+        gathered=rays.gathered,
+        seed=seed,
+    )
+    known = truth(stage, view)
+    wanted = _wanted(look, known, rays)
+    jobs = list(_jobs(wanted, rays.gathered))
+    bands, size = len(look.weight), wanted.size
+    radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
+    results = map(look.seen, jobs) if run is None else run(look, jobs)
+    done = 0
+    for job, (light, spread) in zip(jobs, results, strict=True):
+        radiance[job.pixels], variance[job.pixels] = light, spread
+        done += len(job.pixels)
+        progress(done / size)
+    add_small_sources(stage, view, radiance, effort.left_out)
+    # Gathering takes away hidden sky ray by ray: a rare pixel may come out a little below nothing.
+    signal = (radiance @ look.weight).reshape(view.shape)
+    cube = np.ascontiguousarray(np.maximum(radiance, 0.0).T).reshape(bands, *view.shape)
+    return Picture(
+        cube=RadianceCube(wavelength_nm=stage.coats.wavelength_nm, radiance=cube),
+        signal=signal,
+        variance=variance.reshape(view.shape),
+        rays=wanted,
+        truth=known,
+    )
+
+
+def _wanted(look: Look, known: Truth, rays: Rays) -> NDArray[np.int32]:
+    """Rays of each pixel, shape (row, col)."""
+    wanted = np.full(look.view.shape, rays.fewest, np.int32)
+    if rays.allowed is not None:
+        wanted = np.maximum(wanted, _tried(look, known, rays))
+    wanted[known.edges()] = np.maximum(wanted[known.edges()], rays.edge)
+    steps = 2 ** np.ceil(np.log2(np.minimum(wanted, rays.most) / rays.fewest))
+    return np.minimum(rays.fewest * steps, rays.most).astype(np.int32)
+
+
+def _tried(look: Look, known: Truth, rays: Rays) -> NDArray[np.int32]:
+    """Rays that the variance of a few plain pixels of each tile asks for, for all of its pixels."""
+    rows, columns = look.view.shape
+    rng = np.random.default_rng([look.seed, 0])
+    tiles = (-(-rows // TILE), -(-columns // TILE))
+    corner = np.stack(np.meshgrid(*(TILE * np.arange(n) for n in tiles), indexing="ij"), axis=-1).reshape(-1, 1, 2)
+    at = corner + rng.integers(0, TILE, (len(corner), TRIED, 2))
+    at = np.minimum(at, [rows - 1, columns - 1])
+    pixel = (at[..., 0] * columns + at[..., 1]).ravel()
+    signal, single = np.empty(len(pixel)), np.empty(len(pixel))
+    for start in range(0, len(pixel), BATCH // TRIES):
+        part = slice(start, start + BATCH // TRIES)
+        light, variance = look.seen(Job(pixel[part], TRIES))
+        signal[part], single[part] = light @ look.weight, variance * TRIES
+    assert rays.allowed is not None
+    single[known.edges().ravel()[pixel]] = 0.0
+    need = (single / rays.allowed(signal)).reshape(*tiles, TRIED).mean(axis=-1)
+    return np.ceil(need).astype(np.int32).repeat(TILE, axis=0).repeat(TILE, axis=1)[:rows, :columns]
+
+
+def _jobs(wanted: NDArray[np.int32], gathered: int) -> Iterator[Job]:
+    """Cut the pixels into batches of as many rays each, in the order of the picture."""
+    flat = wanted.ravel()
+    for count in np.unique(flat):
+        pixels = np.flatnonzero(flat == count)
+        batch = max(1, BATCH // (int(count) * max(gathered, 1)))
+        for start in range(0, len(pixels), batch):
+            yield Job(pixels[start : start + batch], int(count))

@@ -1,0 +1,149 @@
+"""Places on surfaces that send light to an eye, with all that their reflection needs."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.brdf.lambert import Lambert
+from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.world.surfaces import Surfaces
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Places on surfaces.
+
+    Parameters
+    ----------
+    place_m
+        Where, shape (point, 3), m.
+    face
+        Triangle, shape (point,).
+    normal
+        Unit normal on the side of the eye, shape (point, 3).
+    outgoing
+        Unit direction to the eye, shape (point, 3).
+    outside
+        Whether the eye sees the outer side of the triangle, shape (point,).
+    matt
+        rho / pi of matt surfaces, 0 of others, shape (point, band), sr-1.
+    glossy
+        Points of each surface that is not matt, and how it reflects.
+    """
+
+    place_m: Array
+    face: NDArray[np.int64]
+    normal: Array
+    outgoing: Array
+    outside: NDArray[np.bool_]
+    matt: NDArray[np.float32]
+    glossy: tuple[tuple[NDArray[np.int64], Brdf], ...]
+
+    def __len__(self) -> int:
+        return len(self.face)
+
+
+@dataclass(frozen=True)
+class Coats:
+    """How each material reflects.
+
+    Parameters
+    ----------
+    wavelength_nm
+        Bands, shape (band,), nm.
+    brdfs
+        One for each material of the surfaces.
+    rho_by_pi
+        rho / pi of the matt ones, shape (material, band), sr-1.
+    """
+
+    wavelength_nm: NDArray[np.float64]
+    brdfs: tuple[Brdf, ...]
+    rho_by_pi: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, brdfs: tuple[Brdf, ...], wavelength_nm: NDArray[np.float64]) -> "Coats":
+        """Return materials on bands."""
+        table = np.zeros((len(brdfs), len(wavelength_nm)), np.float32)
+        for row, brdf in zip(table, brdfs, strict=True):
+            if isinstance(brdf, Lambert):
+                row[:] = brdf.reflectance.at(wavelength_nm) / np.pi
+        return cls(wavelength_nm, brdfs, table)
+
+    def points(self, surfaces: Surfaces, face: NDArray[np.int64], place_m: Array, direction: Array) -> Points:
+        """Return what rays of unit direction (ray, 3) hit: triangles (ray,) at places (ray, 3), m."""
+        normal = surfaces.tracer.normal[face]
+        outside = np.einsum("ij,ij->i", normal, direction) < 0.0
+        material = surfaces.material_of[face]
+        glossy = tuple(
+            (np.flatnonzero(material == number), brdf)
+            for number, brdf in enumerate(self.brdfs)
+            if not isinstance(brdf, Lambert) and (material == number).any()
+        )
+        facing = np.where(outside[:, None], normal, -normal)
+        return Points(place_m, face, facing, -direction, outside, self.rho_by_pi[material], glossy)
+
+    def value(self, points: Points, incoming: Array) -> NDArray[np.float32]:
+        """Return the BRDF of points for unit directions to the light above them, shape (point, band), sr-1."""
+        if not points.glossy:
+            return points.matt
+        found = points.matt.copy()
+        for which, brdf in points.glossy:
+            frame = frames(points.normal[which])
+            light, eye = within(frame, incoming[which]), within(frame, points.outgoing[which])
+            found[which] = brdf.value(light, eye, self.wavelength_nm).T
+        return found
+
+    def drawn(self, points: Points, cosine: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Return directions of gathering and their density, sr-1: by the cosine law, half of glossy ones by the gloss.
+
+        Parameters
+        ----------
+        points
+            Where.
+        cosine
+            Two even numbers in [0, 1) for each point, shape (point, 2), for the cosine law.
+        rng
+            Source of chance for the gloss.
+        """
+        frame = frames(points.normal)
+        radius, turn = np.sqrt(cosine[:, 0]), 2.0 * np.pi * cosine[:, 1]
+        local = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - cosine[:, 0])], axis=1)
+        for which, brdf in points.glossy:
+            by_gloss = which[rng.random(len(which)) < 0.5]
+            local[by_gloss] = brdf.sample(within(frame[by_gloss], points.outgoing[by_gloss]), rng)[0]
+        direction = np.einsum("ij,ijk->ik", local, frame)
+        return direction, self.density(points, direction)
+
+    def density(self, points: Points, direction: Array) -> Array:
+        """Return the density with which `drawn` gathers from unit directions (point, 3), sr-1, shape (point,)."""
+        found = np.maximum(np.einsum("ij,ij->i", points.normal, direction), 0.0) / np.pi
+        for which, brdf in points.glossy:
+            frame = frames(points.normal[which])
+            light, eye = within(frame, direction[which]), within(frame, points.outgoing[which])
+            found[which] = 0.5 * (found[which] + brdf.pdf(light, eye))
+        return found
+
+
+def frames(normal: Array) -> NDArray[np.float64]:
+    """Return axes (x, y, z) with z along unit normals, as rows: shape (point, 3, 3).
+
+    Notes
+    -----
+    Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6 (2017) 1: no branch, no loss near any pole.
+    """
+    x, y, z = normal[:, 0], normal[:, 1], normal[:, 2]
+    sign = np.where(z >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    second = np.stack([b, sign + y * y * a, -y], axis=1)
+    return np.stack([first, second, normal], axis=1)
+
+
+def within(frame: Array, direction: Array) -> NDArray[np.float64]:
+    """Return directions (point, 3) in the axes of frames (point, 3, 3)."""
+    return np.einsum("ijk,ik->ij", frame, direction)

@@ -1,0 +1,81 @@
+"""From the description of a scene to its surfaces: shapes and mesh files, turned, scaled and set in their places."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.world.description import METRE, Object, Pose, Scene
+from simulate.radiance.world.shapes import Mesh, shape
+from simulate.radiance.world.surfaces import Surfaces, surfaces
+
+KINDS = (".obj", ".ply", ".stl", ".glb")
+
+
+def built(scene: Scene) -> Surfaces:
+    """Return the surfaces of a scene.
+
+    Raises
+    ------
+    BadInput
+        If a mesh file cannot be read, holds no triangle, or is open where its surface glows.
+    """
+    glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
+    parts = []
+    for thing in scene.object:
+        mesh = _mesh(scene, thing)
+        if thing.file is not None and thing.material in glowing and not mesh.closed:
+            raise BadInput(
+                f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
+                f"in {thing.file} of {thing.label!r}"
+            )
+        parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in thing.instances or (thing,)]
+    return surfaces(parts)
+
+
+def placed(mesh: Mesh, pose: Pose) -> Mesh:
+    """Return a mesh in a pose."""
+    turned = pose.scale * mesh.vertices_m @ _rotation(pose).T
+    return Mesh(turned + np.asarray(pose.position_m), mesh.faces)
+
+
+def _rotation(pose: Pose) -> NDArray[np.float64]:
+    """First the roll about y, then the pitch about x, then the heading about z, clockwise from above."""
+    roll, pitch, heading = np.deg2rad([pose.roll_deg, pose.pitch_deg, -pose.heading_deg])
+    about_y = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    about_z = np.array([[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
+    return about_z @ about_x @ about_y
+
+
+def _mesh(scene: Scene, thing: Object) -> Mesh:
+    if thing.shape is not None:
+        return shape(thing.shape, thing.size_m)
+    assert thing.file is not None and thing.unit is not None
+    return _read(scene.file(thing.file), METRE[thing.unit])
+
+
+def _read(path: Path, metre: float) -> Mesh:
+    if path.suffix.lower() not in KINDS:
+        raise BadInput(f"a mesh file must be one of {', '.join(KINDS)}, got {path.name}")
+    if not path.is_file():
+        raise BadInput(f"a mesh file must exist to be read, got {path}")
+    import trimesh
+
+    try:
+        loaded = trimesh.load_mesh(path, process=False)
+        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+        vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+    except Exception as error:
+        # Readers of four formats raise whatever they stumble over.
+        raise BadInput(f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}") from None
+    if not len(faces):
+        raise BadInput(f"a mesh must have triangles, got none in {path.name}")
+    if not np.isfinite(vertices).all():
+        raise BadInput(f"the vertices of a mesh must be finite, got others in {path.name}")
+    return Mesh(metre * vertices, faces)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

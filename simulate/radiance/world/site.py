@@ -1,0 +1,249 @@
+"""A scene made ready for light: surfaces built, sky and lamps lit, and all of it laid on the bands that are computed."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.atmosphere.air import Atmosphere
+from simulate.radiance.brdf.lambert import Lambert
+from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.lamps import Cosine, Isotropic, Lamp, Spot, read_spectrum, spectrum
+from simulate.radiance.materials.reflectance import Reflectance
+from simulate.radiance.sky.ephemeris import Place
+from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.sky.town import TownGlow
+from simulate.radiance.spectral_grid import spectral_grid
+from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.transport import dome
+from simulate.radiance.transport.air import Air, air
+from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Panels, panels_of
+from simulate.radiance.transport.points import Coats, frames
+from simulate.radiance.world.build import built
+from simulate.radiance.world.description import LampPost, Scene, Surface
+from simulate.radiance.world.surfaces import Surfaces
+
+Array = NDArray[np.floating]
+# Air is computed for ways up to twice the size of the scene, and at least so long, m.
+SHORTEST_AIR_M = 1000.0
+
+
+@dataclass(frozen=True)
+class Site:
+    """A scene with its surfaces and its lights.
+
+    Parameters
+    ----------
+    scene
+        Its description.
+    """
+
+    scene: Scene
+
+    @cached_property
+    def surfaces(self) -> Surfaces:
+        """All surfaces; refuses a lamp that sticks in one."""
+        found = built(self.scene)
+        for post in self.scene.lamp:
+            _refuse_touching(post, found)
+        return found
+
+    @cached_property
+    def sky(self) -> NightSky | None:
+        """The sky; None without a place."""
+        where, weather, sky = self.scene.place, self.scene.weather, self.scene.sky
+        if where is None:
+            return None
+        place = Place(
+            latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m
+        )
+        towns = tuple(TownGlow(**vars(town)) for town in sky.towns)
+        parts = {"airglow": sky.airglow, "zodiacal": sky.zodiacal, "starlight": sky.starlight, "towns": towns}
+        found = NightSky.at(place, where.moment, atmosphere=_atmosphere(weather), **parts)
+        shining = {"moon": sky.moon, "sun": sky.sun}
+        bodies = tuple(body for body in found.bodies if shining.get(body.name, True))
+        return found if len(bodies) == len(found.bodies) else _without(found, bodies)
+
+    @cached_property
+    def lamps(self) -> tuple[tuple[LampPost, Lamp], ...]:
+        """Lamps and their light."""
+        return tuple((post, _lamp(self.scene, post)) for post in self.scene.lamp)
+
+    @cached_property
+    def glows(self) -> tuple[tuple[str, Spectrum], ...]:
+        """Materials that glow and their radiance, W m-2 sr-1: that of a matt surface, exitance over pi."""
+        return tuple(
+            (surface.label, spectrum(surface.lamp, lumens=surface.glow_lm_per_m2).scaled(1.0 / np.pi))
+            for surface in self.scene.material
+            if surface.glow_lm_per_m2 > 0.0
+        )
+
+    def sources(self) -> tuple[Spectrum, ...]:
+        """Return the spectra of all light."""
+        natural = () if self.sky is None else self.sky.sources()
+        lamps = tuple(lamp.flux for post, lamp in self.lamps if post.lumens > 0.0)
+        return (*natural, *lamps, *(glow for _, glow in self.glows))
+
+    def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
+        """Return wavelengths that follow light, materials and a sensor, see `spectral_grid`."""
+        used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
+        spectra = [(s.wavelength_nm, s.reflectance) for s in self._reflectances(used) if len(s.wavelength_nm) > 1]
+        return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)[0]
+
+    def on(self, wavelength_nm: NDArray[np.floating]) -> Stage:
+        """Return the scene on bands."""
+        grid = np.asarray(wavelength_nm, float)
+        surfaces = self.surfaces
+        by_label = {surface.label: surface for surface in self.scene.material}
+        coats = Coats.of(tuple(_brdf(by_label[name]) for name in surfaces.materials), grid)
+        return Stage(surfaces=surfaces, coats=coats, lighting=self._lighting(grid), air=self._air(grid))
+
+    def _reflectances(self, labels: set[str]) -> list[Surface]:
+        return [s for s in self.scene.material if s.label in labels and s.reflectance is not None]
+
+    def _lighting(self, grid: NDArray[np.float64]) -> Lighting:
+        sky = self.sky
+        above = dome.black(len(grid)) if sky is None else dome.dome(lambda way: sky.radiance(way, grid))
+        discs = () if sky is None else sky.discs()
+        return Lighting(
+            dome=above,
+            discs=tuple(
+                DiscLight(
+                    name=disc.name,
+                    direction=np.asarray(disc.direction, float),
+                    angular_radius_rad=disc.angular_radius_rad,
+                    irradiance=disc.irradiance(grid).astype(np.float32),
+                )
+                for disc in discs
+            ),
+            lamps=tuple(_lamp_light(post, lamp, grid) for post, lamp in self.lamps if post.lumens > 0.0),
+            panels=self._panels(grid),
+        )
+
+    def _panels(self, grid: NDArray[np.float64]) -> Panels | None:
+        if not self.glows:
+            return None
+        names = [name for name, _ in self.glows]
+        kinds = np.array([names.index(name) if name in names else -1 for name in self.surfaces.materials], np.int64)
+        spectra = np.array([glow.on(grid) for _, glow in self.glows], np.float32)
+        return panels_of(self.surfaces, kinds[self.surfaces.material_of], spectra)
+
+    def _air(self, grid: NDArray[np.float64]) -> Air:
+        if self.sky is None:
+            return Air()
+        lit = self.sky.air()
+        corners = self.surfaces.mesh.vertices_m
+        size = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
+        away = float(np.abs(np.asarray(self.scene.camera.position_m)).max())
+        longest = 2.0 * max(size, away, SHORTEST_AIR_M)
+        return air(lambda lengths: lit.transmittance(lengths, grid), longest, _PathLight.of(lit, grid, longest).added)
+
+
+@dataclass(frozen=True)
+class _PathLight:
+    """Light that air adds: that of the longest way by direction, times a share by length.
+
+    The share is the same in all directions, as the light of an endless way of even air does not depend on where it
+    begins.
+    """
+
+    endless: dome.Dome
+    share: Air
+
+    @classmethod
+    def of(cls, lit: Atmosphere, grid: NDArray[np.float64], longest_m: float) -> "_PathLight":
+        ends = np.full(1, longest_m)
+        whole = dome.sphere(lambda way: lit.path_radiance(np.broadcast_to(ends, len(way)), grid, way))
+        level = np.array([[0.0, 1.0, 0.0]])
+
+        def share(lengths: Array) -> Array:
+            along = lit.path_radiance(lengths, grid, np.repeat(level, len(lengths), axis=0))
+            most = lit.path_radiance(ends, grid, level)
+            return np.divide(along, most, out=np.zeros_like(along), where=most > 0.0)
+
+        return cls(whole, air(share, longest_m))
+
+    def added(self, range_m: Array, direction: Array) -> NDArray[np.float32]:
+        return self.endless.irradiance(direction) * self.share.through(range_m)
+
+
+def _atmosphere(weather) -> Atmosphere:
+    return Atmosphere(
+        visibility_km=weather.visibility_km,
+        relative_humidity=weather.relative_humidity,
+        temperature_c=weather.temperature_c,
+    )
+
+
+def _without(sky: NightSky, bodies: tuple) -> NightSky:
+    from dataclasses import replace
+
+    return replace(sky, bodies=bodies)
+
+
+def _brdf(surface: Surface) -> Brdf:
+    if surface.reflectance is not None:
+        return Lambert(reflectance=Reflectance(wavelength_nm=surface.wavelength_nm, share=surface.reflectance))
+    raise BadInput(f"no library yet, got {surface.library!r}")
+
+
+def _lamp(scene: Scene, post: LampPost) -> Lamp:
+    beams = {"isotropic": Isotropic, "cosine": Cosine, "spot": lambda: Spot(half_angle_deg=post.half_angle_deg)}
+    if post.kind.endswith(".csv"):
+        flux = read_spectrum(scene.file(post.kind), lumens=post.lumens)
+    else:
+        flux = spectrum(
+            post.kind,
+            lumens=post.lumens,
+            temperature_k=post.temperature_k,
+            near_infrared_share=post.near_infrared_share,
+        )
+    return Lamp(flux=flux, distribution=beams[post.beam]())
+
+
+@dataclass(frozen=True)
+class _Pattern:
+    """A lamp's distribution in the scene's axes."""
+
+    lamp: Lamp
+    frame: NDArray[np.float64]
+
+    def __call__(self, direction: Array) -> Array:
+        return self.lamp.distribution.per_sr(direction @ self.frame.T)
+
+
+def _lamp_light(post: LampPost, lamp: Lamp, grid: NDArray[np.float64]) -> LampLight:
+    position = np.asarray(post.position_m, float)
+    axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.asarray(post.aim_m, float) - position
+    frame = frames((axis / np.linalg.norm(axis))[None])[0]
+    return LampLight(
+        name=post.label,
+        position_m=position,
+        radius_m=post.radius_m,
+        spectrum=lamp.flux.on(grid).astype(np.float32),
+        pattern=_Pattern(lamp, frame),
+    )
+
+
+def _refuse_touching(post: LampPost, surfaces: Surfaces) -> None:
+    """Refuse a lamp whose ball touches a surface: what shines inside a wall lights nothing as it should."""
+    corners = surfaces.mesh.corners_m
+    place = np.asarray(post.position_m, float)
+    near = (corners.min(axis=1) <= place + post.radius_m).all(axis=1)
+    near &= (corners.max(axis=1) >= place - post.radius_m).all(axis=1)
+    if not near.any():
+        return
+    import trimesh
+
+    which = np.flatnonzero(near)
+    closest = trimesh.triangles.closest_point(corners[which], np.broadcast_to(place, (len(which), 3)))
+    distance = np.linalg.norm(closest - place, axis=1)
+    if distance.min() < post.radius_m:
+        name = surfaces.objects[surfaces.object_of[which[np.argmin(distance)]]]
+        raise BadInput(
+            f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got {post.label!r} "
+            f"{distance.min():.3g} m from {name!r}"
+        )

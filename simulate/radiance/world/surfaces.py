@@ -1,0 +1,68 @@
+"""All surfaces of a scene as triangles ready for rays, each knowing its object and its material."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.trace import Tracer, tracer
+from simulate.radiance.world.shapes import Mesh, joined
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """Triangles of a scene.
+
+    Parameters
+    ----------
+    mesh
+        All triangles, in the scene's coordinates.
+    tracer
+        The same ready for rays.
+    object_of, material_of
+        Number of the object and of the material of each triangle, shape (face,).
+    objects, materials
+        Their names.
+    """
+
+    mesh: Mesh
+    tracer: Tracer
+    object_of: NDArray[np.int64]
+    material_of: NDArray[np.int64]
+    objects: tuple[str, ...]
+    materials: tuple[str, ...]
+
+    @property
+    def area_m2(self) -> NDArray[np.float64]:
+        """Area of each triangle, shape (face,), m2."""
+        corners = self.mesh.corners_m
+        return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+
+    def __reduce__(self) -> tuple:
+        # Embree's own tree cannot be sent to another process: it is built again there.
+        parts = (self.mesh.vertices_m, self.mesh.faces, self.object_of, self.material_of, self.objects, self.materials)
+        return _rebuilt, parts
+
+
+def surfaces(parts: list[tuple[str, str, Mesh]]) -> Surfaces:
+    """Return the surfaces of objects: name, name of the material, and triangles of each."""
+    objects = tuple(dict.fromkeys(name for name, _, _ in parts))
+    materials = tuple(dict.fromkeys(material for _, material, _ in parts))
+    counts = [len(mesh.faces) for _, _, mesh in parts]
+    mesh = joined([mesh for _, _, mesh in parts])
+    of_part = np.repeat(np.arange(len(parts)), counts)
+    object_of = np.array([objects.index(name) for name, _, _ in parts], np.int64)[of_part] if parts else of_part
+    material_of = np.array([materials.index(name) for _, name, _ in parts], np.int64)[of_part] if parts else of_part
+    return _rebuilt(mesh.vertices_m, mesh.faces, object_of, material_of, objects, materials)
+
+
+def _rebuilt(
+    vertices_m: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    object_of: NDArray[np.int64],
+    material_of: NDArray[np.int64],
+    objects: tuple[str, ...],
+    materials: tuple[str, ...],
+) -> Surfaces:
+    mesh = Mesh(vertices_m, faces)
+    return Surfaces(mesh, tracer(vertices_m, faces), object_of, material_of, objects, materials)

@@ -1,0 +1,160 @@
+"""Where the camera stands and looks: rays of places on the picture, and places of directions, through its lens."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+
+Array = NDArray[np.floating]
+# Distances from the axis, in corner radii, over which a distortion is inverted.
+FARTHEST, STEPS = 2.0, 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scan:
+    """How a line scanner moves while it takes one row after the other.
+
+    Parameters
+    ----------
+    line_time_s
+        Time from one row to the next, s.
+    velocity_m_per_s
+        Velocity (east, north, up), m/s.
+    turn_deg_per_s
+        Rate of turning about the vertical, clockwise from above, deg/s.
+    """
+
+    line_time_s: float
+    velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn_deg_per_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.line_time_s > 0.0:
+            raise BadInput(f"line_time_s must be positive, got {self.line_time_s:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viewpoint:
+    """A camera with a pose and a lens: a pinhole with radial distortion.
+
+    Parameters
+    ----------
+    position_m
+        Place of the lens (east, north, up), m.
+    forward
+        Direction of its axis, shape (3,), unit length.
+    roll_deg
+        Turn about the axis, clockwise as the camera sees it, deg.
+    shape
+        Pixels of the picture, (row, col).
+    focal_px
+        Focal length over the pitch of columns and of rows (x, y), dimensionless.
+    distortion_fraction
+        D of r' = r (1 + D (r/R)^2), R the corner's distance from the axis; positive is pincushion.
+    scan
+        For a line scanner, whose rows all look along the middle of the picture, each at its own time; None: framing.
+    """
+
+    position_m: tuple[float, float, float]
+    forward: tuple[float, float, float]
+    shape: tuple[int, int]
+    focal_px: tuple[float, float]
+    roll_deg: float = 0.0
+    distortion_fraction: float = 0.0
+    scan: Scan | None = None
+
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(self.forward) > 0.0:
+            raise BadInput("a camera must look somewhere, got a direction of no length")
+        if not min(self.focal_px) > 0.0 or min(self.shape) < 1:
+            raise BadInput(f"a camera must have pixels and a focal length, got {self.shape} and {self.focal_px}")
+        if not -1.0 / (3.0 * FARTHEST**2) < self.distortion_fraction < 1.0:
+            raise BadInput(f"a distortion must lie between -1/12 and 1 at the corner, got {self.distortion_fraction:g}")
+
+    @cached_property
+    def axes(self) -> NDArray[np.float64]:
+        """Directions to the right, down and forward in the picture, rows of a (3, 3) array."""
+        ahead = np.asarray(self.forward) / np.linalg.norm(self.forward)
+        # A camera that looks straight up or down has north at its top.
+        zenith = np.array([0.0, 0.0, 1.0]) if abs(ahead[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
+        right = np.cross(ahead, zenith)
+        right /= np.linalg.norm(right)
+        down = np.cross(ahead, right)
+        turn = np.deg2rad(self.roll_deg)
+        return np.array(
+            [np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right, ahead]
+        )
+
+    def smaller(self, factor: int) -> "Viewpoint":
+        """Return the same view with so many times fewer pixels on each side."""
+        shape = tuple(max(1, -(-side // factor)) for side in self.shape)
+        focal = tuple(f * new / old for f, new, old in zip(self.focal_px, shape[::-1], self.shape[::-1], strict=True))
+        scan = None if self.scan is None else replace(self.scan, line_time_s=self.scan.line_time_s * factor)
+        return replace(self, shape=(shape[0], shape[1]), focal_px=(focal[0], focal[1]), scan=scan)
+
+    def rays(self, row: Array, col: Array) -> tuple[Array, Array]:
+        """Return origins, m, and unit directions of rays through picture coordinates, each of shape (ray, 3).
+
+        Parameters
+        ----------
+        row, col
+            Coordinates, whole numbers at the corners of pixels, shape (ray,).
+        """
+        along = 0.5 * self.shape[0] if self.scan else row
+        x = (col - 0.5 * self.shape[1]) / self.focal_px[0]
+        y = np.broadcast_to((along - 0.5 * self.shape[0]) / self.focal_px[1], x.shape)
+        if self.distortion_fraction:
+            shrink = 1.0 / (1.0 + self.distortion_fraction * self._before(np.hypot(x, y) / self._corner) ** 2)
+            x, y = x * shrink, y * shrink
+        towards = np.stack([x, y, np.ones_like(x)], axis=1) @ self.axes
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        origin = np.broadcast_to(np.asarray(self.position_m, float), towards.shape)
+        return (origin, towards) if self.scan is None else self._moved(self.scan, row, origin, towards)
+
+    def places(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return picture coordinates (row, col) of directions and whether they lie in the picture, shape (ray,)."""
+        right, down, ahead = self.axes @ np.asarray(direction, float).T
+        front = ahead > 1e-9
+        x, y = (np.divide(side, ahead, out=np.full_like(side, np.inf), where=front) for side in (right, down))
+        with np.errstate(invalid="ignore"):
+            radius = np.hypot(x, y) / self._corner
+            stretch = 1.0 + self.distortion_fraction * radius**2
+            col = x * stretch * self.focal_px[0] + 0.5 * self.shape[1]
+            row = y * stretch * self.focal_px[1] + 0.5 * self.shape[0]
+        inside = front & (radius < FARTHEST) & (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+        return row, col, inside
+
+    def solid_angle_sr(self, row: Array, col: Array) -> Array:
+        """Return the solid angle of a pixel at picture coordinates, shape (place,), sr.
+
+        Notes
+        -----
+        |d1 x d2| of the unit directions' derivatives along row and column.
+        """
+        step = 0.25
+        _, left = self.rays(row, col - step)
+        _, right = self.rays(row, col + step)
+        _, over = self.rays(row - step, col)
+        _, under = self.rays(row + step, col)
+        return np.linalg.norm(np.cross(right - left, under - over), axis=1) / (2.0 * step) ** 2
+
+    @cached_property
+    def _corner(self) -> float:
+        return 0.5 * float(np.hypot(self.shape[1] / self.focal_px[0], self.shape[0] / self.focal_px[1]))
+
+    def _before(self, radius: Array) -> Array:
+        """Radius without distortion of radii in the picture, corner radii."""
+        came = np.linspace(0.0, FARTHEST, STEPS)
+        return np.interp(radius, came * (1.0 + self.distortion_fraction * came**2), came)
+
+    @staticmethod
+    def _moved(scan: Scan, row: Array, origin: Array, towards: Array) -> tuple[Array, Array]:
+        """Rays of a scanner: each row from where the scanner is in the middle of its time."""
+        time_s = (np.floor(row) + 0.5) * scan.line_time_s
+        turn = np.deg2rad(-scan.turn_deg_per_s * time_s)
+        x = np.cos(turn) * towards[:, 0] - np.sin(turn) * towards[:, 1]
+        y = np.sin(turn) * towards[:, 0] + np.cos(turn) * towards[:, 1]
+        return origin + time_s[:, None] * np.asarray(scan.velocity_m_per_s), np.stack([x, y, towards[:, 2]], axis=1)
