@@ -131,7 +131,7 @@ class SiliconCamera:
                 self.silicon(conditions),
                 Collection(row_pairs=False, takes="photoelectrons in the chip", emits="photoelectrons in the wells"),
                 self._ccd(conditions),
-                self._register(conditions),
+                self.register(conditions),
                 self.video(conditions),
             )
         )
@@ -169,7 +169,8 @@ class SiliconCamera:
             emits="charge in the wells",
         )
 
-    def _register(self, conditions: Conditions) -> Register:
+    def register(self, conditions: Conditions) -> Register:
+        """Return the register, and what is in each well besides light."""
         register = self.description.register
         return Register(
             gain=self.em_gain(conditions),

@@ -160,7 +160,7 @@ def subset(points: Points, which: NDArray[np.int64]) -> Points:
         found = np.flatnonzero(shines[which])
         glossy += [(found, brdf)] if len(found) else []
     parts = (points.place_m, points.face, points.normal, points.outgoing, points.outside, points.matt)
-    return Points(*(part[which] for part in parts), tuple(glossy))
+    return Points(*(part[which] for part in parts), tuple(glossy), points.known[which])
 
 
 def _reflected(

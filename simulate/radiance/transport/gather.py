@@ -112,14 +112,15 @@ class Stage:
             Rays by which each point gathers.
         split
             Whether sources and bounces are kept apart: parts are sources by name, "glow" of panels, "sky", "hidden sky"
-            (never positive for matt surfaces) and "bounce 1", 2, ... by number of reflections elsewhere.
+            (what objects take of it, never positive) and "bounce 1", 2, ... by number of reflections elsewhere.
         depth
             Bounces between the points and the surface that the eye sees.
         """
         parts = Parts(split=split)
         self._add_direct(parts, points, effort, rng, rays if effort.gathers else 0, depth)
         if not self.lighting.dome.dark:
-            parts.add("sky", points.matt * self.lighting.dome.irradiance(points.normal))
+            light = points.matt * self.lighting.dome.irradiance(points.normal)
+            parts.add("sky", light * points.known[:, None] if effort.hidden_sky else light)
         if effort.gathers:
             self._add_gathered(parts, points, effort, rng, rays, depth)
         return parts
@@ -165,12 +166,14 @@ class Stage:
         start = self.surfaces.tracer.above(many.face, many.place_m, many.normal)
         hit = self.surfaces.tracer.hits(start, direction)
         met = np.flatnonzero((hit.face != NOTHING) & gives)
-        shiny = _of_glossy(many)
         if not dome.dark:
-            open_sky = np.flatnonzero(shiny & gives & ((hit.face == NOTHING) | (not effort.hidden_sky)))
-            parts.add("sky", _summed(weight[open_sky] * dome.radiance(direction[open_sky]), open_sky, count, rays))
-            behind = met[~shiny[met]] if effort.hidden_sky else met[:0]
-            parts.add("hidden sky", -_summed(weight[behind] * dome.radiance(direction[behind]), behind, count, rays))
+            known = _known_of(many) if effort.hidden_sky else np.ones(len(many), np.float32)
+            seen = np.flatnonzero((hit.face == NOTHING) & (known < 1.0) & gives)
+            sky = weight[seen] * dome.radiance(direction[seen]) * (1.0 - known[seen, None])
+            parts.add("sky", _summed(sky, seen, count, rays))
+            behind = met[known[met] > 0.0] if effort.hidden_sky else met[:0]
+            sky = weight[behind] * dome.radiance(direction[behind]) * -known[behind, None]
+            parts.add("hidden sky", _summed(sky, behind, count, rays))
         if len(met):
             there = self._met(many, start, direction, hit.face, hit.range_m, met)
             self._add_glow(parts, there, met, direction, density, hit.range_m, weight, count, rays)
@@ -181,7 +184,7 @@ class Stage:
         self, many: Points, start: Array, direction: Array, face: NDArray[np.int64], range_m: Array, met: Array
     ) -> Points:
         place = start[met] + range_m[met, None] * direction[met]
-        return self.coats.points(self.surfaces, face[met], place, direction[met])
+        return self.coats.points(self.surfaces, face[met], place, direction[met], many.known[met])
 
     def _add_glow(
         self,
@@ -231,11 +234,12 @@ class Stage:
             parts.add(f"bounce {order + 1}", _summed(light * weight, met, count, rays))
 
 
-def _of_glossy(points: Points) -> NDArray[np.bool_]:
-    found = np.zeros(len(points), bool)
+def _known_of(points: Points) -> NDArray[np.float32]:
+    """Share of the sky that points take as known: none where they are not matt."""
+    known = points.known.copy()
     for which, _ in points.glossy:
-        found[which] = True
-    return found
+        known[which] = 0.0
+    return known
 
 
 def _summed(light: NDArray[np.float32], which: NDArray[np.int64], count: int, rays: int) -> NDArray[np.float32]:

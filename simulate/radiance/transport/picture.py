@@ -22,7 +22,7 @@ Array = NDArray[np.floating]
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
 # Side of a tile, px, and pixels and rays by which it is tried.
-TILE, TRIED, TRIES = 16, 6, 2
+TILE, TRIED, TRIES = 8, 3, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +72,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Job:
-    """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each."""
+    """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each.
+
+    Where `known` (pixel,) is 1 the open sky's light is taken as known, see `Points`.
+    """
 
     pixels: NDArray[np.int64]
     rays: int
+    known: NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +100,8 @@ class Look:
         spread = (rng.random((count, 1, 2)) + np.arange(job.rays)[:, None] * R2) % 1.0
         row, col = np.repeat(job.pixels // columns, job.rays), np.repeat(job.pixels % columns, job.rays)
         origin, towards = self.view.rays(row + spread[..., 0].ravel(), col + spread[..., 1].ravel())
-        light = along(self.stage, origin, towards, self.effort, rng, gathered=self.gathered).total()
+        known = np.repeat(job.known, job.rays)
+        light = along(self.stage, origin, towards, self.effort, rng, gathered=self.gathered, known=known).total()
         each = (light @ self.weight).reshape(count, job.rays)
         variance = each.var(axis=1, ddof=1) / job.rays if job.rays > 1 else np.full(count, np.nan, np.float32)
         return light.reshape(count, job.rays, -1).mean(axis=1), variance
@@ -110,6 +115,7 @@ def along(
     rng: np.random.Generator,
     *,
     gathered: int,
+    known: NDArray[np.float32] | None = None,
     split: bool = False,
 ) -> Parts:
     """Return the radiance along rays of unit direction (ray, 3), in parts of shape (ray, band), as `Stage.leaving`.
@@ -125,7 +131,8 @@ def along(
     view = np.zeros((len(towards), bands), np.float32)
     view[away] = stage.lighting.dome.radiance(towards[away])
     place = origin[met] + hit.range_m[met, None] * towards[met]
-    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met])
+    open_sky = None if known is None else known[met]
+    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met], open_sky)
     view[met] = stage.emitted(points)
     parts.add("in view", view)
     for name, light in stage.leaving(points, effort, rng, rays=gathered, split=split).found.items():
@@ -191,9 +198,10 @@ def picture(
         gathered=rays.gathered,
         seed=seed,
     )
-    known = truth(stage, view)
-    wanted = _wanted(look, known, rays)
-    jobs = list(_jobs(wanted, rays.gathered))
+    here = truth(stage, view)
+    known = sky_known(stage, view, seed)
+    wanted = _wanted(look, here, known, rays)
+    jobs = list(_jobs(wanted, known, rays.gathered))
     bands, size = len(look.weight), wanted.size
     radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
     results = map(look.seen, jobs) if run is None else run(look, jobs)
@@ -211,45 +219,77 @@ def picture(
         signal=signal,
         variance=variance.reshape(view.shape),
         rays=wanted,
-        truth=known,
+        truth=here,
     )
 
 
-def _wanted(look: Look, known: Truth, rays: Rays) -> NDArray[np.int32]:
+def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:
+    """Return 1 for pixels from most of whose surfaces more than half of the sky is open, and 0 for others, (row, col).
+
+    Tried by a few places of each tile, with random numbers of their own.
+    """
+    rng = np.random.default_rng([seed, 1])
+    rows, columns = view.shape
+    pixel, tiles = _some_pixels(view.shape, rng)
+    origin, towards = view.rays(pixel // columns + 0.5, pixel % columns + 0.5)
+    hit = stage.surfaces.tracer.hits(origin, towards)
+    met = np.flatnonzero(hit.face != NOTHING)
+    place = origin[met] + hit.range_m[met, None] * towards[met]
+    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met])
+    hidden = np.zeros(len(pixel))
+    for _ in range(TRIES):
+        direction, _ = stage.coats.drawn(points, rng.random((len(met), 2)), rng)
+        start = stage.surfaces.tracer.above(points.face, points.place_m, points.normal)
+        hidden[met] += stage.surfaces.tracer.blocked(start, direction) / TRIES
+    share = hidden.reshape(*tiles, TRIED).mean(axis=-1)
+    return _of_tiles(share < 0.5, view.shape).astype(np.float32)
+
+
+def _wanted(look: Look, here: Truth, known: NDArray[np.float32], rays: Rays) -> NDArray[np.int32]:
     """Rays of each pixel, shape (row, col)."""
     wanted = np.full(look.view.shape, rays.fewest, np.int32)
+    edges = here.edges()
     if rays.allowed is not None:
-        wanted = np.maximum(wanted, _tried(look, known, rays))
-    wanted[known.edges()] = np.maximum(wanted[known.edges()], rays.edge)
+        wanted = np.maximum(wanted, _tried(look, edges, known, rays.allowed))
+    wanted[edges] = np.maximum(wanted[edges], rays.edge)
     steps = 2 ** np.ceil(np.log2(np.minimum(wanted, rays.most) / rays.fewest))
     return np.minimum(rays.fewest * steps, rays.most).astype(np.int32)
 
 
-def _tried(look: Look, known: Truth, rays: Rays) -> NDArray[np.int32]:
+def _tried(
+    look: Look, edges: NDArray[np.bool_], known: NDArray[np.float32], allowed: Callable[[Array], Array]
+) -> NDArray[np.int32]:
     """Rays that the variance of a few plain pixels of each tile asks for, for all of its pixels."""
-    rows, columns = look.view.shape
     rng = np.random.default_rng([look.seed, 0])
-    tiles = (-(-rows // TILE), -(-columns // TILE))
-    corner = np.stack(np.meshgrid(*(TILE * np.arange(n) for n in tiles), indexing="ij"), axis=-1).reshape(-1, 1, 2)
-    at = corner + rng.integers(0, TILE, (len(corner), TRIED, 2))
-    at = np.minimum(at, [rows - 1, columns - 1])
-    pixel = (at[..., 0] * columns + at[..., 1]).ravel()
+    pixel, tiles = _some_pixels(look.view.shape, rng)
     signal, single = np.empty(len(pixel)), np.empty(len(pixel))
     for start in range(0, len(pixel), BATCH // TRIES):
         part = slice(start, start + BATCH // TRIES)
-        light, variance = look.seen(Job(pixel[part], TRIES))
+        light, variance = look.seen(Job(pixel[part], TRIES, known.ravel()[pixel[part]]))
         signal[part], single[part] = light @ look.weight, variance * TRIES
-    assert rays.allowed is not None
-    single[known.edges().ravel()[pixel]] = 0.0
-    need = (single / rays.allowed(signal)).reshape(*tiles, TRIED).mean(axis=-1)
-    return np.ceil(need).astype(np.int32).repeat(TILE, axis=0).repeat(TILE, axis=1)[:rows, :columns]
+    single[edges.ravel()[pixel]] = 0.0
+    need = (single / allowed(signal)).reshape(*tiles, TRIED).mean(axis=-1)
+    return _of_tiles(np.ceil(np.minimum(need, 1e6)).astype(np.int32), look.view.shape)
 
 
-def _jobs(wanted: NDArray[np.int32], gathered: int) -> Iterator[Job]:
+def _some_pixels(shape: tuple[int, int], rng: np.random.Generator) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """Numbers of a few pixels of each tile, tile by tile, and the numbers of tiles (down, across)."""
+    tiles = (-(-shape[0] // TILE), -(-shape[1] // TILE))
+    corner = np.stack(np.meshgrid(*(TILE * np.arange(n) for n in tiles), indexing="ij"), axis=-1).reshape(-1, 1, 2)
+    at = np.minimum(corner + rng.integers(0, TILE, (len(corner), TRIED, 2)), np.array(shape) - 1)
+    return (at[..., 0] * shape[1] + at[..., 1]).ravel(), tiles
+
+
+def _of_tiles(values: NDArray, shape: tuple[int, int]) -> NDArray:
+    return values.repeat(TILE, axis=0).repeat(TILE, axis=1)[: shape[0], : shape[1]]
+
+
+def _jobs(wanted: NDArray[np.int32], known: NDArray[np.float32], gathered: int) -> Iterator[Job]:
     """Cut the pixels into batches of as many rays each, in the order of the picture."""
     flat = wanted.ravel()
     for count in np.unique(flat):
         pixels = np.flatnonzero(flat == count)
         batch = max(1, BATCH // (int(count) * max(gathered, 1)))
         for start in range(0, len(pixels), batch):
-            yield Job(pixels[start : start + batch], int(count))
+            part = pixels[start : start + batch]
+            yield Job(part, int(count), known.ravel()[part])

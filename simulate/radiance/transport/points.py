@@ -32,6 +32,10 @@ class Points:
         rho / pi of matt surfaces, 0 of others, shape (point, band), sr-1.
     glossy
         Points of each surface that is not matt, and how it reflects.
+    known
+        Share of the open sky's light that matt points take as known, and correct for what hides it; the rest is
+        gathered, shape (point,). Any number that chance does not choose gives the same mean: 1 is quiet in the open, 0
+        where little sky is seen.
     """
 
     place_m: Array
@@ -41,6 +45,7 @@ class Points:
     outside: NDArray[np.bool_]
     matt: NDArray[np.float32]
     glossy: tuple[tuple[NDArray[np.int64], Brdf], ...]
+    known: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.face)
@@ -73,8 +78,15 @@ class Coats:
                 row[:] = brdf.reflectance.at(wavelength_nm) / np.pi
         return cls(wavelength_nm, brdfs, table)
 
-    def points(self, surfaces: Surfaces, face: NDArray[np.int64], place_m: Array, direction: Array) -> Points:
-        """Return what rays of unit direction (ray, 3) hit: triangles (ray,) at places (ray, 3), m."""
+    def points(
+        self,
+        surfaces: Surfaces,
+        face: NDArray[np.int64],
+        place_m: Array,
+        direction: Array,
+        known: NDArray[np.float32] | None = None,
+    ) -> Points:
+        """Return what rays of unit direction (ray, 3) hit: triangles (ray,) at places (ray, 3), m; all known if None."""
         normal = surfaces.tracer.normal[face]
         outside = np.einsum("ij,ij->i", normal, direction) < 0.0
         material = surfaces.material_of[face]
@@ -84,7 +96,8 @@ class Coats:
             if not isinstance(brdf, Lambert) and (material == number).any()
         )
         facing = np.where(outside[:, None], normal, -normal)
-        return Points(place_m, face, facing, -direction, outside, self.rho_by_pi[material], glossy)
+        known = np.ones(len(face), np.float32) if known is None else known
+        return Points(place_m, face, facing, -direction, outside, self.rho_by_pi[material], glossy, known)
 
     def value(self, points: Points, incoming: Array) -> NDArray[np.float32]:
         """Return the BRDF of points for unit directions to the light above them, shape (point, band), sr-1."""

@@ -1,0 +1,134 @@
+"""A scene out of doors before a camera: planned by what the camera would notice, and rendered."""
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from simulate.cameras import Camera
+from simulate.iiccd.eye import eye_of
+from simulate.radiance.transport.picture import Picture, picture
+from simulate.radiance.transport.workers import workers
+from simulate.radiance.world.description import Scene
+from simulate.radiance.world.plan import LightPlan, exact, planned
+from simulate.radiance.world.site import Site
+from simulate.radiance.world.viewpoint import Viewpoint
+
+# Pixels on the longer side of a preview.
+PREVIEW_PX = 192
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What a camera has before it.
+
+    Parameters
+    ----------
+    picture
+        Radiance, its error and the truth of each pixel.
+    plan
+        What it was made with.
+    """
+
+    picture: Picture
+    plan: LightPlan
+
+    def document(self) -> bytes:
+        """Return the plan as JSON."""
+        return json.dumps(self.plan.document(), indent=1).encode()
+
+
+@dataclass(frozen=True)
+class Night:
+    """A scene and a camera.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    camera
+        The camera, whose lens and pixels the scene's camera has.
+    conditions
+        Gate or exposure, by which the camera's noise is judged.
+    """
+
+    scene: Scene
+    camera: Camera
+    conditions: Conditions
+
+    @cached_property
+    def site(self) -> Site:
+        """The scene with surfaces and lights."""
+        return Site(self.scene)
+
+    @property
+    def view(self) -> Viewpoint:
+        """Where the camera looks: the frame through a lens without distortion, which the camera's own lens adds."""
+        lens, cells, stands = self.camera.lens(), self.camera.cells, self.scene.camera
+        if stands.distortion_fraction and lens.distortion_fraction:
+            raise BadInput(
+                "distortion must be stated once: the scene's camera has "
+                f"{stands.distortion_fraction:g} and the sensor's lens {lens.distortion_fraction:g}"
+            )
+        ahead = np.subtract(stands.look_at_m, stands.position_m)
+        ahead /= np.linalg.norm(ahead)
+        return Viewpoint(
+            position_m=stands.position_m,
+            forward=(float(ahead[0]), float(ahead[1]), float(ahead[2])),
+            roll_deg=stands.roll_deg,
+            shape=self.camera.shape,
+            focal_px=(lens.focal_length_mm / cells.pitch_x_mm, lens.focal_length_mm / cells.pitch_y_mm),
+            distortion_fraction=stands.distortion_fraction,
+            scan=stands.scan,
+        )
+
+    def seen(
+        self,
+        *,
+        tolerance: float | None,
+        seed: int,
+        preview: bool = False,
+        processes: int | None = None,
+        progress: Callable[[float], None] = lambda share: None,
+    ) -> Seen:
+        """Return what the camera has before it.
+
+        Parameters
+        ----------
+        tolerance
+            What leaving out and chance may change together, as a share of a pixel's noise in one frame; None: nothing
+            is left out.
+        seed
+            Seed of all rays.
+        preview
+            Few pixels, so that it takes seconds.
+        processes
+            Processes that share the work where that pays; None: one for each of up to two processors.
+        progress
+            Told the share done.
+        """
+        view, eye = self.view, eye_of(self.camera, self.conditions)
+        if preview:
+            view = view.smaller(max(1, round(max(view.shape) / PREVIEW_PX)))
+        if tolerance is None:
+            plan, stage = exact(self.site, view, eye, seed)
+        else:
+            plan, stage = planned(self.site, view, eye, tolerance, seed)
+        count = min(2, os.cpu_count() or 1) if processes is None else processes
+        with workers(count) as run:
+            found = picture(
+                stage,
+                view,
+                plan.rays,
+                plan.effort,
+                weight=eye.weight(plan.wavelength_nm),
+                seed=seed,
+                run=run,
+                progress=progress,
+            )
+        return Seen(picture=found, plan=plan)
