@@ -3,7 +3,7 @@
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +21,8 @@ from simulate.radiance.world.viewpoint import Viewpoint
 
 # Pixels on the longer side of a preview.
 PREVIEW_PX = 192
+# Most rays of one of its pixels.
+PREVIEW_RAYS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,10 +35,23 @@ class Seen:
         Radiance, its error and the truth of each pixel.
     plan
         What it was made with.
+    title
+        What it shows, where and when.
     """
 
     picture: Picture
     plan: LightPlan
+    title: str
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the frames should know."""
+        out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
+        below = self.picture.below_zero
+        return (
+            f"light by rays: left out {out}; see light.json; truth of each pixel in truth.npz",
+            *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
+        )
 
     def document(self) -> bytes:
         """Return the plan as JSON."""
@@ -119,16 +134,24 @@ class Night:
             plan, stage = exact(self.site, view, eye, seed)
         else:
             plan, stage = planned(self.site, view, eye, tolerance, seed)
+        rays = replace(plan.rays, edge=PREVIEW_RAYS, most=PREVIEW_RAYS) if preview else plan.rays
         count = min(2, os.cpu_count() or 1) if processes is None else processes
         with workers(count) as run:
             found = picture(
                 stage,
                 view,
-                plan.rays,
+                rays,
                 plan.effort,
                 weight=eye.weight(plan.wavelength_nm),
                 seed=seed,
                 run=run,
                 progress=progress,
             )
-        return Seen(picture=found, plan=plan)
+        return Seen(picture=found, plan=plan, title=self._title())
+
+    def _title(self) -> str:
+        where, sky = self.scene.place, self.site.sky
+        if where is None or sky is None:
+            return f"{self.scene.name}, without a sky"
+        up = [f"{body.name} at {body.elevation_deg:.0f} deg" for body in sky.discs()]
+        return f"{self.scene.name}, {where.time}, {', '.join(up) or 'no moon'}"

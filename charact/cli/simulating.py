@@ -1,4 +1,4 @@
-"""Simulated frames as a session: a bench scene, a picture or a radiance cube goes through a camera, frame by frame."""
+"""Simulated frames as a session: a scene, a picture or a radiance cube goes through a camera, frame by frame."""
 
 import json
 import os
@@ -19,9 +19,13 @@ if TYPE_CHECKING:
     from labdata.sensor import Sensor
     from labdata.solid_state import SolidStateCamera
     from simulate.economy import Plan
+    from simulate.night import Night, Seen
+    from simulate.radiance.scene import LabScene
+    from simulate.radiance.world.description import Scene
 
     Description = Sensor | SolidStateCamera
 
+Progress = Callable[[str, float], None]
 # Illuminance of the bench where none is asked for, lux.
 BENCH_LUX = 1e-4
 
@@ -33,7 +37,7 @@ class Asked:
     Parameters
     ----------
     source
-        A bench scene (.toml, or a shipped one's name), a radiance cube (.npz) or a picture.
+        A scene (.toml, or a shipped one's name), a radiance cube (.npz) or a picture.
     kind
         What the stack is said to show; None: an edge of a bench scene, else a scene.
     target
@@ -45,6 +49,8 @@ class Asked:
     tolerance
         What effects left out may change together, as a share of the temporal noise; None: nothing is left out and every
         pulse is drawn by itself.
+    seed
+        Seed of the rays of a scene out of doors.
     """
 
     source: Path
@@ -53,6 +59,7 @@ class Asked:
     photoelectrons_per_dn: float | None = None
     black_dn: float | None = None
     tolerance: float | None = None
+    seed: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +80,8 @@ class Shot:
         What of the camera this light does not need; None for a camera without a tube, of which all is kept.
     exact
         Whether every pulse is drawn by itself.
+    view
+        What a scene out of doors showed: radiance, its plan and the truth of each pixel.
     """
 
     camera: Any
@@ -84,6 +93,7 @@ class Shot:
     notes: tuple[str, ...] = ()
     plan: "Plan | None" = None
     exact: bool = False
+    view: "Seen | None" = None
 
     def frames(self, *, seed: int) -> "Iterator[Any]":
         """Yield its frames, without end."""
@@ -110,20 +120,79 @@ def described(sensor: str, phosphor: str | None) -> "Description":
     return camera.with_phosphor(load_phosphor(phosphor))
 
 
-def shot_of(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
-    """Return the light of a source on a camera."""
-    if asked.source.suffix == ".toml" or (not asked.source.suffix and not asked.source.exists()):
-        return _of_bench(asked, description, conditions)
-    if conditions.illuminance_lux is not None:
-        raise BadInput("--illuminance-lux belongs to a bench scene; a picture or a radiance cube brings its own light")
-    if asked.target != Target():
-        raise BadInput(f"--frequency belongs to the bars of a bench scene, got it with {asked.source.name}")
+def shot_of(
+    asked: Asked,
+    description: "Description",
+    conditions: Conditions,
+    progress: Progress = lambda sentence, share: None,
+) -> Shot:
+    """Return the light of a source on a camera; rendering a scene out of doors tells its progress."""
+    if is_scene(asked.source):
+        return _of_scene(asked, description, conditions, progress)
+    _no_bench(asked, conditions)
     if asked.source.suffix == ".npz":
         return _of_cube(asked, description, conditions)
     return _of_picture(asked, description, conditions)
 
 
-def _of_bench(asked: Asked, description: "Description", conditions: Conditions) -> Shot:
+def is_scene(source: Path) -> bool:
+    """Whether a source is a scene's file or the name of a shipped one."""
+    return source.suffix == ".toml" or (not source.suffix and not source.exists())
+
+
+def _no_bench(asked: Asked, conditions: Conditions) -> None:
+    if conditions.illuminance_lux is not None:
+        raise BadInput("--illuminance-lux belongs to a bench scene; a picture or a radiance cube brings its own light")
+    if asked.target != Target():
+        raise BadInput(f"--frequency belongs to the bars of a bench scene, got it with {asked.source.name}")
+
+
+def _of_scene(asked: Asked, description: "Description", conditions: Conditions, progress: Progress) -> Shot:
+    from simulate.radiance.scene import LabScene, load_scene
+
+    _no_picture(asked)
+    scene = load_scene(asked.source)
+    if isinstance(scene, LabScene):
+        return _of_bench(asked, scene, description, conditions)
+    return _of_night(asked, scene, description, conditions, progress)
+
+
+def night_of(asked: Asked, description: "Description", conditions: Conditions) -> "Night":
+    """Return the scene out of doors that a source is, before its camera; another kind of source is refused."""
+    from simulate.cameras import camera_of
+    from simulate.night import Night
+    from simulate.radiance.scene import load_scene
+    from simulate.radiance.world.description import Scene
+
+    scene = load_scene(asked.source) if is_scene(asked.source) else None
+    if not isinstance(scene, Scene):
+        raise BadInput(f"a preview shows a scene with a camera in it, got {asked.source.name}")
+    return Night(scene, camera_of(description), conditions)
+
+
+def _of_night(
+    asked: Asked, scene: "Scene", description: "Description", conditions: Conditions, progress: Progress
+) -> Shot:
+    from simulate.cameras import camera_of
+    from simulate.iiccd.exposure import freed_by_radiance
+    from simulate.night import Night
+
+    _no_bench(asked, conditions)
+    camera = camera_of(description)
+    view = Night(scene, camera, conditions).seen(
+        tolerance=asked.tolerance, seed=asked.seed, progress=lambda share: progress("light", share)
+    )
+    cube = view.picture.cube
+    freed = freed_by_radiance(camera, cube, conditions)
+    camera, planned = _economical(camera, freed, conditions, asked)
+    light, kind = camera.received(freed, conditions), asked.kind or "scene"
+    notes = (f"scene {scene.name}", *view.notes)
+    return Shot(
+        camera=camera, light=light, kind=kind, conditions=conditions, seen=cube, notes=notes, view=view, **planned
+    )
+
+
+def _of_bench(asked: Asked, scene: "LabScene", description: "Description", conditions: Conditions) -> Shot:
     from dataclasses import replace
 
     from labdata.sensor import Sensor
@@ -131,10 +200,9 @@ def _of_bench(asked: Asked, description: "Description", conditions: Conditions) 
 
     if not isinstance(description, Sensor):
         raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")
-    _no_picture(asked)
     if conditions.illuminance_lux is None:
         conditions = replace(conditions, illuminance_lux=BENCH_LUX)
-    kind, bench = asked.kind or "edge", LabBench(description, asked.source)
+    kind, bench = asked.kind or "edge", LabBench(description, scene)
     _, planned = _economical(bench.camera, bench.freed(kind, asked.target, conditions), conditions, asked)
     bench = bench.without(planned["plan"].names)
     light = bench.photoelectrons(kind, asked.target, conditions)
@@ -226,8 +294,21 @@ def save_frames(
             stack.finish(
                 notes=(f"simulated by charact {__version__}, seed {seed}", *shot.notes, *_economy(shot), *notes)
             )
+        if shot.view is not None:
+            save_view(shot.view, out)
         if shot.plan is not None:
             write_durably(out / "economy.json", json.dumps(shot.plan.document(), indent=1).encode())
+
+
+def save_view(view: "Seen", out: Path) -> None:
+    """Keep what a scene out of doors shows: its radiance as a picture, the truth of each pixel, and the plan."""
+    from charact.cli.radiance_picture import save_radiance
+    from labdata.durable import write_durably
+
+    out.mkdir(parents=True, exist_ok=True)
+    save_radiance(view.picture.cube, view.title, out / "radiance.png")
+    view.picture.truth.save(out / "truth.npz")
+    write_durably(out / "light.json", view.document())
 
 
 def _economy(shot: Shot) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The verb `simulate`: a bench scene, a picture of one's own or a radiance cube through a camera, into a session."""
+"""The verb `simulate`: a scene, a picture of one's own or a radiance cube through a camera, into a session."""
 
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +10,7 @@ from charact.cli.output import bad_input_ends
 from charact.cli.progress import progress_bar
 
 Source = Annotated[
-    Path, typer.Argument(help="Bench scene (TOML), picture (.tif .png .npy .fits ...) or radiance cube (.npz).")
+    Path, typer.Argument(help="Scene (.toml, or a name), picture (.tif .png .npy .fits ...) or radiance cube (.npz).")
 ]
 Sensor = Annotated[str, typer.Option("--sensor", help="A shipped camera's name, or a path to a (fitted) TOML.")]
 Gain = Annotated[float | None, typer.Option(help="Luminous gain of the tube, lm/lm, or EM gain of an EMCCD.")]
@@ -62,6 +62,9 @@ def simulate(
     explain: Annotated[
         bool, typer.Option("--explain", help="Print what each effect can change, and what is left out.")
     ] = False,
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Scene out of doors: its radiance alone, in seconds; no frames.")
+    ] = False,
     stage_images: Annotated[
         Path | None, typer.Option(help="Folder for the image after each stage: float TIFFs and a contact sheet.")
     ] = None,
@@ -71,12 +74,22 @@ def simulate(
 
     Example: charact simulate bench.toml frames --sensor pulnix-ag5745ef3 --kind edge
 
+    Example: charact simulate airfield night --sensor pulnix-ag5745ef3
+
     Example: charact simulate house.tif frames --sensor gen3-digital-iccd --photoelectrons-per-dn 0.01
     """
     interrupted = f"interrupted; the frames so far are kept in {out}"
     with bad_input_ends(str(source), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
         from charact.cli.simulated_conditions import conditions_of
-        from charact.cli.simulating import Asked, described, save_frames, save_stage_images, shot_of
+        from charact.cli.simulating import (
+            Asked,
+            described,
+            night_of,
+            save_frames,
+            save_stage_images,
+            save_view,
+            shot_of,
+        )
         from labdata.target import Target
 
         camera = described(sensor, phosphor)
@@ -98,8 +111,17 @@ def simulate(
             photoelectrons_per_dn=photoelectrons_per_dn,
             black_dn=black_dn,
             tolerance=None if exact else within / 100.0,
+            seed=seed,
         )
-        shot = shot_of(asked, camera, conditions)
+        if preview:
+            night = night_of(asked, camera, conditions)
+            view = night.seen(tolerance=asked.tolerance, seed=seed, preview=True)
+            if explain:
+                print(view.plan.text())
+            save_view(view, out)
+            print(f"{out}/radiance.png: a preview\nNext: charact simulate {source} {out} --sensor {sensor}")
+            return
+        shot = shot_of(asked, camera, conditions, progress)
         said = (
             f"camera {camera.name}",
             *(() if gain is None else (f"asked for the gain {gain:g}",)),
@@ -110,6 +132,8 @@ def simulate(
             ),
         )
         if explain:
+            if shot.view is not None:
+                print(shot.view.plan.text(), end="\n\n")
             print("a camera without a tube: every stage is kept" if shot.plan is None else shot.plan.text())
         save_frames(shot, camera, out, frames=frames, seed=seed, notes=said, progress=progress)
         if stage_images is not None:

@@ -135,9 +135,7 @@ def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> Trac
     scene = EmbreeScene()
     TriangleMesh(scene, np.ascontiguousarray(corners - centre, np.float32))
     extent = np.abs(corners - centre).max(axis=(1, 2))
-    return Tracer(
-        scene, centre, corners[:, 0], normals(corners), np.maximum(CLEARANCE_M, CLEARANCE_SHARE * extent)
-    )
+    return Tracer(scene, centre, corners[:, 0], normals(corners), np.maximum(CLEARANCE_M, CLEARANCE_SHARE * extent))
 
 
 def normals(corners_m: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """Light that comes straight from a lamp, from sun or moon or from a glowing surface, each looked for by name.
 
-A ray goes from the place to a place on the source that is drawn anew for each, so that shadows are as soft as the source
-is large.
+A ray goes from the place to a place on the source that is drawn anew for each, so that shadows are as soft as the
+source is large.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The sky as a table over directions, and what a level or tilted surface would get of it if nothing stood in its way."""
+"""The sky as a table over directions, and what level or tilted surfaces would get of it with nothing in the way."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Dome:
         return found
 
     def irradiance(self, normal: Array) -> NDArray[np.float32]:
-        """Return what surfaces with unit normals (place, 3) get where nothing stands in the way, shape (place, band)."""
+        """Return what surfaces with unit normals (place, 3) get with nothing in the way, shape (place, band)."""
         return _looked_up(self.irradiance_table, np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi, _turn(normal))
 
 
@@ -90,7 +90,7 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
 
 def _normals() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Heights and azimuths of the irradiance table."""
-    tilts, turns = int(round(180.0 / NORMAL_STEP_DEG)) + 1, int(round(360.0 / NORMAL_STEP_DEG)) + 1
+    tilts, turns = round(180.0 / NORMAL_STEP_DEG) + 1, round(360.0 / NORMAL_STEP_DEG) + 1
     return 0.5 * np.pi - np.linspace(0.0, np.pi, tilts), np.linspace(0.0, 2.0 * np.pi, turns)
 
 

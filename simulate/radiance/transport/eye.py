@@ -1,4 +1,4 @@
-"""What looks at the radiance: what a pixel makes of each band, and how noisy it is; handed in by whoever has a sensor."""
+"""What looks at the radiance: what a pixel makes of it, and how noisy it is; handed in by whoever has a sensor."""
 
 from dataclasses import dataclass
 

@@ -1,9 +1,9 @@
 """The radiance that leaves surfaces: direct light, the open sky, and what is gathered of the hemisphere around.
 
-Gathering does not ask what the sky sends, for that is known without obstacles: it asks what obstacles change. A ray that
-meets nothing adds nothing, so that a place in the open has its exact light with no noise; a ray that meets an object
-adds what the object sends and takes away the sky behind it. Surfaces that are not matt gather half of their rays by
-their gloss, and the sky by rays too.
+Gathering does not ask what the sky sends, for that is known without obstacles: it asks what obstacles change. A ray
+that meets nothing adds nothing, so that a place in the open has its exact light with no noise; a ray that meets an
+object adds what the object sends and takes away the sky behind it. Where little of the sky is open it is the other way
+round, see `Points.known`. Surfaces that are not matt gather half of their rays by their gloss, and the sky by rays.
 """
 
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class Effort:
     hidden_sky
         Whether objects hide the sky from surfaces; without, and without bounces, nothing is gathered.
     air_between
-        Whether air weakens light between lamps and surfaces.
+        Whether air weakens light between lamps and the surfaces that the eye sees.
     left_out
         Names of lamps and discs without influence.
     roulette_from
@@ -96,7 +96,14 @@ class Stage:
     air: Air
 
     def leaving(
-        self, points: Points, effort: Effort, rng: np.random.Generator, *, rays: int, split: bool = False, depth: int = 0
+        self,
+        points: Points,
+        effort: Effort,
+        rng: np.random.Generator,
+        *,
+        rays: int,
+        split: bool = False,
+        depth: int = 0,
     ) -> Parts:
         """Return the radiance that points send to the eye by reflection, in parts of shape (point, band).
 
@@ -138,7 +145,7 @@ class Stage:
         self, parts: Parts, points: Points, effort: Effort, rng: np.random.Generator, rays: int, depth: int
     ) -> None:
         coats, tracer, light = self.coats, self.surfaces.tracer, self.lighting
-        through = self.air.through if effort.air_between and self.air.absorbs else None
+        through = self.air.through if effort.air_between and self.air.absorbs and depth == 0 else None
         for disc in light.discs:
             if disc.name not in effort.left_out:
                 parts.add(disc.name, direct.from_disc(points, disc, coats, tracer, rng))
@@ -178,7 +185,7 @@ class Stage:
             there = self._met(many, start, direction, hit.face, hit.range_m, met)
             self._add_glow(parts, there, met, direction, density, hit.range_m, weight, count, rays)
             if depth < effort.bounces:
-                self._add_bounced(parts, there, met, hit.range_m, weight, effort, rng, count, rays, depth)
+                self._add_bounced(parts, there, met, weight, effort, rng, count, rays, depth)
 
     def _met(
         self, many: Points, start: Array, direction: Array, face: NDArray[np.int64], range_m: Array, met: Array
@@ -211,7 +218,6 @@ class Stage:
         parts: Parts,
         there: Points,
         met: NDArray[np.int64],
-        range_m: Array,
         weight: NDArray[np.float32],
         effort: Effort,
         rng: np.random.Generator,
@@ -226,8 +232,6 @@ class Stage:
             there, met, weight = direct.subset(there, stays), met[stays], weight[stays] / chance[stays, None]
         if not len(met):
             return
-        if effort.air_between and self.air.absorbs:
-            weight = weight * self.air.through(range_m[met])
         further = self.leaving(there, effort, rng, rays=1, split=parts.split, depth=depth + 1)
         for name, light in further.found.items():
             order = int(name.split()[1]) if name.startswith("bounce ") else 0

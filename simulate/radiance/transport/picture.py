@@ -22,7 +22,9 @@ Array = NDArray[np.floating]
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
 # Side of a tile, px, and pixels and rays by which it is tried.
-TILE, TRIED, TRIES = 8, 3, 4
+TILE, TRIED, TRIES = 8, 2, 2
+# The same where it is tried how open the sky is.
+OPEN_TILE, OPEN_TRIED, OPEN_TRIES = 4, 2, 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +63,8 @@ class Picture:
         Rays of each pixel, shape (row, col).
     truth
         What is where.
+    below_zero
+        Pixels that chance brought below zero in some band: rays take hidden sky away one by one. They count as dark.
     """
 
     cube: RadianceCube
@@ -68,6 +72,7 @@ class Picture:
     variance: NDArray[np.float32]
     rays: NDArray[np.int32]
     truth: Truth
+    below_zero: int
 
 
 @dataclass(frozen=True)
@@ -211,7 +216,7 @@ def picture(
         done += len(job.pixels)
         progress(done / size)
     add_small_sources(stage, view, radiance, effort.left_out)
-    # Gathering takes away hidden sky ray by ray: a rare pixel may come out a little below nothing.
+    below_zero = int(np.count_nonzero((radiance < 0.0).any(axis=1)))
     signal = (radiance @ look.weight).reshape(view.shape)
     cube = np.ascontiguousarray(np.maximum(radiance, 0.0).T).reshape(bands, *view.shape)
     return Picture(
@@ -220,29 +225,30 @@ def picture(
         variance=variance.reshape(view.shape),
         rays=wanted,
         truth=here,
+        below_zero=below_zero,
     )
 
 
 def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:
-    """Return 1 for pixels from most of whose surfaces more than half of the sky is open, and 0 for others, (row, col).
+    """Return the share of the hemisphere that is open before what pixels show, on average over a tile, (row, col).
 
     Tried by a few places of each tile, with random numbers of their own.
     """
     rng = np.random.default_rng([seed, 1])
-    rows, columns = view.shape
-    pixel, tiles = _some_pixels(view.shape, rng)
+    columns = view.shape[1]
+    pixel, tiles = _some_pixels(view.shape, OPEN_TILE, OPEN_TRIED, rng)
     origin, towards = view.rays(pixel // columns + 0.5, pixel % columns + 0.5)
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
     place = origin[met] + hit.range_m[met, None] * towards[met]
     points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met])
     hidden = np.zeros(len(pixel))
-    for _ in range(TRIES):
+    for _ in range(OPEN_TRIES):
         direction, _ = stage.coats.drawn(points, rng.random((len(met), 2)), rng)
         start = stage.surfaces.tracer.above(points.face, points.place_m, points.normal)
-        hidden[met] += stage.surfaces.tracer.blocked(start, direction) / TRIES
-    share = hidden.reshape(*tiles, TRIED).mean(axis=-1)
-    return _of_tiles(share < 0.5, view.shape).astype(np.float32)
+        hidden[met] += stage.surfaces.tracer.blocked(start, direction) / OPEN_TRIES
+    share = hidden.reshape(*tiles, OPEN_TRIED).mean(axis=-1)
+    return _of_tiles(1.0 - share, OPEN_TILE, view.shape).astype(np.float32)
 
 
 def _wanted(look: Look, here: Truth, known: NDArray[np.float32], rays: Rays) -> NDArray[np.int32]:
@@ -261,7 +267,7 @@ def _tried(
 ) -> NDArray[np.int32]:
     """Rays that the variance of a few plain pixels of each tile asks for, for all of its pixels."""
     rng = np.random.default_rng([look.seed, 0])
-    pixel, tiles = _some_pixels(look.view.shape, rng)
+    pixel, tiles = _some_pixels(look.view.shape, TILE, TRIED, rng)
     signal, single = np.empty(len(pixel)), np.empty(len(pixel))
     for start in range(0, len(pixel), BATCH // TRIES):
         part = slice(start, start + BATCH // TRIES)
@@ -269,19 +275,21 @@ def _tried(
         signal[part], single[part] = light @ look.weight, variance * TRIES
     single[edges.ravel()[pixel]] = 0.0
     need = (single / allowed(signal)).reshape(*tiles, TRIED).mean(axis=-1)
-    return _of_tiles(np.ceil(np.minimum(need, 1e6)).astype(np.int32), look.view.shape)
+    return _of_tiles(np.ceil(np.minimum(need, 1e6)).astype(np.int32), TILE, look.view.shape)
 
 
-def _some_pixels(shape: tuple[int, int], rng: np.random.Generator) -> tuple[NDArray[np.int64], tuple[int, int]]:
+def _some_pixels(
+    shape: tuple[int, int], tile: int, tried: int, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], tuple[int, int]]:
     """Numbers of a few pixels of each tile, tile by tile, and the numbers of tiles (down, across)."""
-    tiles = (-(-shape[0] // TILE), -(-shape[1] // TILE))
-    corner = np.stack(np.meshgrid(*(TILE * np.arange(n) for n in tiles), indexing="ij"), axis=-1).reshape(-1, 1, 2)
-    at = np.minimum(corner + rng.integers(0, TILE, (len(corner), TRIED, 2)), np.array(shape) - 1)
+    tiles = (-(-shape[0] // tile), -(-shape[1] // tile))
+    corner = np.stack(np.meshgrid(*(tile * np.arange(n) for n in tiles), indexing="ij"), axis=-1).reshape(-1, 1, 2)
+    at = np.minimum(corner + rng.integers(0, tile, (len(corner), tried, 2)), np.array(shape) - 1)
     return (at[..., 0] * shape[1] + at[..., 1]).ravel(), tiles
 
 
-def _of_tiles(values: NDArray, shape: tuple[int, int]) -> NDArray:
-    return values.repeat(TILE, axis=0).repeat(TILE, axis=1)[: shape[0], : shape[1]]
+def _of_tiles(values: NDArray, tile: int, shape: tuple[int, int]) -> NDArray:
+    return values.repeat(tile, axis=0).repeat(tile, axis=1)[: shape[0], : shape[1]]
 
 
 def _jobs(wanted: NDArray[np.int32], known: NDArray[np.float32], gathered: int) -> Iterator[Job]:

@@ -86,7 +86,7 @@ class Coats:
         direction: Array,
         known: NDArray[np.float32] | None = None,
     ) -> Points:
-        """Return what rays of unit direction (ray, 3) hit: triangles (ray,) at places (ray, 3), m; all known if None."""
+        """Return what rays of unit direction (ray, 3) hit, triangles (ray,) at places (ray, 3), m; None: all known."""
         normal = surfaces.tracer.normal[face]
         outside = np.einsum("ij,ij->i", normal, direction) < 0.0
         material = surfaces.material_of[face]

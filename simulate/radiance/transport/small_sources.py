@@ -11,9 +11,7 @@ from simulate.radiance.world.viewpoint import Viewpoint
 PLACES = 1024
 
 
-def add_small_sources(
-    stage: Stage, view: Viewpoint, radiance: NDArray[np.float32], left_out: frozenset[str]
-) -> None:
+def add_small_sources(stage: Stage, view: Viewpoint, radiance: NDArray[np.float32], left_out: frozenset[str]) -> None:
     """Add what the camera sees of lamps, sun and moon to the radiance of pixels, shape (pixel, band).
 
     A scanner sees them from where it begins.
@@ -35,9 +33,7 @@ def add_small_sources(
         distance = float(np.linalg.norm(middle))
         frame = direct.frames((middle / distance)[None])[0]
         radius, turn = lamp.radius_m * np.sqrt(rng.random(PLACES)), 2.0 * np.pi * rng.random(PLACES)
-        way = middle + radius[:, None] * (
-            np.cos(turn)[:, None] * frame[0] + np.sin(turn)[:, None] * frame[1]
-        )
+        way = middle + radius[:, None] * (np.cos(turn)[:, None] * frame[0] + np.sin(turn)[:, None] * frame[1])
         clear = ~stage.surfaces.tracer.blocked(np.broadcast_to(eye, way.shape), way, direct.SHORT)
         irradiance = lamp.spectrum * np.float32(lamp.pattern(-frame[2:])[0] / distance**2)
         if stage.air.absorbs:

@@ -6,8 +6,7 @@ out. The other half is left to chance: a pixel gets as many rays as bring its ow
 at the trial's places, so they are estimates and no bounds: something small that the trial missed may have more.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +90,8 @@ class LightPlan:
                 self.plan.text(),
                 f"{len(self.wavelength_nm)} bands from {self.wavelength_nm[0]:.0f} to {self.wavelength_nm[-1]:.0f} nm, "
                 f"which change no source's signal by more than {100.0 * self.spectral_error:.2g} %",
-                f"{self.rays.fewest} to {self.rays.most} rays a pixel, {self.rays.edge} or more at edges, so that chance "
-                f"adds {chance}; bounces followed: {self.effort.bounces}",
+                f"{self.rays.fewest} to {self.rays.most} rays a pixel, {self.rays.edge} or more at edges, so that "
+                f"chance adds {chance}; bounces followed: {self.effort.bounces}",
             )
         )
 
@@ -118,10 +117,13 @@ class Trial:
         Signal of each place, shape (place,).
     parts
         Signal of each part there, by name.
+    shape
+        Places (down, across).
     """
 
     signal: NDArray[np.floating]
-    parts: dict[str, NDArray[np.floating]] = field(default_factory=dict)
+    parts: dict[str, NDArray[np.floating]]
+    shape: tuple[int, int]
 
 
 def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) -> tuple[LightPlan, Stage]:
@@ -202,12 +204,11 @@ def trial(stage: Stage, view: Viewpoint, eye: Eye, seed: int) -> Trial:
         rng,
         gathered=TRIAL_GATHERED,
         split=True,
-        known=np.full(len(row), 0.5, np.float32),
     ).found
     parts = {name: _of_places(light @ weight) for name, light in found.items()}
     if stage.air.absorbs and stage.lighting.lamps:
         parts["air before surfaces"] = _of_places(_air_between(stage, origin, towards, seed) @ weight)
-    return Trial(np.asarray(sum(parts[name] for name in found)), parts)
+    return Trial(np.asarray(sum(parts[name] for name in found)), parts, grid[0].shape)
 
 
 def _of_places(signal: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -237,7 +238,7 @@ def _effects(tried: Trial, eye: Eye, view: Viewpoint, bands: int) -> list[Effect
     noise = eye.noise(tried.signal)
     million = view.shape[0] * view.shape[1] * Rays().fewest * 1e-6 * bands / 10.0
     influence = {
-        name: float(np.max(np.abs(part) / noise, initial=0.0))
+        name: float(np.max(np.abs(_evened(part, tried.shape) if _gathered(name) else part) / noise, initial=0.0))
         for name, part in tried.parts.items()
         if name not in ("in view", "sky")
     }
@@ -245,13 +246,22 @@ def _effects(tried: Trial, eye: Eye, view: Viewpoint, bands: int) -> list[Effect
     for order in range(TRIAL_BOUNCES - 1, 0, -1):
         further = influence.get(f"bounce {order + 1}", 0.0)
         influence[f"bounce {order}"] = max(influence.get(f"bounce {order}", 0.0), further)
-    return [
-        Effect(name=name, influence=amount, setup_s=million * _cost(name)) for name, amount in influence.items()
-    ]
+    return [Effect(name=name, influence=amount, setup_s=million * _cost(name)) for name, amount in influence.items()]
+
+
+def _gathered(name: str) -> bool:
+    return name.startswith("bounce") or name == "hidden sky"
+
+
+def _evened(part: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np.floating]:
+    """Average each place with its neighbours: what is gathered is smooth, and the largest of noisy numbers is not."""
+    from scipy.ndimage import uniform_filter
+
+    return uniform_filter(part.reshape(shape), 3).ravel()
 
 
 def _cost(name: str) -> float:
-    return BOUNCE_S if name.startswith("bounce") or name == "hidden sky" else SOURCE_S
+    return BOUNCE_S if _gathered(name) else SOURCE_S
 
 
 def _effort(plan: Plan) -> Effort:
@@ -263,6 +273,3 @@ def _effort(plan: Plan) -> Effort:
         air_between="air before surfaces" not in out,
         left_out=frozenset(out),
     )
-
-
-Progress = Callable[[float], None]

@@ -1,4 +1,4 @@
-"""A scene made ready for light: surfaces built, sky and lamps lit, and all of it laid on the bands that are computed."""
+"""A scene made ready for light: surfaces built, sky and lamps lit, all of it on the bands that are computed."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -57,9 +57,7 @@ class Site:
         where, weather, sky = self.scene.place, self.scene.weather, self.scene.sky
         if where is None:
             return None
-        place = Place(
-            latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m
-        )
+        place = Place(latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m)
         towns = tuple(TownGlow(**vars(town)) for town in sky.towns)
         parts = {"airglow": sky.airglow, "zodiacal": sky.zodiacal, "starlight": sky.starlight, "towns": towns}
         found = NightSky.at(place, where.moment, atmosphere=_atmosphere(weather), **parts)

@@ -84,9 +84,7 @@ class Viewpoint:
         right /= np.linalg.norm(right)
         down = np.cross(ahead, right)
         turn = np.deg2rad(self.roll_deg)
-        return np.array(
-            [np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right, ahead]
-        )
+        return np.array([np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right, ahead])
 
     def smaller(self, factor: int) -> "Viewpoint":
         """Return the same view with so many times fewer pixels on each side."""
