@@ -4,7 +4,7 @@ A ray goes from the place to a place on the source that is drawn anew for each, 
 source is large.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,19 +16,19 @@ from simulate.radiance.transport.points import Coats, Points, frames
 Array = NDArray[np.floating]
 # What air leaves of light over lengths (ray,), m: shape (ray, band).
 Through = Callable[[Array], NDArray[np.float32]]
+# Numbers of points that get light, and the radiance that they send to the eye, shape (point, band).
+Lit = tuple[NDArray[np.int64], NDArray[np.float32]]
 # A ray to a source ends so far before it.
 SHORT = 1.0 - 1e-4
 
 
-def from_disc(
-    points: Points, disc: DiscLight, coats: Coats, tracer: Tracer, rng: np.random.Generator
-) -> NDArray[np.float32]:
-    """Return radiance towards the eye by light of sun or moon, shape (point, band)."""
+def from_disc(points: Points, disc: DiscLight, coats: Coats, tracer: Tracer, rng: np.random.Generator) -> Lit:
+    """Return radiance towards the eye by light of sun or moon."""
     towards = towards_disc(disc, len(points), rng)
     cosine = np.maximum(_dot(points.normal, towards), 0.0)
     lit = np.flatnonzero(cosine > 0.0)
-    cosine[lit[hidden(points, lit, towards[lit], tracer, None)]] = 0.0
-    return _reflected(points, coats, towards, cosine, disc.irradiance, None)
+    lit = lit[~hidden(points, lit, towards[lit], tracer, None)]
+    return _reflected(points, coats, lit, towards[lit], cosine[lit], disc.irradiance)
 
 
 def towards_disc(disc: DiscLight, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -55,8 +55,8 @@ def from_lamp(
     tracer: Tracer,
     rng: np.random.Generator,
     through: Through | None,
-) -> NDArray[np.float32]:
-    """Return radiance towards the eye by light of a lamp, shape (point, band)."""
+) -> Lit:
+    """Return radiance towards the eye by light of a lamp."""
     towards, distance, factor = lamp_factor(points, lamp)
     lit = np.flatnonzero(factor > 0.0)
     radius, turn = lamp.radius_m * np.sqrt(rng.random(len(lit))), 2.0 * np.pi * rng.random(len(lit))
@@ -64,9 +64,9 @@ def from_lamp(
     seen = (distance[lit, None] * towards[lit]) + radius[:, None] * (
         np.cos(turn)[:, None] * across[:, 0] + np.sin(turn)[:, None] * across[:, 1]
     )
-    factor[lit[hidden(points, lit, seen, tracer, SHORT)]] = 0.0
-    air = None if through is None else through(distance)
-    return _reflected(points, coats, towards, factor, lamp.spectrum, air)
+    lit = lit[~hidden(points, lit, seen, tracer, SHORT)]
+    air = None if through is None else through(distance[lit])
+    return _reflected(points, coats, lit, towards[lit], factor[lit], lamp.spectrum, air)
 
 
 def from_one_lamp(
@@ -76,19 +76,18 @@ def from_one_lamp(
     tracer: Tracer,
     rng: np.random.Generator,
     through: Through | None,
-) -> NDArray[np.float32]:
-    """Return radiance towards the eye by light of lamps, of which one is drawn for each point by what it might give."""
+) -> Iterator[Lit]:
+    """Yield radiance towards the eye by light of lamps, of which one is drawn for each point by what it might give."""
     might = np.stack([lamp_factor(points, lamp)[2] * lamp.spectrum.sum() for lamp in lamps])
     total = might.sum(axis=0)
     chance = np.divide(might, total, out=np.zeros_like(might), where=total > 0.0)
     chosen = (np.cumsum(chance, axis=0) < rng.random(len(points))).sum(axis=0)
-    found = np.zeros_like(points.matt)
     for number, lamp in enumerate(lamps):
         which = np.flatnonzero((chosen == number) & (total > 0.0))
         if len(which):
-            light = from_lamp(subset(points, which), lamp, coats, tracer, rng, through)
-            found[which] = light / chance[number, which, None].astype(np.float32)
-    return found
+            lit, light = from_lamp(points.some(which), lamp, coats, tracer, rng, through)
+            light /= chance[number, which[lit], None].astype(np.float32)
+            yield which[lit], light
 
 
 def from_panels(
@@ -99,8 +98,8 @@ def from_panels(
     rng: np.random.Generator,
     through: Through | None,
     gathered: int,
-) -> NDArray[np.float32]:
-    """Return radiance towards the eye by light of glowing surfaces, shape (point, band).
+) -> Lit:
+    """Return radiance towards the eye by light of glowing surfaces.
 
     Parameters
     ----------
@@ -118,16 +117,17 @@ def from_panels(
     target = tracer.above(panels.face[panel[lit]], place[lit], panels.normal[panel[lit]])
     start = tracer.above(points.face[lit], points.place_m[lit], points.normal[lit])
     lit = lit[~tracer.blocked(start, target - start, SHORT)]
-    factor = np.zeros(len(points))
     by_area = panels.per_m2_of_face[panels.face[panel[lit]]] * distance[lit] ** 2 / leaving[lit]
-    by_gathering = gathered * coats.density(points, towards)[lit] if gathered else 0.0
-    factor[lit] = cosine[lit] / (by_area + by_gathering)
-    air = None if through is None else through(distance)
-    glow = panels.spectra[panels.kind_of_face[panels.face[panel]]]
-    return _reflected(points, coats, towards, factor, glow, air)
+    by_gathering = gathered * coats.density(points.some(lit), towards[lit]) if gathered else 0.0
+    factor = cosine[lit] / (by_area + by_gathering)
+    air = None if through is None else through(distance[lit])
+    glow = panels.spectra[panels.kind_of_face[panels.face[panel[lit]]]]
+    return _reflected(points, coats, lit, towards[lit], factor, glow, air)
 
 
-def found_by_gathering(panels: Panels, face: Array, range_m: Array, leaving: Array, density: Array, rays: int) -> Array:
+def found_by_gathering(
+    panels: Panels, face: NDArray[np.int64], range_m: Array, leaving: Array, density: Array, rays: int
+) -> Array:
     """Return the share that gathering has in the light of a panel that it hits: the counterpart of `from_panels`.
 
     Parameters
@@ -151,31 +151,22 @@ def hidden(
     return tracer.blocked(start, towards, reach)
 
 
-def subset(points: Points, which: NDArray[np.int64]) -> Points:
-    """Return some of the points, each as often as its number is given."""
-    glossy = []
-    for of, brdf in points.glossy:
-        shines = np.zeros(len(points), bool)
-        shines[of] = True
-        found = np.flatnonzero(shines[which])
-        glossy += [(found, brdf)] if len(found) else []
-    parts = (points.place_m, points.face, points.normal, points.outgoing, points.outside, points.matt)
-    return Points(*(part[which] for part in parts), tuple(glossy), points.known[which])
-
-
 def _reflected(
     points: Points,
     coats: Coats,
+    lit: NDArray[np.int64],
     towards: Array,
     factor: Array,
     spectrum: NDArray[np.float32],
-    air: NDArray[np.float32] | None,
-) -> NDArray[np.float32]:
-    light = coats.value(points, towards) * factor.astype(np.float32)[:, None]
+    air: NDArray[np.float32] | None = None,
+) -> Lit:
+    """Light of lit points, of directions, factors and air (lit point, ...) of those alone."""
+    light = coats.value(points.some(lit), towards)
+    light *= factor.astype(np.float32)[:, None]
     light *= spectrum
     if air is not None:
         light *= air
-    return light
+    return lit, light
 
 
 def _dot(a: Array, b: Array) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ Array = NDArray[np.floating]
 # Cells of the table, by height over the horizon and around; and steps between the normals of the irradiance table.
 HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
 # Samples across a cell of the table where its light is added up.
-INSIDE = 2
+INSIDE = 1
 
 
 @dataclass(frozen=True)

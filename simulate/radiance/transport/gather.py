@@ -57,23 +57,35 @@ class Effort:
 
 
 class Parts:
-    """Light in parts by name, or all in one where nobody asks."""
+    """Light at places (place, band), in parts by name, or all in one where nobody asks.
 
-    def __init__(self, *, split: bool) -> None:
-        self.split = split
+    Parameters
+    ----------
+    shape
+        Places and bands.
+    split
+        Whether parts are kept apart.
+    """
+
+    def __init__(self, shape: tuple[int, int], *, split: bool = False) -> None:
+        self.shape, self.split = shape, split
         self.found: dict[str, NDArray[np.float32]] = {}
 
-    def add(self, name: str, light: NDArray[np.float32]) -> None:
-        """Add light (point, band) to a part; the array is taken over."""
+    def add(self, name: str, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
+        """Add light to a part at some places, each named once."""
+        if not len(which):
+            return
         key = name if self.split else ""
-        if key in self.found:
+        if key not in self.found:
+            self.found[key] = np.zeros(self.shape, np.float32)
+        if len(which) == self.shape[0]:
             self.found[key] += light
         else:
-            self.found[key] = light
+            self.found[key][which] += light
 
     def total(self) -> NDArray[np.float32]:
         """Return all parts together."""
-        return sum(self.found.values())  # pyright: ignore[reportReturnType]
+        return sum(self.found.values(), start=np.zeros(self.shape, np.float32))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +114,7 @@ class Stage:
         rng: np.random.Generator,
         *,
         rays: int,
+        into: tuple[Parts, NDArray[np.int64]] | None = None,
         split: bool = False,
         depth: int = 0,
     ) -> Parts:
@@ -117,125 +130,193 @@ class Stage:
             Source of chance.
         rays
             Rays by which each point gathers.
+        into
+            Parts to add to, and the place there of each point; new ones if None.
         split
             Whether sources and bounces are kept apart: parts are sources by name, "glow" of panels, "sky", "hidden sky"
             (what objects take of it, never positive) and "bounce 1", 2, ... by number of reflections elsewhere.
         depth
             Bounces between the points and the surface that the eye sees.
         """
-        parts = Parts(split=split)
-        self._add_direct(parts, points, effort, rng, rays if effort.gathers else 0, depth)
+        every = np.arange(len(points))
+        parts, rows = into or (Parts((len(points), len(self.coats.wavelength_nm)), split=split), every)
+        self._add_direct(parts, rows, points, effort, rng, rays if effort.gathers else 0, depth)
         if not self.lighting.dome.dark:
-            light = points.matt * self.lighting.dome.irradiance(points.normal)
-            parts.add("sky", light * points.known[:, None] if effort.hidden_sky else light)
+            light = self.coats.matt(points)
+            light *= self.lighting.dome.irradiance(points.normal)
+            if effort.hidden_sky:
+                light *= points.known[:, None]
+            parts.add("sky", rows, light)
         if effort.gathers:
-            self._add_gathered(parts, points, effort, rng, rays, depth)
+            self._add_gathered(parts, rows, points, effort, rng, rays, depth)
         return parts
 
-    def emitted(self, points: Points) -> NDArray[np.float32]:
-        """Return the radiance of the points' own glow towards the eye, shape (point, band)."""
-        found = np.zeros_like(points.matt)
-        if self.lighting.panels is not None:
-            kind = self.lighting.panels.kind_of_face[points.face]
-            glows = (kind >= 0) & points.outside
-            found[glows] = self.lighting.panels.spectra[kind[glows]]
-        return found
+    def emitted(self, points: Points) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Return the points that glow and their own radiance towards the eye, shape (glowing point, band)."""
+        panels = self.lighting.panels
+        if panels is None:
+            return np.zeros(0, np.int64), np.zeros((0, len(self.coats.wavelength_nm)), np.float32)
+        kind = panels.kind_of_face[points.face]
+        glows = np.flatnonzero((kind >= 0) & points.outside)
+        return glows, panels.spectra[kind[glows]]
 
     def _add_direct(
-        self, parts: Parts, points: Points, effort: Effort, rng: np.random.Generator, rays: int, depth: int
+        self,
+        parts: Parts,
+        rows: NDArray[np.int64],
+        points: Points,
+        effort: Effort,
+        rng: np.random.Generator,
+        rays: int,
+        depth: int,
     ) -> None:
         coats, tracer, light = self.coats, self.surfaces.tracer, self.lighting
         through = self.air.through if effort.air_between and self.air.absorbs and depth == 0 else None
+
+        def add(name: str, found: direct.Lit) -> None:
+            parts.add(name, rows[found[0]], found[1])
+
         for disc in light.discs:
             if disc.name not in effort.left_out:
-                parts.add(disc.name, direct.from_disc(points, disc, coats, tracer, rng))
+                add(disc.name, direct.from_disc(points, disc, coats, tracer, rng))
         lamps = tuple(lamp for lamp in light.lamps if lamp.name not in effort.left_out)
         if depth > 0 and len(lamps) > ASKED_LAMPS:
-            parts.add("lamps", direct.from_one_lamp(points, lamps, coats, tracer, rng, through))
+            for found in direct.from_one_lamp(points, lamps, coats, tracer, rng, through):
+                add("lamps", found)
         else:
             for lamp in lamps:
-                parts.add(lamp.name, direct.from_lamp(points, lamp, coats, tracer, rng, through))
+                add(lamp.name, direct.from_lamp(points, lamp, coats, tracer, rng, through))
         if light.panels is not None:
-            parts.add("glow", direct.from_panels(points, light.panels, coats, tracer, rng, through, rays))
+            add("glow", direct.from_panels(points, light.panels, coats, tracer, rng, through, rays))
 
     def _add_gathered(
-        self, parts: Parts, points: Points, effort: Effort, rng: np.random.Generator, rays: int, depth: int
+        self,
+        parts: Parts,
+        rows: NDArray[np.int64],
+        points: Points,
+        effort: Effort,
+        rng: np.random.Generator,
+        rays: int,
+        depth: int,
     ) -> None:
         """Add what the hemisphere holds besides the open sky."""
-        count, dome = len(points), self.lighting.dome
-        many = points if rays == 1 else direct.subset(points, np.repeat(np.arange(count), rays))
+        around = self._gathering(points, rng, rays)
+        dome, known = self.lighting.dome, _known_of(around.many)
+        if not dome.dark:
+            if not effort.hidden_sky:
+                known[:] = 1.0
+            seen = np.flatnonzero(around.open & (known < 1.0))
+            light = self._weight(around, seen)
+            light *= dome.radiance(around.direction[seen])
+            light *= np.float32(1.0) - known[seen, None]
+            parts.add("sky", *_summed(light, seen, rows, rays))
+            behind = around.met[known[around.met] > 0.0] if effort.hidden_sky else around.met[:0]
+            light = self._weight(around, behind)
+            light *= dome.radiance(around.direction[behind])
+            light *= -known[behind, None]
+            parts.add("hidden sky", *_summed(light, behind, rows, rays))
+        if not len(around.met) or (depth >= effort.bounces and self.lighting.panels is None):
+            return
+        there = self._there(around)
+        weight = self._weight(around, around.met)
+        if self.lighting.panels is not None:
+            self._add_glow(parts, rows, there, around, weight, rays)
+        if depth < effort.bounces:
+            self._add_bounced(parts, rows, there, around.met, weight, effort, rng, rays, depth)
+
+    def _gathering(self, points: Points, rng: np.random.Generator, rays: int) -> "_Around":
+        count = len(points)
+        many = points if rays == 1 else points.some(np.repeat(np.arange(count), rays))
         even = (rng.random((count, 1, 2)) + np.arange(rays)[:, None] * R2) % 1.0
         direction, density = self.coats.drawn(many, even.reshape(-1, 2), rng)
         cosine = np.einsum("ij,ij->i", many.normal, direction)
         gives = (cosine > 0.0) & (density > 0.0)
         factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives)
-        weight = self.coats.value(many, direction) * factor.astype(np.float32)[:, None]
         start = self.surfaces.tracer.above(many.face, many.place_m, many.normal)
         hit = self.surfaces.tracer.hits(start, direction)
-        met = np.flatnonzero((hit.face != NOTHING) & gives)
-        if not dome.dark:
-            known = _known_of(many) if effort.hidden_sky else np.ones(len(many), np.float32)
-            seen = np.flatnonzero((hit.face == NOTHING) & (known < 1.0) & gives)
-            sky = weight[seen] * dome.radiance(direction[seen]) * (1.0 - known[seen, None])
-            parts.add("sky", _summed(sky, seen, count, rays))
-            behind = met[known[met] > 0.0] if effort.hidden_sky else met[:0]
-            sky = weight[behind] * dome.radiance(direction[behind]) * -known[behind, None]
-            parts.add("hidden sky", _summed(sky, behind, count, rays))
-        if len(met):
-            there = self._met(many, start, direction, hit.face, hit.range_m, met)
-            self._add_glow(parts, there, met, direction, density, hit.range_m, weight, count, rays)
-            if depth < effort.bounces:
-                self._add_bounced(parts, there, met, weight, effort, rng, count, rays, depth)
+        missed = hit.face == NOTHING
+        return _Around(
+            many,
+            start,
+            direction,
+            density,
+            factor,
+            hit.face,
+            hit.range_m,
+            np.flatnonzero(~missed & gives),
+            missed & gives,
+        )
 
-    def _met(
-        self, many: Points, start: Array, direction: Array, face: NDArray[np.int64], range_m: Array, met: Array
-    ) -> Points:
-        place = start[met] + range_m[met, None] * direction[met]
-        return self.coats.points(self.surfaces, face[met], place, direction[met], many.known[met])
+    def _weight(self, around: "_Around", which: NDArray[np.int64]) -> NDArray[np.float32]:
+        """BRDF times cosine over density and number of rays, of some rays, shape (ray, band)."""
+        weight = self.coats.value(around.many.some(which), around.direction[which])
+        weight *= around.factor[which, None].astype(np.float32)
+        return weight
+
+    def _there(self, around: "_Around") -> Points:
+        """What the rays that met something met."""
+        met = around.met
+        place = around.start_m[met] + around.range_m[met, None] * around.direction[met]
+        return self.coats.points(self.surfaces, around.face[met], place, around.direction[met], around.many.known[met])
 
     def _add_glow(
         self,
         parts: Parts,
+        rows: NDArray[np.int64],
         there: Points,
-        met: NDArray[np.int64],
-        direction: Array,
-        density: Array,
-        range_m: Array,
+        around: "_Around",
         weight: NDArray[np.float32],
-        count: int,
         rays: int,
     ) -> None:
-        panels = self.lighting.panels
-        if panels is None:
+        panels, (glows, glow) = self.lighting.panels, self.emitted(there)
+        if panels is None or not len(glows):
             return
-        leaving = np.einsum("ij,ij->i", there.normal, -direction[met])
-        share = direct.found_by_gathering(panels, there.face, range_m[met], leaving, density[met], rays)
-        glow = self.emitted(there) * share.astype(np.float32)[:, None] * weight[met]
-        parts.add("glow", _summed(glow, met, count, rays))
+        ray = around.met[glows]
+        leaving = np.einsum("ij,ij->i", there.normal[glows], -around.direction[ray])
+        share = direct.found_by_gathering(
+            panels, there.face[glows], around.range_m[ray], leaving, around.density[ray], rays
+        )
+        light = glow * share.astype(np.float32)[:, None] * weight[glows]
+        parts.add("glow", *_summed(light, ray, rows, rays))
 
     def _add_bounced(
         self,
         parts: Parts,
+        rows: NDArray[np.int64],
         there: Points,
         met: NDArray[np.int64],
         weight: NDArray[np.float32],
         effort: Effort,
         rng: np.random.Generator,
-        count: int,
         rays: int,
         depth: int,
     ) -> None:
-        weight = weight[met]
         if effort.roulette_from is not None and depth >= effort.roulette_from:
             chance = np.clip(weight.mean(axis=1) * rays, 0.05, 0.95)
             stays = np.flatnonzero(rng.random(len(met)) < chance)
-            there, met, weight = direct.subset(there, stays), met[stays], weight[stays] / chance[stays, None]
+            there, met, weight = there.some(stays), met[stays], weight[stays] / chance[stays, None]
         if not len(met):
             return
         further = self.leaving(there, effort, rng, rays=1, split=parts.split, depth=depth + 1)
         for name, light in further.found.items():
             order = int(name.split()[1]) if name.startswith("bounce ") else 0
-            parts.add(f"bounce {order + 1}", _summed(light * weight, met, count, rays))
+            light *= weight
+            parts.add(f"bounce {order + 1}", *_summed(light, met, rows, rays))
+
+
+@dataclass(frozen=True)
+class _Around:
+    """Rays that gather: their points, starts, directions, densities and factors, and what they meet."""
+
+    many: Points
+    start_m: Array
+    direction: Array
+    density: Array
+    factor: Array
+    face: NDArray[np.int64]
+    range_m: Array
+    met: NDArray[np.int64]
+    open: NDArray[np.bool_]
 
 
 def _known_of(points: Points) -> NDArray[np.float32]:
@@ -246,14 +327,12 @@ def _known_of(points: Points) -> NDArray[np.float32]:
     return known
 
 
-def _summed(light: NDArray[np.float32], which: NDArray[np.int64], count: int, rays: int) -> NDArray[np.float32]:
-    """Add up the light of some rays at their points: rays come point by point, shape (point, band)."""
-    total = np.zeros((count, light.shape[1]), np.float32)
-    if rays == 1:
-        total[which] = light
-        return total
-    if len(which):
-        owner = which // rays
-        first = np.flatnonzero(np.diff(owner, prepend=-1))
-        total[owner[first]] = np.add.reduceat(light, first, axis=0)
-    return total
+def _summed(
+    light: NDArray[np.float32], which: NDArray[np.int64], rows: NDArray[np.int64], rays: int
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Add up the light of some rays at their points, which come one after the other: rows of points and light."""
+    owner = which // rays
+    first = np.flatnonzero(np.diff(owner, prepend=-1))
+    if len(first) == len(which):
+        return rows[owner], light
+    return rows[owner[first]], np.add.reduceat(light, first, axis=0)

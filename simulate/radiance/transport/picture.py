@@ -131,38 +131,27 @@ def along(
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
     away = np.flatnonzero(hit.face == NOTHING)
-    bands = len(stage.coats.wavelength_nm)
-    parts = Parts(split=split)
-    view = np.zeros((len(towards), bands), np.float32)
-    view[away] = stage.lighting.dome.radiance(towards[away])
+    parts = Parts((len(towards), len(stage.coats.wavelength_nm)), split=split)
+    parts.add("in view", away, stage.lighting.dome.radiance(towards[away]))
     place = origin[met] + hit.range_m[met, None] * towards[met]
     open_sky = None if known is None else known[met]
     points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met], open_sky)
-    view[met] = stage.emitted(points)
-    parts.add("in view", view)
-    for name, light in stage.leaving(points, effort, rng, rays=gathered, split=split).found.items():
-        parts.add(name, _placed(light, met, len(towards)))
+    glows, glow = stage.emitted(points)
+    parts.add("in view", met[glows], glow)
+    stage.leaving(points, effort, rng, rays=gathered, into=(parts, met))
     if stage.air.absorbs and "air" not in effort.left_out:
         _through_air(stage, parts, hit.range_m[met], towards[met], met)
     return parts
 
 
-def _placed(light: NDArray[np.float32], which: NDArray[np.int64], count: int) -> NDArray[np.float32]:
-    if len(which) == count:
-        return light
-    found = np.zeros((count, light.shape[1]), np.float32)
-    found[which] = light
-    return found
-
-
 def _through_air(stage: Stage, parts: Parts, range_m: Array, towards: Array, met: NDArray[np.int64]) -> None:
-    lost = np.float32(1.0) - stage.air.through(range_m)
-    whole = parts.total()
-    change = np.zeros_like(whole)
-    change[met] = -lost * whole[met]
+    """Add what the air adds on the way, and take what it takes of all the rest."""
+    change = stage.air.through(range_m)
+    change -= np.float32(1.0)
+    change *= parts.total()[met]
     if stage.air.added is not None:
-        change[met] += stage.air.added(range_m, towards)
-    parts.add("air", change)
+        change += stage.air.added(range_m, towards)
+    parts.add("air", met, change)
 
 
 def picture(

@@ -28,8 +28,8 @@ class Points:
         Unit direction to the eye, shape (point, 3).
     outside
         Whether the eye sees the outer side of the triangle, shape (point,).
-    matt
-        rho / pi of matt surfaces, 0 of others, shape (point, band), sr-1.
+    material
+        Number of its material, shape (point,).
     glossy
         Points of each surface that is not matt, and how it reflects.
     known
@@ -43,12 +43,31 @@ class Points:
     normal: Array
     outgoing: Array
     outside: NDArray[np.bool_]
-    matt: NDArray[np.float32]
+    material: NDArray[np.int64]
     glossy: tuple[tuple[NDArray[np.int64], Brdf], ...]
     known: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.face)
+
+    def some(self, which: NDArray[np.int64]) -> "Points":
+        """Return some of the points, each as often as its number is given."""
+        glossy = []
+        for of, brdf in self.glossy:
+            shines = np.zeros(len(self), bool)
+            shines[of] = True
+            found = np.flatnonzero(shines[which])
+            glossy += [(found, brdf)] if len(found) else []
+        return Points(
+            self.place_m[which],
+            self.face[which],
+            self.normal[which],
+            self.outgoing[which],
+            self.outside[which],
+            self.material[which],
+            tuple(glossy),
+            self.known[which],
+        )
 
 
 @dataclass(frozen=True)
@@ -97,13 +116,15 @@ class Coats:
         )
         facing = np.where(outside[:, None], normal, -normal)
         known = np.ones(len(face), np.float32) if known is None else known
-        return Points(place_m, face, facing, -direction, outside, self.rho_by_pi[material], glossy, known)
+        return Points(place_m, face, facing, -direction, outside, material, glossy, known)
+
+    def matt(self, points: Points) -> NDArray[np.float32]:
+        """Return rho / pi of matt points and zero for others, shape (point, band), sr-1."""
+        return self.rho_by_pi[points.material]
 
     def value(self, points: Points, incoming: Array) -> NDArray[np.float32]:
         """Return the BRDF of points for unit directions to the light above them, shape (point, band), sr-1."""
-        if not points.glossy:
-            return points.matt
-        found = points.matt.copy()
+        found = self.matt(points)
         for which, brdf in points.glossy:
             frame = frames(points.normal[which])
             light, eye = within(frame, incoming[which]), within(frame, points.outgoing[which])
@@ -154,7 +175,7 @@ def frames(normal: Array) -> NDArray[np.float64]:
     b = x * y * a
     first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
     second = np.stack([b, sign + y * y * a, -y], axis=1)
-    return np.stack([first, second, normal], axis=1)
+    return np.stack([first, second, np.asarray(normal, float)], axis=1)
 
 
 def within(frame: Array, direction: Array) -> NDArray[np.float64]:

@@ -3,10 +3,13 @@
 import math
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 from labdata.errors import BadInput
+from simulate.radiance.materials.library import material
+from simulate.radiance.materials.material import Finish, Material
 from simulate.radiance.world.viewpoint import Scan
 
 Triple = tuple[float, float, float]
@@ -159,20 +162,16 @@ class Pose:
 
 @dataclass(frozen=True, kw_only=True)
 class Surface:
-    """A material by name: taken from the library, matt by its reflectance, or with a gloss.
+    """A material by name: from the shelf of those that ship, or by its numbers; it may glow.
 
     Parameters
     ----------
     label
-        Its name.
+        Its name in the scene.
     library
-        Name in the library of materials; or else:
-    wavelength_nm, reflectance
-        Diffuse reflectance at wavelengths, ascending, nm; one number makes a grey.
-    roughness
-        Width of the gloss over the matt base (GGX alpha), dimensionless; None: matt.
-    refractive_index
-        Of the clear coat that makes the gloss, dimensionless.
+        Name on the shelf (`simulate.radiance.materials.library`); or else:
+    wavelength_nm, reflectance, finish, roughness, refractive_index, retroreflected_share, half_width_deg
+        As of `simulate.radiance.materials.material.Material`.
     glow_lm_per_m2
         Luminous exitance of a surface that glows, lm/m2; its spectrum is that of `lamp`.
     lamp
@@ -183,8 +182,11 @@ class Surface:
     library: str | None = None
     wavelength_nm: tuple[float, ...] = (550.0,)
     reflectance: tuple[float, ...] | None = None
+    finish: Finish = "matt"
     roughness: float | None = None
-    refractive_index: float = 1.5
+    refractive_index: float | None = None
+    retroreflected_share: float | None = None
+    half_width_deg: float | None = None
     glow_lm_per_m2: float = 0.0
     lamp: str = "incandescent"
 
@@ -193,8 +195,25 @@ class Surface:
             raise BadInput(f"a material must have either a library entry or a reflectance, got {self.label!r}")
         if not self.glow_lm_per_m2 >= 0.0:
             raise BadInput(f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of {self.label!r}")
-        if self.roughness is not None and not 0.0 < self.roughness <= 1.0:
-            raise BadInput(f"roughness must lie in (0, 1], got {self.roughness:g} of {self.label!r}")
+        if any(self.made.transmittance):
+            raise BadInput(
+                f"light through surfaces is not followed out of doors, got {self.label!r} that lets some pass"
+            )
+
+    @cached_property
+    def made(self) -> Material:
+        """The material."""
+        if self.library is not None:
+            return material(self.library)
+        return Material(
+            wavelength_nm=self.wavelength_nm,
+            reflectance=self.reflectance or (),
+            finish=self.finish,
+            roughness=self.roughness,
+            refractive_index=self.refractive_index,
+            retroreflected_share=self.retroreflected_share,
+            half_width_deg=self.half_width_deg,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

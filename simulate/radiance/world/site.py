@@ -1,6 +1,6 @@
 """A scene made ready for light: surfaces built, sky and lamps lit, all of it on the bands that are computed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -8,10 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere.air import Atmosphere
-from simulate.radiance.brdf.lambert import Lambert
-from simulate.radiance.brdf.protocol import Brdf
 from simulate.radiance.lamps import Cosine, Isotropic, Lamp, Spot, read_spectrum, spectrum
-from simulate.radiance.materials.reflectance import Reflectance
+from simulate.radiance.sky.disc import Disc
 from simulate.radiance.sky.ephemeris import Place
 from simulate.radiance.sky.night_sky import NightSky
 from simulate.radiance.sky.town import TownGlow
@@ -23,7 +21,7 @@ from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Panels, panels_of
 from simulate.radiance.transport.points import Coats, frames
 from simulate.radiance.world.build import built
-from simulate.radiance.world.description import LampPost, Scene, Surface
+from simulate.radiance.world.description import LampPost, Scene, Weather
 from simulate.radiance.world.surfaces import Surfaces
 
 Array = NDArray[np.floating]
@@ -88,7 +86,8 @@ class Site:
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
         """Return wavelengths that follow light, materials and a sensor, see `spectral_grid`."""
         used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
-        spectra = [(s.wavelength_nm, s.reflectance) for s in self._reflectances(used) if len(s.wavelength_nm) > 1]
+        made = [surface.made for surface in self.scene.material if surface.label in used]
+        spectra = [(m.wavelength_nm, m.reflected(m.wavelength_nm)) for m in made if len(m.wavelength_nm) > 1]
         return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)[0]
 
     def on(self, wavelength_nm: NDArray[np.floating]) -> Stage:
@@ -96,11 +95,8 @@ class Site:
         grid = np.asarray(wavelength_nm, float)
         surfaces = self.surfaces
         by_label = {surface.label: surface for surface in self.scene.material}
-        coats = Coats.of(tuple(_brdf(by_label[name]) for name in surfaces.materials), grid)
+        coats = Coats.of(tuple(by_label[name].made.brdf() for name in surfaces.materials), grid)
         return Stage(surfaces=surfaces, coats=coats, lighting=self._lighting(grid), air=self._air(grid))
-
-    def _reflectances(self, labels: set[str]) -> list[Surface]:
-        return [s for s in self.scene.material if s.label in labels and s.reflectance is not None]
 
     def _lighting(self, grid: NDArray[np.float64]) -> Lighting:
         sky = self.sky
@@ -168,7 +164,7 @@ class _PathLight:
         return self.endless.irradiance(direction) * self.share.through(range_m)
 
 
-def _atmosphere(weather) -> Atmosphere:
+def _atmosphere(weather: Weather) -> Atmosphere:
     return Atmosphere(
         visibility_km=weather.visibility_km,
         relative_humidity=weather.relative_humidity,
@@ -176,16 +172,8 @@ def _atmosphere(weather) -> Atmosphere:
     )
 
 
-def _without(sky: NightSky, bodies: tuple) -> NightSky:
-    from dataclasses import replace
-
+def _without(sky: NightSky, bodies: tuple[Disc, ...]) -> NightSky:
     return replace(sky, bodies=bodies)
-
-
-def _brdf(surface: Surface) -> Brdf:
-    if surface.reflectance is not None:
-        return Lambert(reflectance=Reflectance(wavelength_nm=surface.wavelength_nm, share=surface.reflectance))
-    raise BadInput(f"no library yet, got {surface.library!r}")
 
 
 def _lamp(scene: Scene, post: LampPost) -> Lamp:
