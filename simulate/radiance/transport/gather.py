@@ -140,14 +140,16 @@ class Stage:
         """
         every = np.arange(len(points))
         parts, rows = into or (Parts((len(points), len(self.coats.wavelength_nm)), split=split), every)
-        self._add_direct(parts, rows, points, effort, rng, rays if effort.gathers else 0, depth)
+        # A gloss needs rays to find even the open sky.
+        gathers = effort.gathers or bool(points.glossy)
+        self._add_direct(parts, rows, points, effort, rng, rays if gathers else 0, depth)
         if not self.lighting.dome.dark:
             light = self.coats.matt(points)
             light *= self.lighting.dome.irradiance(points.normal)
             if effort.hidden_sky:
                 light *= points.known[:, None]
             parts.add("sky", rows, light)
-        if effort.gathers:
+        if gathers:
             self._add_gathered(parts, rows, points, effort, rng, rays, depth)
         return parts
 
@@ -201,10 +203,8 @@ class Stage:
     ) -> None:
         """Add what the hemisphere holds besides the open sky."""
         around = self._gathering(points, rng, rays)
-        dome, known = self.lighting.dome, _known_of(around.many)
+        dome, known = self.lighting.dome, _known_of(around.many, effort)
         if not dome.dark:
-            if not effort.hidden_sky:
-                known[:] = 1.0
             seen = np.flatnonzero(around.open & (known < 1.0))
             light = self._weight(around, seen)
             light *= dome.radiance(around.direction[seen])
@@ -319,9 +319,9 @@ class _Around:
     open: NDArray[np.bool_]
 
 
-def _known_of(points: Points) -> NDArray[np.float32]:
-    """Share of the sky that points take as known: none where they are not matt."""
-    known = points.known.copy()
+def _known_of(points: Points, effort: Effort) -> NDArray[np.float32]:
+    """Share of the sky that points take as known: none where they are not matt, all where nothing may hide it."""
+    known = points.known.copy() if effort.hidden_sky else np.ones(len(points), np.float32)
     for which, _ in points.glossy:
         known[which] = 0.0
     return known

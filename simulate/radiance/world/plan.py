@@ -26,7 +26,7 @@ SHARE = 0.5
 FINEST, COARSEST = 0.0005, 0.02
 # With nothing left out: error by chance as a share of the noise or of the signal, the larger counts; bounces before
 # paths go on by chance only, and at most.
-EXACT_NOISE, EXACT_SIGNAL, EXACT_ROULETTE, EXACT_BOUNCES = 0.01, 0.002, 3, 64
+EXACT_NOISE, EXACT_SIGNAL, EXACT_ROULETTE, EXACT_BOUNCES = 0.01, 0.002, 3, 200
 # Brightest pixels, per cent, that saturate any sensor: they do not decide how fine the bands are.
 BRIGHTEST = 0.5
 # Seconds for a million rays and ten bands, as measured on one core: what a part costs.
