@@ -1,4 +1,4 @@
-"""Light transport against analytic radiometry: form factors, discs, spheres, skies, canyons, closed rooms, penumbrae."""
+"""Light transport against analytic radiometry: form factors, discs, spheres, skies, canyons, closed rooms, shadows."""
 
 import numpy as np
 import pytest
