@@ -55,8 +55,8 @@ def require_programs() -> None:
     if os.geteuid() != 0 or shutil.which("apt-get") is None:
         raise Skip(f"the guest needs the Debian packages {' '.join(missing)}, which this user may not install")
     print(f"vivid: installing {' '.join(missing)} from Debian's packages", flush=True)
-    apt("apt-get", "update", "-qq")
-    apt("apt-get", "install", "-y", "-qq", "--no-install-recommends", *missing)
+    outside("apt-get", "update", "-qq")
+    outside("apt-get", "install", "-y", "-qq", "--no-install-recommends", *missing)
 
 
 def unpacked_kernel() -> tuple[Path, Path]:
@@ -66,27 +66,29 @@ def unpacked_kernel() -> tuple[Path, Path]:
         if shutil.which("apt-get") is None:
             raise Skip("the guest needs Debian's kernel, and this machine has no apt-get")
         BUILD.mkdir(parents=True, exist_ok=True)
-        said = apt("apt-cache", "depends", "linux-image-amd64")
+        if os.geteuid() == 0:
+            outside("apt-get", "update", "-qq")
+        said = outside("apt-cache", "depends", "linux-image-amd64")
         names = re.findall(r"Depends: (linux-image-\S+)", said)
         if not names:
             raise Skip(f"linux-image-amd64 must name a kernel package, got {said!r}")
         print(f"vivid: fetching {names[0]}", flush=True)
-        apt("apt-get", "download", "-qq", names[0])
+        outside("apt-get", "download", "-qq", names[0])
         (package,) = BUILD.glob(f"{names[0]}_*.deb")
-        subprocess.run(["dpkg-deb", "-x", package, BUILD / "unpacking"], check=True, timeout=FETCH_S)
+        shutil.rmtree(BUILD / "unpacking", ignore_errors=True)
+        outside("dpkg-deb", "-x", str(package), str(BUILD / "unpacking"))
         package.unlink()
         (BUILD / "unpacking").rename(BUILD / "kernel")
         found = sorted(BUILD.glob("kernel/boot/vmlinuz-*"))
     version = found[-1].name.removeprefix("vmlinuz-")
     modules = BUILD / "kernel" / "lib" / "modules" / version
     if not (modules / "modules.dep").exists():
-        depmod = ["busybox", "depmod", "-b", str(BUILD / "kernel"), version]
-        subprocess.run(depmod, check=True, timeout=FETCH_S)
+        outside("busybox", "depmod", "-b", str(BUILD / "kernel"), version)
     return found[-1], modules
 
 
-def apt(*arguments: str) -> str:
-    """Run one of apt's programs and return what it said; failing, there is no guest."""
+def outside(*arguments: str) -> str:
+    """Run a program of the system's and return what it said; failing, there is no guest."""
     try:
         done = subprocess.run(
             arguments, cwd=BUILD if BUILD.exists() else ROOT, capture_output=True, text=True, timeout=FETCH_S,
