@@ -4,7 +4,7 @@ BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
 
-.PHONY: demo test test-seeds check bench bench-acquisition fault-campaign rehearsal study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures live-check clean
+.PHONY: demo test test-seeds check bench bench-acquisition fault-campaign rehearsal study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -102,6 +102,10 @@ docs: $(READY)
 # Pictures of docs/bloom.md, from scenes whose truth is known; half a minute on one core.
 bloom-pictures: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/bloom_pictures.py
+
+# Pictures of docs/night-light.md; a few seconds on one core.
+night-light: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/night_light.py
 
 # The simulator's tiers: worst moment error against frames a second, chart and tables into docs.
 frontier: $(READY)

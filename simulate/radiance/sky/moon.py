@@ -45,7 +45,7 @@ def band_reflectance(
     -----
     ln A = sum a_i g^i + sum b_j P^(2j-1) + c1 th + c2 ph + c3 P th + c4 P ph + d1 exp(-g/p1) + d2 exp(-g/p2)
     + d3 cos((g - p3)/p4) (Kieffer and Stone, Astron. J. 129, 2887, 2005, eq. 10, model 311g). Fitted for phases from
-    1.55 to 97 degrees; it is used beyond, where it stays within 0.2 mag of Allen's phase curve up to 150 degrees.
+    1.55 to 97 degrees; it is used beyond, where it stays within 0.35 mag of Allen's phase curve up to 150 degrees.
     """
     rolo = table(PACKAGE, "rolo")
     phase = np.deg2rad(phase_deg)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere.air import Atmosphere
+from simulate.radiance.atmosphere.airmass import airmass
 from simulate.radiance.cube import band_widths
 from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
 from simulate.radiance.sky import scattering, twilight
@@ -19,8 +20,8 @@ from simulate.radiance.sky.sun import sun_spectrum
 from simulate.radiance.sky.town import TownGlow
 from simulate.radiance.spectrum import Spectrum, checked_grid, combined
 
-# Of light that comes from all over the sky, air scatters about half back in: it dims by half of the depth.
-EXTENDED_SHARE = 0.5
+# Irradiance over pi times the zenith's radiance of a layer of airglow, above the air (`van_rhijn`).
+AIRGLOW_HEMISPHERE = 1.715
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,8 +117,8 @@ class NightSky:
 
         Notes
         -----
-        The same scattering of sun and moon as in the sky, so that far hills fade into the horizon; of light from all
-        over, half of the sphere is sky and half is ground of the albedo given.
+        The same scattering of sun and moon as in the sky, so that far hills fade into the horizon; of dusk and towns,
+        half of the sphere is sky and half is ground of the albedo given.
         """
         grid = checked_grid(wavelength_nm)
         total = np.zeros((grid.size, len(direction)))
@@ -126,12 +127,15 @@ class NightSky:
                 total += self._endless(body, direction, grid)
         directions, weight = scattering.sky_quadrature()
         cosine = weight * directions[:, 2]
-        around = self._night_radiance(directions, grid) @ cosine
+        around = np.zeros(grid.size)
+        for town in self.towns:
+            around += town.spectrum.on(grid) * (town.shape(directions) @ cosine)
         for body in self.bodies:
             glow = self._twilight(body)
             if glow is not None:
                 around += glow.on(grid) * (twilight.twilight_shape(directions, body.direction) @ cosine)
-        return total + (0.5 * (1.0 + self.ground_albedo) / np.pi * around)[:, None]
+        even = 0.5 * (1.0 + self.ground_albedo) / np.pi * around + self._night_air(grid)
+        return total + even[:, None]
 
     def air(self) -> Atmosphere:
         """Return the atmosphere, lit by this sky."""
@@ -174,21 +178,50 @@ class NightSky:
         )
 
     def _night_radiance(self, direction: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return airglow, zodiacal light, stars and towns, shape (band, path)."""
-        dark = dark_sky()
+        """Return airglow, zodiacal light, stars and towns, shape (band, path).
+
+        Each part comes through the air, and what the air takes from it it gives back evenly from above and below.
+        """
         elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)))
-        even = self.zodiacal * dark.zodiacal.on(grid) + self.starlight * dark.starlight.on(grid)
-        glow = self.airglow * dark.airglow.on(grid)
-        total = (even[:, None] + glow[:, None] * van_rhijn(elevation)) * self._dimming(elevation, grid)
+        straight, slant = self._unturned(np.array([90.0]), grid), self._unturned(elevation, grid)
+        total = np.zeros((grid.size, len(direction)))
+        for zenith, shape, back in self._night_parts(elevation, grid):
+            seen = shape * slant + back * (1.0 - slant)
+            total += zenith[:, None] * seen / (straight + back * (1.0 - straight))
         for town in self.towns:
             total += town.spectrum.on(grid)[:, None] * town.shape(direction)
         return total
 
-    def _dimming(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how much air dims the sky's own light over how much it does at the zenith, shape (band, path)."""
-        depth, _ = scattering.scattering_parts(self.atmosphere, grid)
-        mass = scattering.airmass(elevation_deg)
-        return np.exp(-EXTENDED_SHARE * depth[:, None] * (mass - 1.0))
+    def _night_air(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the radiance of an endless path lit by airglow, zodiacal light and stars, shape (band,)."""
+        straight = self._unturned(np.array([90.0]), grid)[:, 0]
+        parts = self._night_parts(np.array([90.0]), grid)
+        return np.sum([zenith * back / (straight + back * (1.0 - straight)) for zenith, _, back in parts], axis=0)
+
+    def _night_parts(
+        self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]
+    ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], float], ...]:
+        """Return of even light and of airglow: the zenith, its shape above the air, and what an endless path has of it.
+
+        Half of what lights the air comes from above and half from ground of the albedo given.
+        """
+        dark = dark_sky()
+        even = self.zodiacal * dark.zodiacal.on(grid) + self.starlight * dark.starlight.on(grid)
+        glow = self.airglow * dark.airglow.on(grid)
+        half = 0.5 * (1.0 + self.ground_albedo)
+        return (
+            (even, np.ones(elevation_deg.shape), half),
+            (glow, van_rhijn(elevation_deg), half * AIRGLOW_HEMISPHERE),
+        )
+
+    def _unturned(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the share of light from all over that crosses the air without being turned, shape (band, path).
+
+        Haze scatters forward: only 1 - g of its depth turns light.
+        """
+        air = self.atmosphere
+        depth = air.molecules_depth(grid) + (1.0 - scattering.ASYMMETRY) * air.haze_depth(grid)
+        return np.exp(-depth[:, None] * airmass(elevation_deg))
 
 
 def _bodies(at: Ephemeris, air: Atmosphere) -> tuple[Disc, ...]:

@@ -99,8 +99,8 @@ def test_daylight_and_dusk(elevation, lux, within):
     assert lit_by(elevation, sun_spectrum()).illuminance_lux() == pytest.approx(lux, rel=within)
 
 
-@pytest.mark.parametrize(("light", "factor"), [(sun_spectrum(), 1.0), (moon_spectrum(5.0), 1.0)])
-def test_light_only_fades_as_a_body_sinks_and_never_jumps(light, factor):
+@pytest.mark.parametrize("light", [sun_spectrum(), moon_spectrum(5.0)], ids=["sun", "moon"])
+def test_light_only_fades_as_a_body_sinks_and_never_jumps(light):
     parts = {"airglow": 0.0, "zodiacal": 0.0, "starlight": 0.0}
     heights = np.concatenate([np.linspace(30.0, 2.0, 15), np.linspace(1.5, -1.5, 31), np.linspace(-2.0, -21.0, 20)])
     lux = np.array([lit_by(float(h), light, **parts).illuminance_lux() for h in heights])
