@@ -98,6 +98,7 @@ class Bench:
         self._guard: Guard | None = None
         self._taking_over = threading.Lock()
         self._taken_over: Safety | None = None
+        self._light: Operator | None = None
         self._before: dict[signal.Signals, Callable | int | None] = {}
 
     @property
@@ -165,7 +166,8 @@ class Bench:
     def guard(self, operator: Operator) -> Operator:
         """Put whoever places targets and light behind the interlock; use only what is returned from then on."""
         self.interlock.tell(LightRead(illuminance_lux=math.inf))
-        return GuardedLight(operator, interlock=self.interlock, check=self.check)
+        self._light = GuardedLight(operator, interlock=self.interlock, check=self.check)
+        return self._light
 
     @property
     def dark_seen(self) -> bool:
@@ -202,13 +204,15 @@ class Bench:
             raise BenchError(f"the tube was made safe: {why}")
 
     def safe(self) -> None:
-        """Shut the gate and switch the high voltage off now; a BenchError if that could not be verified."""
+        """Shut the gate, switch the high voltage off and block the light now; a BenchError if that is not verified."""
         self.interlock.tell(SafeOrdered())
         if self._guard is not None:
             safety = self._guard.safe()
         else:
             safety = make_safe(gate=self._gate, supply=self._supply, record=self._record)
         self._supply.is_on = False
+        if self._light is not None:
+            self._light.darken()
         _raise_unless_whole(safety)
         self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
         self.interlock.tell(GainRead(mcp_v=0.0))

@@ -13,6 +13,7 @@ from labdata.errors import BadInput
 from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from labdata.session import Session
+from labdata.tube_dose import warnings
 
 if TYPE_CHECKING:
     from drivers.interface import Camera
@@ -40,15 +41,20 @@ def bench_folder(session: Path) -> Path:
 
 def take(plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None] = say) -> Session:
     """Run a plan on the bench that it names and return the session."""
+    take_on = _on_real_bench if plan.wires.bench == "real" else _on_virtual_bench
     with bench_failure_is_a_sentence():
-        if plan.wires.bench == "real":
-            return _on_real_bench(plan, session, resume=resume, progress=progress, tell=tell)
-        return _on_virtual_bench(plan, session, resume=resume, progress=progress, tell=tell)
+        taken = take_on(plan, session, resume=resume, progress=progress, tell=tell)
+    for sentence in warnings(_ledger(plan, session).total(), taken.sensor):
+        tell(sentence)
+    return taken
 
 
-def _ledger(plan: Plan, nameless: Path) -> DoseLedger:
+def _ledger(plan: Plan, session: Path) -> DoseLedger:
     """Return the ledger of the plan's tube; the dose of one without a name is kept beside its session."""
-    return DoseLedger(nameless) if plan.tube is None else ledger_of(plan.tube)
+    if plan.tube is not None:
+        return ledger_of(plan.tube)
+    real = plan.wires.bench == "real"
+    return DoseLedger(session.with_name(f"{session.name}.{DOSE}") if real else bench_folder(session) / DOSE)
 
 
 def _on_virtual_bench(
@@ -80,7 +86,7 @@ def _on_virtual_bench(
                 log=bench_folder(session) / WATCHDOG_LOG,
                 lines=lines,
                 gate_hz=float(sensor.video.field_rate_hz),
-                dose=_ledger(plan, bench_folder(session) / DOSE),
+                dose=_ledger(plan, session),
                 session=str(session),
             ),
             operator=virtual.operator,
@@ -123,7 +129,7 @@ def _on_real_bench(
             limits_in_force(plan.limits, sensor, plan.overrides),
             log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"),
             gate_hz=gate_hz(sensor),
-            dose=_ledger(plan, session.with_name(f"{session.name}.{DOSE}")),
+            dose=_ledger(plan, session),
             session=str(session),
         ),
         operator=PromptingOperator(),

@@ -273,8 +273,10 @@ def test_light_goes_on_in_the_proper_order_and_not_further_than_the_gain_bears(b
 
 
 def test_light_that_reads_too_bright_makes_the_tube_safe(bench, virtual):
+    hands = Hands(factor=1e5)
     with bench, pytest.raises(BenchError, match="the tube was made safe: the light must"):
-        lit(bench, Hands(factor=1e5), 1e-4)
+        lit(bench, hands, 1e-4)
+    assert hands.placed[-1] == 0.0
     assert not virtual.outputs().gate_open
     assert virtual.outputs().mcp_v < 11
 
