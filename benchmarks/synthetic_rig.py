@@ -15,7 +15,7 @@ from labdata.session import Kind
 from labdata.target import Target
 
 ROWS, COLUMNS = 493, 768
-BUFFERS = 16
+BUFFERS = 64
 """Frames that the camera's driver holds for a reader who is late; older ones are lost, as with Aravis."""
 
 

@@ -21,7 +21,7 @@ TOGETHER_BYTES = 12 << 20
 """Bytes that are forced to the disk together: more gains nothing and acknowledges late."""
 
 PATIENCE_S = 0.4
-"""Longest wait for room in the queue, s; a camera's driver buffers half a second at 30 frames/s."""
+"""Longest wait for room in the queue, s; a camera's driver buffers two seconds at 30 frames/s."""
 
 
 class Storage:

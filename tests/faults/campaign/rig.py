@@ -14,9 +14,8 @@ from simulate.rig.camera_process import CameraProcess
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.operator import VirtualOperator
 from simulate.rig.outputs import Outputs
+from simulate.rig.truth_folder import Truth
 
-ROWS, COLUMNS = 61, 84
-TIME_SCALE = 20.0
 FREE_S = 20.0
 
 
@@ -29,13 +28,17 @@ class CampaignRig:
         Where all of it lies.
     seed
         Seed of the specimen.
+    rows, columns
+        Size of its picture, px.
+    time_scale
+        How much faster than life the high voltage moves, dimensionless.
     """
 
-    def __init__(self, folder: Path, seed: int) -> None:
+    def __init__(self, folder: Path, seed: int, *, rows: int = 61, columns: int = 84, time_scale: float = 20.0) -> None:
         sensor = load_sensor("pulnix-ag5745ef3")
-        self.sensor = replace(sensor, ccd=replace(sensor.ccd, rows=ROWS, columns=COLUMNS))
+        self.sensor = replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns))
         self.folder, self.watchdog_log = folder, folder / "watchdog.jsonl"
-        self._bench = VirtualBench(folder / "bench", self.sensor, seed, time_scale=TIME_SCALE)
+        self._bench = VirtualBench(folder / "bench", self.sensor, seed, time_scale=time_scale)
         self._camera: CameraProcess | None = None
 
     def __enter__(self) -> Self:
@@ -56,6 +59,11 @@ class CampaignRig:
         """How a client reaches the instruments."""
         assert self._camera is not None
         return replace(self._bench.wires, camera=self._camera.identifier)
+
+    @property
+    def truth(self) -> Truth:
+        """What the specimen really is: for whoever compares afterwards."""
+        return self._bench.truth()
 
     @property
     def operator(self) -> VirtualOperator:
