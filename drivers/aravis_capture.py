@@ -24,6 +24,7 @@ LEAST_BUFFERS = 16
 MOST_BUFFER_BYTES = 256 << 20
 # A sender or receiver that a busy machine holds up for a tenth of a second (the default) would lose its frame.
 LATE_PACKET_S = 0.4
+LATE_READER_S = 2.0  # so long a busy machine may keep a reader from its frames
 _POLL_S = 0.05
 _SUSPICION_S = 0.2
 
@@ -161,8 +162,8 @@ class AravisCapture:
         return f"{size} pixels instead of {self._shape}" if size != self._shape else ""
 
     def _buffers(self, payload: int) -> int:
-        """Return how many buffers the stream needs: each frame that still waits for a packet keeps one."""
-        waiting = math.ceil((self._frame_rate_hz or 0.0) * LATE_PACKET_S)
+        """Return how many buffers the stream needs: each frame that waits for a packet or for its reader keeps one."""
+        waiting = math.ceil((self._frame_rate_hz or 0.0) * (LATE_PACKET_S + LATE_READER_S))
         return max(LEAST_BUFFERS, min(LEAST_BUFFERS + waiting, MOST_BUFFER_BYTES // max(1, payload)))
 
     def _next_buffer(self) -> int:

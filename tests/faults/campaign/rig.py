@@ -17,6 +17,7 @@ from simulate.rig.outputs import Outputs
 from simulate.rig.truth_folder import Truth
 
 FREE_S = 20.0
+DANGEROUS_V = 15.0  # the watchdog follows the voltage down to 10 V
 
 
 class CampaignRig:
@@ -97,6 +98,16 @@ class CampaignRig:
         """Take all faults away."""
         for instrument in ("delay_generator", "high_voltage", "camera"):
             self.provoke(instrument, Faults())
+
+    def switch_off_what_is_on(self) -> None:
+        """Do what a person does after a fault that left an instrument deaf with its output on: off and on again."""
+        for instrument, is_on in (
+            ("delay_generator", self.outputs().gate_open),
+            ("high_voltage", self.outputs().mcp_v > DANGEROUS_V),
+        ):
+            if is_on:
+                self.unplug(instrument)
+                self.plug_in(instrument)
 
     def await_free(self) -> None:
         """Wait until the watchdog of the last client has ended: it holds the ports until the voltage is down."""

@@ -15,9 +15,8 @@ from labdata.plan import Plan
 from labdata.session import MANIFEST, open_session
 from tests.faults.campaign.client import Client
 from tests.faults.campaign.kinds import Fault
-from tests.faults.campaign.rig import CampaignRig
+from tests.faults.campaign.rig import DANGEROUS_V, CampaignRig
 
-DANGEROUS_V = 10.0
 LOOK_S = 0.004
 OPEN_S = 20.0
 END_S = 30.0
@@ -53,7 +52,7 @@ class Outcome:
 def try_fault(
     rig: CampaignRig, plan: Plan, session: Path, fault: Fault, *, after_s: float, within_s: float
 ) -> Outcome | None:
-    """Run a plan, or go on with it, and have a fault strike at a moment; None if the plan was complete before.
+    """Run a plan, or go on with it, and have a fault strike at a moment; None if the run had ended before.
 
     Parameters
     ----------
@@ -69,7 +68,7 @@ def try_fault(
     client = Client(rig, plan, session, silence_s=fault.silence_s)
     if after_s >= 0.0:
         client.await_steps(OPEN_S)
-    if client.wait(abs(after_s)) == 0:
+    if client.wait(abs(after_s)) is not None:
         rig.await_free()
         return None
     struck = _Struck(rig, client, fault)
@@ -81,7 +80,9 @@ def try_fault(
         client.signal(signal.SIGKILL)
         client.wait(END_S)
     off_s = rig.ordered_off_s(struck.at_s)
+    left_on = tuple(_left_on(rig, fault))
     fault.repair(rig)
+    rig.switch_off_what_is_on()
     endured = code == 0
     gate_s = gate_s if struck.gate_was_open and fault.gate_hears and not endured else None
     must_be_ordered = struck.voltage_was_on and fault.supply_hears and not endured
@@ -92,8 +93,17 @@ def try_fault(
         live=struck.gate_was_open or struck.voltage_was_on,
         gate_s=gate_s,
         off_s=off_s,
-        broken=tuple(_broken(client, session, fault, code, gate_s, off_s, within_s + fault.notice_s)),
+        broken=(*left_on, *_broken(client, session, fault, code, gate_s, off_s, within_s + fault.notice_s)),
     )
+
+
+def _left_on(rig: CampaignRig, fault: Fault) -> Iterator[str]:
+    """What is still on when the last process that guarded the tube has ended, though it could hear."""
+    left = rig.outputs()
+    if left.gate_open and fault.gate_hears:
+        yield "the gate was left open"
+    if left.mcp_v > DANGEROUS_V and fault.supply_hears:
+        yield f"{left.mcp_v:.0f} V were left on"
 
 
 class _Struck:
