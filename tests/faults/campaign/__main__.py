@@ -111,7 +111,7 @@ def _warm_up(rig: CampaignRig, plan: Plan, session: Path) -> None:
     """Run the plan until it completes: where the simulator is compiled first, a frame takes half a minute."""
     wrong: list[str] = []
     for _ in range(WARM_UPS):
-        if not (wrong := _undisturbed(rig, plan, session)):
+        if not (wrong := _undisturbed(rig, plan, session, silence_s=COMPLETE_S)):
             return
     raise RuntimeError(f"a run without faults must complete, got {wrong}")
 
@@ -130,10 +130,10 @@ def _in_rows(kinds: list[str], rng: np.random.Generator) -> Iterator[list[str]]:
         yield row
 
 
-def _undisturbed(rig: CampaignRig, plan: Plan, session: Path) -> list[str]:
+def _undisturbed(rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float = PATIENT_S) -> list[str]:
     """Resume a session without a fault; what is wrong with it then."""
     rig.heal()
-    client = Client(rig, plan, session, silence_s=PATIENT_S)
+    client = Client(rig, plan, session, silence_s=silence_s)
     code = client.wait(COMPLETE_S)
     if code is None:
         client.signal(signal.SIGKILL)
