@@ -30,6 +30,7 @@ MOST_IN_A_ROW = 4
 EARLIEST_S, LATEST_S = -0.5, 2.2  # from the opening to about the end of the plan
 COMPLETE_S = 90.0
 WARM_UPS = 4
+TALLY = "## Tally"
 
 
 def main() -> int:
@@ -56,7 +57,7 @@ def main() -> int:
         for sentence in outcome.broken:
             print(f"BROKEN {outcome.kind}: {sentence}")
     if asked.keep:
-        asked.keep.write_text(text)
+        _keep_tally(asked.keep, text)
     return 1 if failed or any(outcome.broken for outcome in outcomes) else 0
 
 
@@ -148,6 +149,12 @@ def _undisturbed(rig: CampaignRig, plan: Plan, session: Path, *, silence_s: floa
         if step.label not in stacks or not stacks[step.label].finished or len(stacks[step.label].read()) != FRAMES
     ]
     return wrong + list(frames_broken(session, dict.fromkeys(stacks, FRAMES)))
+
+
+def _keep_tally(page: Path, text: str) -> None:
+    """Put the tally under its heading; what stands before it is kept."""
+    before = page.read_text().split(TALLY)[0] if page.exists() else ""
+    page.write_text(f"{before}{TALLY}\n\n{text}")
 
 
 def _keep(outcome: Outcome, after_s: float, trials: Path | None) -> None:
