@@ -48,6 +48,12 @@ def page(running: Running, *, title: str, focus_first: bool = False) -> Starlett
             return JSONResponse({"waiting": running.newest.ended or "no frame yet"}, status_code=503)
         return JSONResponse({**about, **newest.as_json()})
 
+    async def picture(request: Request) -> Response:
+        newest = running.newest.view
+        if newest is None:
+            return PlainTextResponse("no frame yet", status_code=503)
+        return Response(newest.picture.jpeg, media_type="image/jpeg")
+
     async def forget(request: Request) -> Response:
         running.forget_best()
         return PlainTextResponse("forgotten")
@@ -58,6 +64,7 @@ def page(running: Running, *, title: str, focus_first: bool = False) -> Starlett
             *files,
             Route("/events", events),
             Route("/view.json", view),
+            Route("/picture.jpg", picture),
             Route("/best/forget", forget, methods=["POST"]),
         ]
     )

@@ -1,6 +1,5 @@
 """What the bench shows at one moment, and how it is written for a page."""
 
-import base64
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -41,7 +40,7 @@ class View:
     region: Region | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as the page reads it; units are in the names."""
+        """Return its numbers as the page reads them; units are in the names."""
         meters, conditions = asdict(self.meters), vars(self.seen.conditions)
         return {
             "number": self.number,
@@ -61,5 +60,4 @@ class View:
             "step": self.picture.step,
             "black_dn": self.picture.black_dn,
             "white_dn": self.picture.white_dn,
-            "picture": "data:image/jpeg;base64," + base64.b64encode(self.picture.jpeg).decode(),
         }

@@ -7,6 +7,8 @@ const STALE_S = 1.5;
 const history = [];
 const arrivals = [];
 let lastFocus = null;
+let loading = false;
+let nextPicture = null;
 
 const digits = (value, significant = 4) => Number(value.toPrecision(significant)).toString();
 const thousands = (value) => value.toLocaleString("en");
@@ -15,6 +17,20 @@ const count = (what) => { document.body.dataset[what] = Number(document.body.dat
 const colour = (name) => getComputedStyle(document.body).getPropertyValue(name).trim();
 const UNITS = { exposure_s: [1e3, "exposure", "ms"], mcp_v: [1, "plate", "V"], gate_ns: [1e-3, "gate", "µs"],
   illuminance_lux: [1, "light", "lux"], camera_gain_db: [1, "camera gain", "dB"], temperature_c: [1, "temperature", "°C"] };
+
+// One picture is asked for at a time, and the next when it is there: a busy machine shows fewer, never none.
+function showPicture(number) {
+  if (loading) { nextPicture = number; return; }
+  loading = true;
+  at("picture").src = `/picture.jpg?number=${number}`;
+}
+
+function pictureDone() {
+  const number = nextPicture;
+  loading = false;
+  nextPicture = null;
+  if (number !== null) showPicture(number);
+}
 
 function showMeters(view) {
   const [rows, columns] = view.rows_columns;
@@ -145,7 +161,7 @@ function showPageRate() {
 function take(message) {
   const view = JSON.parse(message.data);
   arrivals.push(performance.now() / 1e3);
-  at("picture").src = view.picture;
+  showPicture(view.number);
   showMeters(view);
   drawHistogram(view);
   showFocus(view);
@@ -157,7 +173,8 @@ function press(id, className) {
   at(id).setAttribute("aria-pressed", String(pressed));
 }
 
-at("picture").addEventListener("load", () => count("pictures"));
+at("picture").addEventListener("load", () => { count("pictures"); pictureDone(); });
+at("picture").addEventListener("error", pictureDone);
 at("red").addEventListener("click", () => press("red", "red"));
 at("large").addEventListener("click", () => press("large", "large"));
 at("forget").addEventListener("click", () => fetch("/best/forget", { method: "POST" }));

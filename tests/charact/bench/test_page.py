@@ -17,7 +17,7 @@ from tests.charact.bench.sources import Told, noisy, seen
 
 PORT = 8600
 OWN = f"http://127.0.0.1:{PORT}"
-PATHS = ("/", "/live.js", "/live.css", "/view.json", "/events")
+PATHS = ("/", "/live.js", "/live.css", "/view.json", "/picture.jpg", "/events")
 
 
 @pytest.fixture
@@ -159,13 +159,12 @@ def test_a_web_socket_is_never_accepted(running) -> None:
     assert "websocket.accept" not in sent and "websocket.send" not in sent
 
 
-def test_events_carry_picture_meters_and_histogram_and_end_with_a_reason(running) -> None:
+def test_events_carry_meters_and_histogram_and_end_with_a_reason(running) -> None:
     events = [block.split("\n", 1) for block in client(running).get("/events").text.strip().split("\n\n")]
     kinds = [kind.removeprefix("event: ") for kind, _ in events]
     assert kinds == ["about", "view", "ended"]
     view = json.loads(events[1][1].removeprefix("data: "))
     assert view["saturated_px"] == 11 and sum(view["histogram"]) == view["pixels"] == 128 * 160
-    assert view["picture"].startswith("data:image/jpeg;base64,")
     assert view["frame_rate_hz"] == pytest.approx(30.0)
     assert "no more frames" in events[2][1]
 
@@ -175,6 +174,14 @@ def test_the_page_asks_the_network_for_nothing_and_names_a_unit_with_every_meter
     assert not any("http:" in text or "https:" in text or "//" in text.replace("// ", "") for text in files.values())
     for unit in ("DN", "px", "Hz", "cy/px", "ms", "%"):
         assert any(unit in text for text in files.values())
+
+
+def test_the_picture_is_the_newest_frame_as_a_jpeg(running) -> None:
+    import cv2
+
+    picture = client(running).get("/picture.jpg?number=1")
+    assert picture.headers["content-type"] == "image/jpeg"
+    assert cv2.imdecode(np.frombuffer(picture.content, np.uint8), cv2.IMREAD_COLOR).shape == (128, 160, 3)
 
 
 def test_a_slow_onlooker_gets_the_newest_view_and_holds_up_nobody(seed) -> None:
