@@ -1,9 +1,9 @@
 """The gate: a Stanford DG645 delay generator whose AB output opens the gate unit for a set time at each trigger."""
 
-import math
 import re
 import time
 
+from drivers.answers import asked_whole, expect, number
 from drivers.errors import InstrumentConfused, InstrumentRefused
 from drivers.line import Line
 from drivers.pulse import check_pulse
@@ -80,7 +80,7 @@ class DelayGenerator:
 
     def look(self) -> None:
         """Ask for a sign of life."""
-        self._integer("TSRC?")
+        asked_whole(self.line, "TSRC?")
 
     def check_pulse(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> None:
         """Refuse (BadInput) a gate that this model cannot open and close between two triggers, or not so finely."""
@@ -92,7 +92,7 @@ class DelayGenerator:
             self.line.write(command)
         self._refuse_errors("; ".join(SHUT_COMMANDS))
         for setting, shut in (("TSRC?", SINGLE_SHOT), ("LPOL? 1", 1), ("LOFF? 1", 0)):
-            self._expect(setting, shut)
+            expect(self.line, setting, shut)
 
     def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> float:
         """Open the gate for a time at each internal trigger.
@@ -129,8 +129,8 @@ class DelayGenerator:
         self._set(f"TRAT {rate_hz:.6f}")
         self._set(f"DLAY {EDGE_A},0,{delay_ns * 1e-9:.12f}")
         self._set(f"DLAY {EDGE_B},{EDGE_A},{width_ns * 1e-9:.12f}")
-        self._expect("TRAT?", rate_hz, within=1e-5 * rate_hz)
-        self._expect(f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, within=0.05)
+        expect(self.line, "TRAT?", rate_hz, within=1e-5 * rate_hz)
+        expect(self.line, f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, within=0.05)
         read_ns = self._width_ns()
         if abs(read_ns - width_ns) > STEP_NS:
             raise InstrumentRefused(
@@ -143,9 +143,9 @@ class DelayGenerator:
     def _trigger(self, rate_hz: float) -> None:
         self.line.ask("INSR?")
         self._set(f"TSRC {INTERNAL}")
-        self._expect("TSRC?", INTERNAL)
+        expect(self.line, "TSRC?", INTERNAL)
         time.sleep(2.0 / rate_hz)
-        if self._integer("INSR?") & RATE_ERROR:
+        if asked_whole(self.line, "INSR?") & RATE_ERROR:
             self.shut()
             raise InstrumentRefused(
                 f"the {self.line.name} must use every trigger, got some lost at {rate_hz:g} Hz",
@@ -159,40 +159,17 @@ class DelayGenerator:
             raise InstrumentRefused(
                 f"edge B of the {self.line.name} must follow edge A, got {answer!r}", instrument=self.line.name
             )
-        return self._parsed(seconds, f"DLAY? {EDGE_B}") * 1e9
+        return number(seconds, line=self.line, question=f"DLAY? {EDGE_B}") * 1e9
 
     def _set(self, command: str) -> None:
         self.line.write(command)
         self._refuse_errors(command)
 
     def _refuse_errors(self, command: str) -> None:
-        if code := self._integer("LERR?"):
+        if code := asked_whole(self.line, "LERR?"):
             meaning = ERRORS.get(code, "an error it does not explain")
             raise InstrumentRefused(
                 f"the {self.line.name} must accept {command!r}, got error {code}: {meaning}",
                 instrument=self.line.name,
                 code=code,
             )
-
-    def _expect(self, question: str, value: float, within: float = 0.0) -> None:
-        answer = self._parsed(self.line.ask(question), question)
-        if abs(answer - value) > within:
-            raise InstrumentRefused(
-                f"the {self.line.name} must answer {question} with {value:g} as set, got {answer:g}",
-                instrument=self.line.name,
-            )
-
-    def _integer(self, question: str) -> int:
-        return int(self._parsed(self.line.ask(question), question))
-
-    def _parsed(self, answer: str, question: str) -> float:
-        try:
-            value = float(answer)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise InstrumentConfused(
-                f"the {self.line.name} must answer {question} with a number, got {answer!r}",
-                instrument=self.line.name,
-            )
-        return value

@@ -1,10 +1,10 @@
 """The gain: a Stanford PS350 high-voltage supply across the microchannel plate, raised slowly and verified."""
 
-import math
 import re
 import time
 from collections.abc import Callable
 
+from drivers.answers import asked_number, asked_whole
 from drivers.errors import InstrumentConfused, InstrumentRefused, InstrumentTripped
 from drivers.line import Line
 from drivers.voltage import DISCHARGED_V, FALL_S, check_voltage
@@ -63,7 +63,7 @@ class HighVoltage:
             raise self._tripped("before anything was switched on")
         self._set(f"VSET {MINIMUM_V:.0f}")
         self._set(f"VLIM {limit_v:.0f}")
-        if (kept_v := self._volts("VLIM?")) > limit_v:
+        if (kept_v := asked_number(self.line, "VLIM?")) > limit_v:
             raise self._refused(f"must keep a limit of {limit_v:g} V, got {kept_v:g} V back")
 
     def order_off(self) -> None:
@@ -76,7 +76,7 @@ class HighVoltage:
         """Switch on at the lowest voltage; a trip that was not cleared at the instrument is InstrumentTripped."""
         self._set(f"VSET {MINIMUM_V:.0f}")
         self.line.write("HVON")
-        if self._number("*ESR?") & EXECUTION_ERROR:
+        if asked_whole(self.line, "*ESR?") & EXECUTION_ERROR:
             raise self._tripped("not cleared since: find its cause, then clear it at the instrument")
         self.is_on = True
 
@@ -107,7 +107,7 @@ class HighVoltage:
             If it refuses a step or its output does not follow.
         """
         self.check_voltage(goal_v)
-        start_v = self._volts("VSET?")
+        start_v = asked_number(self.line, "VSET?")
         step_v = min(STEP_LARGEST_V, rate_v_per_s * STEP_S)
         began_s, level_v = time.monotonic(), start_v
         while level_v < goal_v:
@@ -139,7 +139,7 @@ class HighVoltage:
 
     def measured_v(self) -> float:
         """Voltage at the output, V."""
-        return self._volts("VOUT?")
+        return asked_number(self.line, "VOUT?")
 
     def check_on(self) -> None:
         """Raise InstrumentTripped if the supply switched itself off.
@@ -173,28 +173,12 @@ class HighVoltage:
         self._refuse_errors(command)
 
     def _refuse_errors(self, command: str) -> None:
-        if code := self._number("*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
+        if code := asked_whole(self.line, "*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
             meaning = "not possible in its present state or range" if code & EXECUTION_ERROR else "not understood"
             raise self._refused(f"must accept {command!r}, got event status {code}: {meaning}", code)
 
     def _status(self) -> int:
-        return self._number("*STB?")
-
-    def _number(self, question: str) -> int:
-        return int(self._volts(question))
-
-    def _volts(self, question: str) -> float:
-        answer = self.line.ask(question)
-        try:
-            value = float(answer)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise InstrumentConfused(
-                f"the {self.line.name} must answer {question} with a number, got {answer!r}",
-                instrument=self.line.name,
-            )
-        return value
+        return asked_whole(self.line, "*STB?")
 
     def _refused(self, rule: str, code: int | None = None) -> InstrumentRefused:
         return InstrumentRefused(f"the {self.line.name} {rule}", instrument=self.line.name, code=code)

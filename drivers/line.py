@@ -1,23 +1,14 @@
-"""The only place with serial bytes: one command out, one whole answer back, each wait bounded."""
+"""Lines to instruments: one command out, one whole answer back, each wait bounded."""
 
-import contextlib
 import re
-import termios
 import threading
 import time
 from dataclasses import dataclass
 from typing import Protocol
 
-import serial
-
-from drivers.errors import InstrumentLost, InstrumentSilent
-
-ANSWER_S = 0.4
-"""Time that an answer may take, s; the bound on everything that must happen within a second."""
-
-QUIET_S = 0.05
-SLICE_S = 0.02
-_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+from drivers.errors import BenchError, InstrumentSilent
+from drivers.incoming import Incoming
+from drivers.port import ANSWER_S, Port
 
 
 class Line(Protocol):
@@ -36,6 +27,10 @@ class Line(Protocol):
         """Send a question and return its answer without terminators."""
         ...
 
+    def order(self, command: str) -> None:
+        """Send a command that must go out, whatever became of the exchange before; its answer is not waited for."""
+        ...
+
     def close(self) -> None:
         """Let go of the port."""
         ...
@@ -50,83 +45,6 @@ class OwnedLine(Line, Protocol):
         ...
 
 
-class Port(Protocol):
-    """Where bytes go out and come in."""
-
-    def send(self, data: bytes) -> None:
-        """Send bytes."""
-        ...
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Bytes that came, waiting at most `timeout_s` for the first; empty if none did."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the port."""
-        ...
-
-
-class SerialPort:
-    """A serial port that nobody else can open meanwhile.
-
-    Parameters
-    ----------
-    port
-        Path of the device.
-    name
-        Name of the instrument, for sentences.
-    baud
-        Rate, baud.
-    hardware_handshake
-        RTS/CTS.
-
-    Raises
-    ------
-    InstrumentLost
-        If the port cannot be opened or goes away; pyserial says so by three kinds of exception.
-    """
-
-    def __init__(self, port: str, *, name: str, baud: int = 9600, hardware_handshake: bool = False) -> None:
-        self._path, self._name = port, name
-        try:
-            self._serial = serial.Serial(
-                port, baud, timeout=SLICE_S, write_timeout=ANSWER_S, rtscts=hardware_handshake, exclusive=True
-            )
-        except (*_PORT_ERRORS, ValueError) as error:
-            raise InstrumentLost(
-                f"the port {port} of the {name} must be free to open, got: {_why_not_open(error)}", instrument=name
-            ) from None
-
-    def send(self, data: bytes) -> None:
-        """Send bytes; a line that takes none within the answer time is silent."""
-        try:
-            self._serial.write(data)
-        except serial.SerialTimeoutException:
-            raise InstrumentSilent(
-                f"the {self._name} must take a command within {ANSWER_S:g} s, got no room on {self._path}",
-                instrument=self._name,
-            ) from None
-        except _PORT_ERRORS as error:
-            raise self._lost(error) from None
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Bytes that came, waiting at most `timeout_s` for the first."""
-        try:
-            self._serial.timeout = timeout_s
-            first = self._serial.read(1)
-            return first + self._serial.read(self._serial.in_waiting) if first else b""
-        except _PORT_ERRORS as error:
-            raise self._lost(error) from None
-
-    def close(self) -> None:
-        """Let go of the port, even one that is gone."""
-        with contextlib.suppress(*_PORT_ERRORS):
-            self._serial.close()
-
-    def _lost(self, error: BaseException) -> InstrumentLost:
-        return InstrumentLost(f"the {self._name} must stay on {self._path}, got: {error}", instrument=self._name)
-
-
 @dataclass(frozen=True, kw_only=True)
 class KnownAnswer:
     """A question without side effect whose answer no other answer resembles: the way back into step."""
@@ -137,14 +55,6 @@ class KnownAnswer:
 
 IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
 ADAPTER_ANSWER = KnownAnswer(question="++ver", form=r"(?i).*ver.*")
-
-
-def _why_not_open(error: BaseException) -> str:
-    if "exclusively lock" in str(error):
-        return (
-            "another program holds it (the watchdog of a run that just ended follows the voltage down for some seconds)"
-        )
-    return str(error)
 
 
 class FramedLine:
@@ -158,6 +68,8 @@ class FramedLine:
         Name of the instrument.
     answer_end
         Terminator of answers.
+    command_end
+        Terminator of commands.
     answer_s
         Time that an answer may take, s.
     known
@@ -170,20 +82,29 @@ class FramedLine:
         *,
         name: str,
         answer_end: bytes = b"\r\n",
+        command_end: bytes = b"\n",
         answer_s: float = ANSWER_S,
         known: KnownAnswer = IDENTITY_ANSWER,
     ) -> None:
         self.name = name
         self.hurry = threading.Event()
         """Set: give up waiting at once, because the bench is being made safe."""
-        self._port, self._end, self._answer_s, self._known = port, answer_end, answer_s, known
-        self._kept, self._out_of_step = b"", False
+        self._port, self._end, self._command_end = port, answer_end, command_end
+        self._answer_s, self._known = answer_s, known
+        self._incoming = Incoming(port, name=name, hurry=self.hurry, answer_s=answer_s)
+        self._out_of_step = False
         self._owner = threading.RLock()
 
     def write(self, command: str) -> None:
         """Send a command that has no answer."""
         with self._owner:
-            self._port.send(command.encode("ascii") + b"\n")
+            self._port.send(command.encode("ascii") + self._command_end)
+
+    def order(self, command: str) -> None:
+        """Send a command that must go out, and mistrust what came before: the next question gets into step first."""
+        with self._owner:
+            self._out_of_step = True
+            self.write(command)
 
     def ask(self, question: str, *, about: str = "") -> str:
         """Send a question and return its answer without terminator.
@@ -214,22 +135,15 @@ class FramedLine:
         self._port.close()
 
     def _answer(self, question: str) -> str:
-        deadline_s = time.monotonic() + self._answer_s
-        while self._end not in self._kept:
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0 or self.hurry.is_set():
-                self._out_of_step = True
-                partial = f"only {self._kept!r}" if self._kept else "nothing"
-                raise InstrumentSilent(
-                    f"the {self.name} must answer {question} within {self._answer_s:g} s, got {partial}",
-                    instrument=self.name,
-                )
-            self._kept += self._port.receive(min(left_s, SLICE_S))
-        answer, self._kept = self._kept.split(self._end, 1)
-        return answer.decode("ascii", "replace").strip()
+        try:
+            return self._incoming.until(self._end, question).strip()
+        except BenchError:
+            self._out_of_step = True
+            raise
 
     def _get_into_step(self) -> None:
-        self._drain()
+        self._incoming.drain()
+        self._out_of_step = False
         self.write(self._known.question)
         deadline_s = time.monotonic() + self._answer_s
         while not re.fullmatch(self._known.form, answer := self._answer(self._known.question)):
@@ -239,11 +153,3 @@ class FramedLine:
                     f"the {self.name} must answer {self._known.question} in a known form, got {answer!r}",
                     instrument=self.name,
                 )
-
-    def _drain(self) -> None:
-        """Throw away what came late, until the line is quiet or the answer time is over."""
-        deadline_s = time.monotonic() + self._answer_s
-        self._kept = b""
-        while time.monotonic() < deadline_s and self._port.receive(QUIET_S):
-            pass
-        self._out_of_step = False

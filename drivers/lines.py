@@ -1,10 +1,19 @@
 """How the shipped instruments are reached over a port: a line of their own, or behind a GPIB adapter."""
 
+from drivers.echo_line import EchoLine
 from drivers.errors import BenchError
-from drivers.line import ADAPTER_ANSWER, FramedLine, OwnedLine, Port
+from drivers.light_source import KNOWN
+from drivers.line import ADAPTER_ANSWER, FramedLine, OwnedLine
+from drivers.port import Port
 from drivers.prologix import PrologixLine
+from drivers.prompt_line import PromptLine
 
-GATE_NAME, SUPPLY_NAME = "delay generator", "high-voltage supply"
+GATE_NAME, SUPPLY_NAME, WHEEL_NAME, LIGHT_NAME = (
+    "delay generator",
+    "high-voltage supply",
+    "filter wheel",
+    "light source",
+)
 
 
 def gate_line(port: Port) -> OwnedLine:
@@ -25,3 +34,24 @@ def bus_line(port: Port, *, name: str, address: int) -> OwnedLine:
     except BenchError:
         adapter.close()
         raise
+
+
+def iseg_line(port: Port) -> OwnedLine:
+    """Line to an iseg supply on a port, which is let go if nothing there gets into step."""
+    line = EchoLine(port, name=SUPPLY_NAME)
+    try:
+        line.get_into_step()
+    except BenchError:
+        line.close()
+        raise
+    return line
+
+
+def wheel_line(port: Port) -> OwnedLine:
+    """Line to the filter wheel on a port."""
+    return PromptLine(port, name=WHEEL_NAME)
+
+
+def light_line(port: Port) -> OwnedLine:
+    """Line to the light source on a port."""
+    return FramedLine(port, name=LIGHT_NAME, command_end=b"\r\n", known=KNOWN)

@@ -12,9 +12,25 @@ from importlib.metadata import entry_points
 from typing import Any, Literal
 
 from drivers.delay_generator import DelayGenerator
+from drivers.dg535 import Dg535
+from drivers.filter_wheel import FilterWheel
 from drivers.high_voltage import HighVoltage
-from drivers.line import Line, OwnedLine, Port, SerialPort
-from drivers.lines import gate_line, supply_line
+from drivers.iseg import Iseg
+from drivers.light_source import LightSource
+from drivers.line import Line, OwnedLine
+from drivers.lines import (
+    GATE_NAME,
+    LIGHT_NAME,
+    SUPPLY_NAME,
+    WHEEL_NAME,
+    bus_line,
+    gate_line,
+    iseg_line,
+    light_line,
+    supply_line,
+    wheel_line,
+)
+from drivers.port import Port, SerialPort
 from labdata.errors import BadInput
 
 GROUP = "charact.instruments"
@@ -61,7 +77,7 @@ SHIPPED = (
     Model(
         name="dg645",
         role="gate",
-        title="delay generator",
+        title=GATE_NAME,
         line=lambda port, address: gate_line(port),
         driver=DelayGenerator,
         hardware_handshake=True,
@@ -69,9 +85,33 @@ SHIPPED = (
     Model(
         name="ps350",
         role="supply",
-        title="high-voltage supply",
+        title=SUPPLY_NAME,
         line=lambda port, address: supply_line(port, address=address),
         driver=HighVoltage,
+    ),
+    Model(
+        name="dg535",
+        role="gate",
+        title=GATE_NAME,
+        line=lambda port, address: bus_line(port, name=GATE_NAME, address=address),
+        driver=Dg535,
+    ),
+    Model(name="iseg", role="supply", title=SUPPLY_NAME, line=lambda port, address: iseg_line(port), driver=Iseg),
+    Model(
+        name="fw102c",
+        role="filter-wheel",
+        title=WHEEL_NAME,
+        line=lambda port, address: wheel_line(port),
+        driver=FilterWheel,
+        baud=115200,
+    ),
+    Model(
+        name="dc2100",
+        role="light-source",
+        title=LIGHT_NAME,
+        line=lambda port, address: light_line(port),
+        driver=LightSource,
+        baud=115200,
     ),
 )
 

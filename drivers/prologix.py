@@ -39,6 +39,10 @@ class PrologixLine:
         """Send a command that has no answer."""
         self._line.write(_escape(command))
 
+    def order(self, command: str) -> None:
+        """Send a command that must go out."""
+        self._line.order(_escape(command))
+
     def ask(self, question: str) -> str:
         """Send a question, have the instrument talk, and return its answer without terminator."""
         self._line.write(_escape(question))

@@ -118,7 +118,7 @@ class _Shutting(_Task):
             self.failures.append("the delay generator could not be reached")
             return
         for command in gate.shut_commands:
-            self.attempt(f"gate: {command}", lambda command=command: gate.line.write(command))
+            self.attempt(f"gate: {command}", lambda command=command: gate.line.order(command))
         self.verified = self.attempt("gate: shut and read back", gate.shut)[0]
 
 
@@ -154,7 +154,7 @@ class _Falling(_Task):
         """Send every order, whatever becomes of the one before; whether all went out, and the last error."""
         went_out, error = True, None
         for command in supply.off_commands:
-            done, result = self.attempt(f"high voltage: {command}", lambda command=command: supply.line.write(command))
+            done, result = self.attempt(f"high voltage: {command}", lambda command=command: supply.line.order(command))
             went_out, error = went_out and done, error if done else result
         self.ordered = self.ordered or went_out
         return went_out, error

@@ -35,6 +35,10 @@ class WatchedLine:
         """Send a command that has no answer."""
         self._guard.request({"line": self._line, "do": "write", "text": command})
 
+    def order(self, command: str) -> None:
+        """Send a command that must go out."""
+        self.write(command)
+
     def ask(self, question: str) -> str:
         """Send a question and return its answer."""
         return self._guard.request({"line": self._line, "do": "ask", "text": question})["reply"]

@@ -35,6 +35,8 @@ class VirtualBench:
     wires
         "virtual": camera and instruments are processes on real wires; where Aravis cannot be had, the camera's wire
         is left out and said to be. "in-process": everything inside this process; `inside` then holds the instruments.
+    gate, supply
+        Models of gate generator and high-voltage supply.
     time_scale
         How much faster than life the high voltage moves, dimensionless.
     say
@@ -56,6 +58,8 @@ class VirtualBench:
         seed: int,
         *,
         wires: Literal["virtual", "in-process", "real"] = "virtual",
+        gate: str = "dg645",
+        supply: str = "ps350",
         time_scale: float = 1.0,
         say: Callable[[str], None] = lambda sentence: None,
     ) -> None:
@@ -64,7 +68,7 @@ class VirtualBench:
         self._wires_folder = _unused(self.folder)
         if wires == "real":
             raise BadInput("a virtual bench must be virtual or in-process, got the wires of a real one")
-        self._time_scale = time_scale
+        self._time_scale, self._models = time_scale, (gate, supply)
         self._sensor, self._seed, self._say = sensor, seed, say
         self._kind: Literal["virtual", "in-process"] = wires
         self.operator = VirtualOperator(self.folder)
@@ -94,6 +98,8 @@ class VirtualBench:
         """How the instruments are reached."""
         return Wires(
             bench=self._kind,
+            gate=self._models[0],
+            supply=self._models[1],
             gate_port=self._instruments.gate_port if self._instruments else None,
             supply_port=self._instruments.supply_port if self._instruments else None,
             camera=self.camera.identifier if self.camera else None,
@@ -125,9 +131,10 @@ class VirtualBench:
 
     def _start_instruments(self, running: ExitStack) -> None:
         if self._kind == "in-process":
-            self.inside = InProcessInstruments(time_scale=self._time_scale)
+            gate, supply = self._models
+            self.inside = InProcessInstruments(gate=gate, supply=supply, time_scale=self._time_scale)
         else:
-            instruments = VirtualInstruments(self._wires_folder, time_scale=self._time_scale)
+            instruments = VirtualInstruments(self._wires_folder, models=self._models, time_scale=self._time_scale)
             self._instruments = running.enter_context(instruments)
 
     def _camera_has_a_wire(self) -> bool:

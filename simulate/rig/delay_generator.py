@@ -246,6 +246,11 @@ class DelayGenerator:
         if triggers_hz := self._trigger_hz():
             self._instrument_status |= TRIG | END_OF_DELAY | (RATE if triggers_hz * self._busy_s() > 1 else 0)
 
+    def power_cycle(self) -> None:
+        """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is set."""
+        self._clear()
+        self._event_status, self._line, self._armed = PON, b"", False
+
     def publish(self, folder: Path) -> None:
         """Put the gate's drive on the wire, where it changed."""
         gate = self.gate()

@@ -20,11 +20,15 @@ class Faults:
     late_s
         Extra time before each answer, s.
     tripped
-        A short circuit of the load: the supply trips on current as long as this holds.
+        A short circuit of the load: a supply trips on current, a lamp goes out, as long as this holds.
     garbage
         Every byte of its answers arrives changed.
     half_lines
         Only the first half of each answer arrives.
+    unplugged
+        Its port is gone as long as this holds; its outputs stay as they are.
+    power_cycles
+        How often it has lost its power for a moment; each rise is one more time.
     stalled
         The camera answers, and sends no frame.
     lost_packet_share
@@ -39,6 +43,8 @@ class Faults:
     tripped: bool = False
     garbage: bool = False
     half_lines: bool = False
+    unplugged: bool = False
+    power_cycles: int = 0
     stalled: bool = False
     lost_packet_share: float = 0.0
     clock_jump_s: float = 0.0
@@ -53,7 +59,17 @@ class Faults:
 
 
 def provoke(folder: Path, instrument: str, faults: Faults) -> None:
-    """Give an instrument ("delay_generator", "high_voltage", "camera") its faults; `Faults()` heals it."""
+    """Give an instrument its faults; `Faults()` heals it.
+
+    Parameters
+    ----------
+    folder
+        Folder of the bench's wires.
+    instrument
+        Its place at the bench: "delay_generator", "high_voltage", "filter_wheel", "light_source" or "camera".
+    faults
+        What is wrong with it from now on.
+    """
     replace_file(_path(folder, instrument), json.dumps(asdict(faults)))
 
 

@@ -251,6 +251,12 @@ class HighVoltageSupply:
             self._on, self._trip_pending = False, self._switches["TMOD"] == 0
             self._latched |= CURRENT_TRIP
 
+    def power_cycle(self) -> None:
+        """Lose power and get it back: settings stay, the high voltage comes up off (recalled)."""
+        self.clear()
+        self._on, self._trip_pending, self._latched = False, False, 0
+        self._event_status = PON
+
     def publish(self, folder: Path) -> None:
         """Put the voltage on the wire, where it changed."""
         if self.output_v != self._published_v:

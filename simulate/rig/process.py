@@ -1,4 +1,4 @@
-"""The serial half of the virtual bench: both instruments started as processes, stopped on leaving."""
+"""The serial half of the virtual bench: its instruments started as processes, stopped on leaving."""
 
 import os
 import subprocess
@@ -8,14 +8,14 @@ from pathlib import Path
 from types import TracebackType
 
 from labdata.errors import BadInput
+from simulate.rig.models import GATE, SUPPLY, virtual_model
 
 START_S = 10.0
 STOP_S = 3.0
-INSTRUMENTS = ("delay_generator", "high_voltage")
 
 
 class VirtualInstruments:
-    """Delay generator and high-voltage supply of one virtual bench, each a process of its own.
+    """The serial instruments of one virtual bench, each a process of its own.
 
     They live in sessions of their own, so that Ctrl-C at the terminal does not unplug them, and outlive a killed
     bench until their lines have been quiet for some seconds, so that a watchdog can still reach them.
@@ -24,33 +24,49 @@ class VirtualInstruments:
     ----------
     folder
         Folder of the bench: links to the ports, published outputs, faults. Made if absent.
-    supply_address
-        GPIB address of the supply behind its adapter.
+    models
+        Models to stand at the bench; by default a gate and a supply.
+    gate_address, supply_address
+        GPIB addresses of those behind an adapter.
     time_scale
         How much faster than life the supply's output moves, dimensionless.
     """
 
-    def __init__(self, folder: Path, *, supply_address: int = 14, time_scale: float = 1.0) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        models: tuple[str, ...] = ("dg645", "ps350"),
+        gate_address: int = 15,
+        supply_address: int = 14,
+        time_scale: float = 1.0,
+    ) -> None:
         self.folder = Path(folder).absolute()
-        self._options = ["--address", str(supply_address), "--time-scale", str(time_scale)]
+        self._models = {virtual_model(name).place: name for name in models}
+        self._addresses = {GATE: gate_address, SUPPLY: supply_address}
+        self._time_scale = time_scale
         self._processes: dict[str, subprocess.Popen] = {}
 
     @property
     def gate_port(self) -> str:
         """Serial port of the delay generator."""
-        return str(self.folder / "delay_generator")
+        return self.port(GATE)
 
     @property
     def supply_port(self) -> str:
         """Serial port of the adapter in front of the supply."""
-        return str(self.folder / "high_voltage")
+        return self.port(SUPPLY)
+
+    def port(self, place: str) -> str:
+        """Serial port of the instrument at a place of the bench."""
+        return str(self.folder / place)
 
     def __enter__(self) -> "VirtualInstruments":
         self.folder.mkdir(parents=True, exist_ok=True)
         for leftover in self.folder.glob("*.json"):
             leftover.unlink()
         try:
-            for instrument in INSTRUMENTS:
+            for instrument in self._models:
                 self._processes[instrument] = self._start(instrument)
             self._await_ports()
         except BaseException:
@@ -74,7 +90,7 @@ class VirtualInstruments:
         self._await_ports()
 
     def stop(self) -> None:
-        """Switch both off."""
+        """Switch them off."""
         for process in self._processes.values():
             process.terminate()
         for process in self._processes.values():
@@ -86,8 +102,9 @@ class VirtualInstruments:
         self._processes.clear()
 
     def _start(self, instrument: str) -> subprocess.Popen:
-        command = [sys.executable, "-m", "simulate.rig", instrument, "--folder", str(self.folder)]
-        command += ["--parent", str(os.getpid()), *self._options]
+        command = [sys.executable, "-m", "simulate.rig", self._models[instrument], "--folder", str(self.folder)]
+        command += ["--parent", str(os.getpid()), "--address", str(self._addresses.get(instrument, 0))]
+        command += ["--time-scale", str(self._time_scale)]
         with self._complaints(instrument).open("wb") as complaints:
             return subprocess.Popen(
                 command, start_new_session=True, stdin=subprocess.DEVNULL, stdout=complaints, stderr=complaints
@@ -98,8 +115,7 @@ class VirtualInstruments:
 
     def _await_ports(self) -> None:
         deadline_s = time.monotonic() + START_S
-        outputs = ("gate.output.json", "high_voltage.output.json")
-        while not all((self.folder / name).exists() for name in outputs):
+        while not all((self.folder / f"{place}.ready.json").exists() for place in self._models):
             for instrument, process in self._processes.items():
                 if process.poll() is not None:
                     said = self._complaints(instrument).read_text().strip().splitlines()[-1:]

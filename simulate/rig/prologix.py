@@ -40,6 +40,10 @@ class BusInstrument(Protocol):
         """Put the physical outputs on the wire."""
         ...
 
+    def power_cycle(self) -> None:
+        """Lose power and get it back."""
+        ...
+
 
 class _Unrecognized(Exception):
     """The adapter does not know this ++ command."""
@@ -60,6 +64,12 @@ class PrologixAdapter:
         self._settings = {"mode": 1, "auto": 1, "eoi": 1, "eos": 0, "eot_enable": 0, "eot_char": 10, "savecfg": 1}
         self._read_timeout_ms = 500
         self._line, self._escaped, self._plus = bytearray(), False, 0
+
+    @property
+    def only(self) -> BusInstrument:
+        """The one instrument on the bus."""
+        (instrument,) = self._bus.values()
+        return instrument
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
         """Take bytes from the USB side; return answers, each with the time it takes, s."""
@@ -155,6 +165,11 @@ class PrologixAdapter:
         """Let the instruments on the bus go on until a time, s."""
         for instrument in self._bus.values():
             instrument.advance(now_s, faults)
+
+    def power_cycle(self) -> None:
+        """Let the instruments behind it lose their power; the adapter hangs on the computer's."""
+        for instrument in self._bus.values():
+            instrument.power_cycle()
 
     def publish(self, folder: Path) -> None:
         """Put the physical outputs of the instruments on the wire."""

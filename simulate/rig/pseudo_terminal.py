@@ -35,6 +35,10 @@ class Instrument(Protocol):
         """Put the physical outputs on the wire, where they changed."""
         ...
 
+    def power_cycle(self) -> None:
+        """Lose power and get it back."""
+        ...
+
 
 class PseudoTerminal:
     """The instrument's end of a pseudo-terminal, with a link at a stable path to the other end.
@@ -50,26 +54,40 @@ class PseudoTerminal:
 
     def __init__(self, link: Path, *, baud: int | None) -> None:
         self.link, self._baud = link, baud
+        self.plugged = False
+        self.plug()
+
+    def plug(self) -> None:
+        """Put the plug in: a new terminal behind the same link."""
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # else the line echoes our own answers back to us until a client opens it
         os.set_blocking(self._master, False)
-        link.unlink(missing_ok=True)
-        link.symlink_to(os.ttyname(self._slave))
+        self.link.unlink(missing_ok=True)
+        self.link.symlink_to(os.ttyname(self._slave))
+        self.plugged = True
 
     def close(self) -> None:
         """Pull the plug."""
+        if not self.plugged:
+            return
+        self.plugged = False
         self.link.unlink(missing_ok=True)
         os.close(self._master)
         os.close(self._slave)
 
     def read(self, timeout_s: float) -> bytes:
-        """Bytes that arrived, at most `timeout_s` later; empty if none."""
+        """Bytes that arrived, at most `timeout_s` later; empty if none, or with the plug out."""
+        if not self.plugged:
+            time.sleep(timeout_s)
+            return b""
         if not select.select([self._master], [], [], timeout_s)[0]:
             return b""
         return self._as_heard(os.read(self._master, 4096))
 
     def write(self, data: bytes) -> None:
         """Send bytes; with nobody reading, what does not fit is lost as on a cable."""
+        if not self.plugged:
+            return
         with contextlib.suppress(BlockingIOError):
             os.write(self._master, self._as_heard(data))
 
@@ -99,18 +117,25 @@ def serve(instrument: Instrument, terminal: PseudoTerminal, *, folder: Path, fau
         Process that started this one; its death is noticed by adoption.
     """
     waiting: deque[tuple[float, bytes]] = deque()
-    heard_s = time.monotonic()
+    heard_s, power_cycles = time.monotonic(), 0
     while os.getppid() == parent or time.monotonic() - heard_s < ORPHAN_S:
         data = terminal.read(_patience(waiting))
         now_s, wrong = time.monotonic(), faults.now()
         instrument.advance(now_s, wrong)
+        if terminal.plugged == wrong.unplugged:
+            terminal.close() if wrong.unplugged else terminal.plug()
+            waiting.clear()
+        if wrong.power_cycles > power_cycles:
+            instrument.power_cycle()
+            waiting.clear()
+        power_cycles = wrong.power_cycles
         if data:
             heard_s = now_s
         if data and not wrong.silent:
+            free_s = max(now_s, waiting[-1][0] if waiting else 0.0)
             for making_s, answer in instrument.receive(data):
-                if arriving := wrong.arrives(answer):
-                    due_s = max(now_s, waiting[-1][0] if waiting else 0.0) + making_s + terminal.seconds(len(answer))
-                    waiting.append((due_s + wrong.late_s, arriving))
+                free_s += making_s + terminal.seconds(len(answer))
+                waiting.append((free_s + wrong.late_s, wrong.arrives(answer)))
         while waiting and waiting[0][0] <= time.monotonic():
             terminal.write(waiting.popleft()[1])
         instrument.publish(folder)

@@ -1,0 +1,78 @@
+"""The virtual instruments by the names that plans give their models: shipped ones, and those of other packages.
+
+A package brings one with a Python entry point of the group `charact.virtual_instruments` whose value is a
+`VirtualModel`; its name is the one of the driver's model in the group `charact.instruments`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+
+from labdata.errors import BadInput
+from simulate.rig.delay_generator import DelayGenerator
+from simulate.rig.dg535 import Dg535
+from simulate.rig.filter_wheel import FilterWheel
+from simulate.rig.high_voltage import HighVoltageSupply
+from simulate.rig.iseg import IsegSupply
+from simulate.rig.light_source import LightSource
+from simulate.rig.prologix import PrologixAdapter
+from simulate.rig.pseudo_terminal import Instrument
+
+GROUP = "charact.virtual_instruments"
+GATE, SUPPLY, WHEEL, LIGHT = PLACES = ("delay_generator", "high_voltage", "filter_wheel", "light_source")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualModel:
+    """One model of virtual instrument.
+
+    Parameters
+    ----------
+    name
+        Name of the model, such as "dg645".
+    place
+        Where it stands at the bench, one of `PLACES`: the name of its port and of its faults.
+    make
+        Makes it, from its address on a bus and how much faster than life it moves.
+    baud
+        Rate set on it, baud; None: a USB adapter, which has none.
+    """
+
+    name: str
+    place: str
+    make: Callable[[int, float], Instrument]
+    baud: int | None
+
+
+SHIPPED = (
+    VirtualModel(name="dg645", place=GATE, make=lambda address, scale: DelayGenerator(), baud=9600),
+    VirtualModel(name="dg535", place=GATE, make=lambda address, scale: PrologixAdapter({address: Dg535()}), baud=None),
+    VirtualModel(
+        name="ps350",
+        place=SUPPLY,
+        make=lambda address, scale: PrologixAdapter({address: HighVoltageSupply(time_scale=scale)}),
+        baud=None,
+    ),
+    VirtualModel(name="iseg", place=SUPPLY, make=lambda address, scale: IsegSupply(time_scale=scale), baud=9600),
+    VirtualModel(name="fw102c", place=WHEEL, make=lambda address, scale: FilterWheel(time_scale=scale), baud=115200),
+    VirtualModel(name="dc2100", place=LIGHT, make=lambda address, scale: LightSource(), baud=115200),
+)
+
+
+def virtual_models() -> dict[str, VirtualModel]:
+    """Every virtual model that is known here, by name."""
+    known = {each.name: each for each in SHIPPED}
+    for point in entry_points(group=GROUP):
+        brought = point.load()
+        if not isinstance(brought, VirtualModel) or brought.name != point.name or point.name in known:
+            raise BadInput(f"the entry point {point.name!r} must be a VirtualModel of that new name, got {brought!r}")
+        known[point.name] = brought
+    return known
+
+
+def virtual_model(name: str) -> VirtualModel:
+    """Return a virtual model by its name."""
+    known = virtual_models()
+    if name not in known:
+        raise BadInput(f"a virtual instrument must be one of {', '.join(sorted(known))}, got {name!r}")
+    return known[name]
