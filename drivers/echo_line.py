@@ -13,7 +13,7 @@ END = b"\r\n"
 IDENTITY = r"\d+;[\w.]+;\d+V;\d+(\.\d+)?[um]A"
 
 # Until it is told otherwise, the unit waits about 255 ms after each character that it sends.
-SLOWEST_CHARACTER_S = 0.3
+SLOWEST_CHARACTER_S = 0.5
 QUICK = "W=1"
 SLOW_START_S = 4.0
 

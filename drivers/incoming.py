@@ -31,8 +31,17 @@ class Incoming:
         self._port, self._name, self._hurry, self._answer_s = port, name, hurry, answer_s
         self._kept = b""
 
-    def until(self, end: bytes, question: str) -> str:
+    def until(self, end: bytes, question: str, *, within_s: float | None = None) -> str:
         """Return the text up to a terminator, which is taken off.
+
+        Parameters
+        ----------
+        end
+            The terminator.
+        question
+            What was asked, for sentences.
+        within_s
+            Time allowed, s; by default the answer time.
 
         Raises
         ------
@@ -41,13 +50,14 @@ class Incoming:
         InstrumentConfused
             If far more comes than any answer has.
         """
-        deadline_s = time.monotonic() + self._answer_s
+        within_s = self._answer_s if within_s is None else within_s
+        deadline_s = time.monotonic() + within_s
         while end not in self._kept:
             left_s = deadline_s - time.monotonic()
             if left_s <= 0 or self._hurry.is_set():
                 partial = f"only {self._kept[:80]!r}" if self._kept else "nothing"
                 raise InstrumentSilent(
-                    f"the {self._name} must answer {question} within {self._answer_s:g} s, got {partial}",
+                    f"the {self._name} must answer {question} within {within_s:g} s, got {partial}",
                     instrument=self._name,
                 )
             self._kept += self._port.receive(min(left_s, SLICE_S))

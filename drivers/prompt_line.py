@@ -1,17 +1,19 @@
 """The line to a Thorlabs filter wheel: it echoes what it hears, answers, and then prompts without a line end."""
 
 import threading
+import time
 
 from drivers.answers import confused, refused
 from drivers.errors import BenchError
 from drivers.incoming import Incoming
-from drivers.port import Port
+from drivers.port import ANSWER_S, Port
 
 PROMPT = b"> "
 END = "\r"
+KNOWN = "*idn?"
 
 # The prompt after a command that turns the wheel comes when the wheel stands (recalled).
-TURN_S = 4.0
+TURNING, TURN_S = "pos=", 4.0
 
 
 class PromptLine:
@@ -24,13 +26,13 @@ class PromptLine:
     name
         Name of the instrument.
     answer_s
-        Time until the prompt, s.
+        Time until the prompt, s, where the wheel need not turn.
     """
 
-    def __init__(self, port: Port, *, name: str, answer_s: float = TURN_S) -> None:
+    def __init__(self, port: Port, *, name: str, answer_s: float = ANSWER_S) -> None:
         self.name = name
         self.hurry = threading.Event()
-        self._port = port
+        self._port, self._answer_s = port, answer_s
         self._incoming = Incoming(port, name=name, hurry=self.hurry, answer_s=answer_s)
         self._out_of_step = True
         self._owner = threading.RLock()
@@ -75,15 +77,20 @@ class PromptLine:
         self._port.close()
 
     def _get_into_step(self) -> None:
-        """End what may be half said and throw away what comes, then have one known exchange."""
+        """End what may be half said and throw away what is late, until the unit echoes a known question."""
         self._port.send(END.encode())
         self._incoming.drain()
+        self._port.send((KNOWN + END).encode("ascii"))
+        deadline_s = time.monotonic() + self._answer_s
+        while not (said := self._incoming.until(PROMPT, KNOWN)).startswith(KNOWN + END):
+            if time.monotonic() > deadline_s:
+                raise confused(self, f"echo {KNOWN!r}", repr(said[:80]))
         self._out_of_step = False
-        self._exchange("*idn?")
 
     def _exchange(self, command: str) -> str:
         self._port.send((command + END).encode("ascii"))
-        said = self._incoming.until(PROMPT, command)
+        within_s = TURN_S if command.startswith(TURNING) else None
+        said = self._incoming.until(PROMPT, command, within_s=within_s)
         echo, mark, answer = said.partition(END)
         if echo != command or not mark:
             raise confused(self, f"echo {command!r}", repr(said[:80]))

@@ -9,6 +9,7 @@ import typer
 from charact import __version__
 from charact.cli import (
     acquisition,
+    conforming,
     doctoring,
     importing,
     looking,
@@ -52,7 +53,19 @@ def charact(
 
 app.add_typer(mtf.app, name="mtf")
 app.add_typer(importing.app, name="import")
-for verbs in (loop, simulation, planning, acquisition, looking, watching, doctoring, sessions, studies, reference):
+for verbs in (
+    loop,
+    simulation,
+    planning,
+    acquisition,
+    looking,
+    watching,
+    doctoring,
+    conforming,
+    sessions,
+    studies,
+    reference,
+):
     verbs.add_to(app)
 
 

@@ -63,7 +63,7 @@ def _on_virtual_bench(
     from charact.cli.judge import SaturationJudge
     from drivers.acquire import acquire
     from drivers.interlock import Bench
-    from drivers.lines import gate_line, supply_line
+    from drivers.models import model
     from drivers.requests import Requests
     from labdata.sensors import load_sensor
     from simulate.rig.bench import VirtualBench
@@ -71,11 +71,18 @@ def _on_virtual_bench(
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
     sensor, kind = load_sensor(plan.sensor), plan.wires.bench
-    with VirtualBench(bench_folder(session), sensor, plan.seed, wires=kind, say=tell) as virtual:
+    gate, supply = model(plan.wires.gate, "gate"), model(plan.wires.supply, "supply")
+    virtual_bench = VirtualBench(
+        bench_folder(session), sensor, plan.seed, wires=kind, gate=gate.name, supply=supply.name, say=tell
+    )
+    with virtual_bench as virtual:
         session.parent.mkdir(parents=True, exist_ok=True)
         wires, lines = virtual.wires, None
         if (inside := virtual.inside) is not None:
-            lines = (gate_line(inside.gate_port), supply_line(inside.supply_port, address=wires.supply_address))
+            lines = (
+                gate.line(inside.gate_port, wires.gate_address),
+                supply.line(inside.supply_port, wires.supply_address),
+            )
         return acquire(
             plan,
             session,

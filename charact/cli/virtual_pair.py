@@ -1,0 +1,102 @@
+"""A driver and its virtual instrument over a pseudo-terminal, as the rules of conformance try them."""
+
+import contextlib
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.line import OwnedLine
+from drivers.models import Model, models
+from labdata.errors import BadInput
+from simulate.rig.faults import Faults, provoke
+from simulate.rig.models import virtual_model
+from simulate.rig.process import VirtualInstruments
+
+ADDRESS = 14
+FASTER_THAN_LIFE = 20.0
+LATE_S = 0.6
+# A fault is in force at the instrument's next look at its file.
+SEEN_S = 0.06
+_WRONGS = {
+    "silent": Faults(silent=True),
+    "mute": Faults(mute=True),
+    "garbage": Faults(garbage=True),
+    "half-lines": Faults(half_lines=True),
+    "late": Faults(late_s=LATE_S),
+    "unplugged": Faults(unplugged=True),
+    "trip": Faults(tripped=True),
+    "power-cycle": Faults(),
+}
+
+
+class VirtualPair:
+    """The pair of a model's driver and its virtual instrument, running within its `with` block.
+
+    Parameters
+    ----------
+    name
+        Name of the model; driver and virtual instrument have the same.
+    folder
+        Folder for the virtual instrument.
+    """
+
+    def __init__(self, name: str, folder: Path) -> None:
+        known = models()
+        if name not in known:
+            raise BadInput(f"a model must be one of {', '.join(sorted(known))}, got {name!r}")
+        self.model: Model = known[name]
+        self._place, self._folder = virtual_model(name).place, Path(folder)
+        self._instruments = VirtualInstruments(
+            self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
+        )
+        self._line: OwnedLine | None = None
+        self._power_cycles, self._tripped = 0, False
+
+    def __enter__(self) -> Self:
+        self._instruments.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close()
+        self._instruments.stop()
+
+    def driver(self) -> Any:
+        """Open the line anew and return a driver on it."""
+        self._close()
+        self._line = self.model.open_line(self._instruments.port(self._place), ADDRESS)
+        return self.model.driver(self._line)
+
+    def outputs(self) -> Mapping[str, Any]:
+        """What the instrument puts out now."""
+        found: dict[str, Any] = {}
+        for path in self._folder.glob("*.output.json"):
+            found |= json.loads(path.read_text())
+        return found
+
+    def suffer(self, wrong: str) -> None:
+        """Begin one of the wrongs, all others ended."""
+        self._power_cycles += wrong == "power-cycle"
+        self._tripped = wrong == "trip"
+        self._now(_WRONGS[wrong])
+
+    def heal(self) -> None:
+        """End what is wrong; a trip is cleared by switching the instrument off and on."""
+        self._power_cycles += self._tripped
+        self._now(Faults())
+        self._tripped = False
+
+    def _now(self, faults: Faults) -> None:
+        provoke(self._folder, self._place, replace(faults, power_cycles=self._power_cycles))
+        time.sleep(SEEN_S)
+
+    def _close(self) -> None:
+        line, self._line = self._line, None
+        if line is not None:
+            with contextlib.suppress(OSError):
+                line.close()
