@@ -1,0 +1,280 @@
+"""Scenes out of doors: files are read or refused in one sentence, light falls where it should, nothing breaks it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labdata.errors import BadInput
+from simulate.radiance.brdf import Metal
+from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.scene import load_bench, load_scene
+from simulate.radiance.transport.eye import Eye
+from simulate.radiance.transport.gather import Effort
+from simulate.radiance.transport.picture import Rays, along, picture
+from simulate.radiance.transport.truth import truth
+from simulate.radiance.world.build import built, placed
+from simulate.radiance.world.description import Pose, Scene
+from simulate.radiance.world.plan import planned
+from simulate.radiance.world.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
+from simulate.radiance.world.site import Site
+from simulate.radiance.world.viewpoint import Scan, Viewpoint
+from tests.simulate.radiance.staging import NM, UNIFORM, UP, at, disc_light, inside_out, irradiance, lamp, staged
+
+CAMERA = "[camera]\nposition_m = [0, -10, 2]\nlook_at_m = [0, 0, 1]\n"
+GREY = '[[material]]\nlabel = "grey"\nreflectance = [0.5]\n'
+BALL = '[[object]]\nlabel = "ball"\nshape = "sphere"\nsize_m = [1]\nmaterial = "grey"\n'
+LAMP = '[[lamp]]\nlabel = "bulb"\nkind = "incandescent"\nlumens = 1000\nposition_m = [0, 0, 3]\n'
+VIEW = Viewpoint(position_m=(0, -10, 2), forward=(0, 1, -0.1), shape=(24, 32), focal_px=(40.0, 40.0))
+WEIGHT = np.ones(2, np.float32)
+
+
+def scene_of(folder, text: str) -> Scene:
+    path = folder / "scene.toml"
+    path.write_text(f'name = "test"\n{text}')
+    found = load_scene(path)
+    assert isinstance(found, Scene)
+    return found
+
+
+@pytest.mark.parametrize("name", ["airfield", "hangar", "road"])
+def test_shipped_scenes_are_built_and_a_bench_is_another_kind(name):
+    scene = load_scene(name)
+    assert isinstance(scene, Scene)
+    surfaces = Site(scene).surfaces
+    assert len(surfaces.objects) == len(scene.object)
+    with pytest.raises(BadInput, match="a lab bench needs"):
+        load_bench(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (CAMERA + BALL, "material of an object must be one of none described, got 'grey'"),
+        (CAMERA + GREY + BALL.replace('"grey"', '"gray"'), "must be one of grey, got 'gray'"),
+        (CAMERA + GREY + BALL.replace('"sphere"', '"ball"'), "a shape must be one of box"),
+        (CAMERA + GREY + BALL.replace("[1]", "[1, 2]"), r"size_m of a sphere must be \[radius\]"),
+        (CAMERA + GREY + BALL.replace("[1]", "[-1]"), "must be positive"),
+        (CAMERA + GREY + BALL.replace("size_m", "size"), "unknown key 'size'.*did you mean 'size_m'"),
+        (CAMERA + GREY + BALL + BALL, "labels of objects must differ"),
+        (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "gold"\n', "must be one of .*got 'gold'"),
+        (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "window-glass"\n', "light through surfaces is not followed"),
+        (CAMERA + "[place]\nlatitude_deg = 43\nlongitude_deg = -77\ntime = 1998-06-24T02:00:00\n", "offset from UTC"),
+        (CAMERA.replace("[0, 0, 1]", "[0, -10, 2]"), "must look at another place"),
+        (CAMERA + GREY + '[[object]]\nlabel = "a"\nfile = "a.obj"\nmaterial = "grey"\n', "unit must be one of m, cm"),
+    ],
+)
+def test_a_scene_that_breaks_a_rule_is_refused_in_one_sentence(tmp_path, text, words):
+    with pytest.raises(BadInput, match=words):
+        built(scene_of(tmp_path, text))
+
+
+def test_a_mesh_file_is_read_in_its_unit_and_one_that_glows_must_be_closed(tmp_path):
+    import trimesh
+
+    whole = sphere(10.0)
+    part = {"sphere": whole.faces, "bowl": whole.faces[:2000]}
+    for name, faces in part.items():
+        trimesh.Trimesh(whole.vertices_m, faces, process=False).export(tmp_path / f"{name}.ply")
+    glow = '[[material]]\nlabel = "grey"\nreflectance = [0.5]\nglow_lm_per_m2 = 10\n'
+    mesh = '[[object]]\nlabel = "a"\nunit = "cm"\nmaterial = "grey"\nfile = '
+    surfaces = built(scene_of(tmp_path, CAMERA + glow + mesh + '"sphere.ply"\n'))
+    assert np.linalg.norm(surfaces.mesh.vertices_m, axis=1) == pytest.approx(0.1, rel=1e-5)
+    with pytest.raises(BadInput, match="must be closed"):
+        built(scene_of(tmp_path, CAMERA + glow + mesh + '"bowl.ply"\n'))
+    assert len(built(scene_of(tmp_path, CAMERA + GREY + mesh + '"bowl.ply"\n')).area_m2) == 2000
+    (tmp_path / "letter.obj").write_text("Dear lab")
+    with pytest.raises(BadInput, match=r"letter\.obj"):
+        built(scene_of(tmp_path, CAMERA + GREY + mesh + '"letter.obj"\n'))
+
+
+def test_solids_are_closed_and_hold_their_volume():
+    sizes = {"box": (1, 2, 3), "cylinder": (1, 2), "cone": (1, 3), "sphere": (1,), "shed": (10, 8, 4, 6)}
+    volumes = {"box": 6.0, "cylinder": 2.0 * np.pi, "cone": np.pi, "sphere": 4.0 / 3.0 * np.pi}
+    for name, size in sizes.items():
+        mesh = shape(name, size)
+        corners = mesh.corners_m
+        volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+        assert mesh.closed, name
+        assert volume == pytest.approx(volumes.get(name, volume), rel=0.005), name
+        assert volume > 0.0
+    assert set(SIZES) == {*sizes, "plane", "disc", "ground"}
+    assert not plane(1, 1).closed
+    assert ground(1000.0).corners_m[:2].max() <= 32.0
+
+
+def test_a_heading_turns_clockwise_from_north():
+    turned = placed(Mesh(np.array([[0.0, 1.0, 0.0]]), np.zeros((0, 3), np.int64)), Pose(heading_deg=90.0))
+    assert turned.vertices_m[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-12)
+    nose_up = placed(Mesh(np.array([[0.0, 1.0, 0.0]]), np.zeros((0, 3), np.int64)), Pose(pitch_deg=90.0))
+    assert nose_up.vertices_m[0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("distortion", [0.0, -0.05, 0.1])
+def test_a_ray_goes_where_its_direction_is_seen(seed, distortion):
+    view = replace(VIEW, distortion_fraction=distortion, roll_deg=7.0)
+    rng = np.random.default_rng(seed)
+    row, col = 24 * rng.random(200), 32 * rng.random(200)
+    _, towards = view.rays(row, col)
+    back_row, back_col, inside = view.places(towards)
+    assert inside.all()
+    assert np.abs(back_row - row).max() < 1e-4 and np.abs(back_col - col).max() < 1e-4
+    assert np.sum(view.solid_angle_sr(np.array([12.0]), np.array([16.0]))) == pytest.approx(1.0 / 1600.0, rel=0.02)
+
+
+def test_the_picture_is_the_right_way_round():
+    _, towards = Viewpoint(position_m=(0, 0, 0), forward=(0, 1, 0), shape=(2, 2), focal_px=(2.0, 2.0)).rays(
+        np.array([0.5, 1.5]), np.array([0.5, 1.5])
+    )
+    assert towards[0, 0] < 0.0 < towards[1, 0], "east is to the right of a camera that looks north"
+    assert towards[0, 2] > 0.0 > towards[1, 2], "row 0 is on top"
+
+
+def test_a_scanner_moves_between_rows():
+    scan = Scan(line_time_s=0.1, velocity_m_per_s=(3.0, 0.0, 0.0), turn_deg_per_s=10.0)
+    origin, towards = replace(VIEW, scan=scan).rays(np.array([0.5, 10.5]), np.array([16.0, 16.0]))
+    assert origin[1] - origin[0] == pytest.approx([3.0, 0.0, 0.0])
+    turned = np.rad2deg(np.arctan2(towards[:, 0], towards[:, 1]))
+    assert turned[1] - turned[0] == pytest.approx(10.0)
+
+
+def test_shadows_fall_away_from_the_light_and_truth_knows_them():
+    parts = [("floor", "m", plane(40, 40)), ("post", "m", at(box(0.5, 6.0, 3.0), 0, 8, 0))]
+    stage = staged(parts, {"m": 0.5}, discs=(disc_light((-1, 0, 1)),))
+    found = truth(stage, VIEW)
+    edge = found.object[12]
+    post = np.flatnonzero(edge == 1)
+    shadow = (found.shadow & 1).astype(bool) & (found.object == 0)
+    columns = np.flatnonzero(shadow.any(axis=0))
+    assert len(columns) and columns.min() >= post.min(), "light from the west throws its shadow to the east"
+    assert found.sources == ("sun",)
+    assert np.isnan(found.temperature_k).all()
+    assert (found.object[0] == -1).all() and np.isinf(found.range_m[0]).all()
+
+
+def test_choosing_where_to_look_closely_does_not_bend_the_picture(seed):
+    parts = [("floor", "m", plane(40, 40)), ("shed", "m", at(shed(6, 5, 3, 4), 0, 4, 0))]
+    stage = staged(parts, {"m": 0.5}, sky=UNIFORM, lamps=(lamp((0, 4, 2), 3.0, 0.3),))
+    effort = Effort(bounces=1)
+    rays = Rays(allowed=lambda signal: (0.05 * signal) ** 2 + 1e-6)
+    found = picture(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
+    rng = np.random.default_rng([seed, 1])
+    row, col = 24 * rng.random(40000), 32 * rng.random(40000)
+    every = along(stage, *VIEW.rays(row, col), effort, rng, gathered=2).total().sum(axis=1)
+    error = np.hypot(every.std() / 200.0, np.sqrt(found.variance.sum()) / found.variance.size)
+    assert abs(found.signal.mean() - every.mean() - _of_lamp(stage, found)) < 4.0 * error
+    assert found.rays.min() == 2 and found.rays.max() > 8
+    again = picture(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
+    assert np.array_equal(again.cube.radiance, found.cube.radiance)
+
+
+def _of_lamp(stage, found) -> float:
+    """Mean over the picture of the lamp itself, which single rays never meet."""
+    place = np.array(VIEW.position_m) - stage.lighting.lamps[0].position_m
+    row, col, inside = VIEW.places(-place[None])
+    assert inside.all()
+    size = float(VIEW.solid_angle_sr(row, col)[0])
+    return float(2.0 * 3.0 / (place @ place) / size / found.signal.size)
+
+
+def test_a_camera_inside_an_object_sees_its_inside():
+    stage = staged([("box", "m", at(box(4, 4, 4), 0, -10, 0))], {"m": 0.5}, sky=UNIFORM)
+    found = picture(stage, VIEW, Rays(), Effort(bounces=1), weight=WEIGHT, seed=0)
+    assert np.abs(found.signal).max() < 1e-6
+    assert (found.truth.object == 0).all()
+
+
+def test_of_faces_in_one_plane_the_light_is_that_of_either():
+    parts = [("one", "dark", plane(4, 4)), ("two", "pale", plane(4, 4))]
+    stage = staged(parts, {"dark": 0.1, "pale": 0.9}, sky=UNIFORM, discs=(disc_light(UP),))
+    towards = np.array([[0.0, 0.0, -1.0]] * 500)
+    origin = np.random.default_rng(0).random((500, 3)) * [3, 3, 0] + [-1.5, -1.5, 2.0]
+    seen = along(stage, origin, towards, Effort(), np.random.default_rng(1), gathered=2).total()[:, 0]
+    bright = 1.0 + 1.0 / np.pi
+    assert np.minimum(np.abs(seen - 0.1 * bright), np.abs(seen - 0.9 * bright)).max() < 1e-3
+
+
+def test_grazing_rays_are_finite():
+    stage = staged([("floor", "m", plane(1e4, 1e4))], {"m": 0.5}, sky=UNIFORM, discs=(disc_light((1, 0, 1e-4)),))
+    slope = -np.logspace(-12, -1, 300)
+    towards = np.column_stack([np.ones(300), np.zeros(300), slope])
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    origin = np.broadcast_to([0.0, 0.0, 1e-3], towards.shape)
+    seen = along(stage, origin, towards, Effort(), np.random.default_rng(0), gathered=2).total()
+    assert np.isfinite(seen).all() and seen.min() >= -1e-6 and seen.max() < 1.2
+
+
+def test_a_lamp_that_touches_a_wall_is_refused(tmp_path):
+    near = LAMP.replace("[0, 0, 3]", "[0, 0, 1.03]")
+    with pytest.raises(BadInput, match=r"stand clear of surfaces by its radius of 0\.05 m, got 'bulb'.*'ball'"):
+        _ = Site(scene_of(tmp_path, CAMERA + GREY + BALL + near)).surfaces
+
+
+def test_a_glowing_wall_that_touches_another_makes_no_bright_specks(seed):
+    panel = Mesh(plane(2, 2).vertices_m @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]), plane(2, 2).faces)
+    stage = staged(
+        [("floor", "m", plane(9, 9)), ("panel", "p", at(panel, 0, 1, 1))], {"m": 0.5, "p": 0.0}, glow={"p": 1.0}
+    )
+    close = np.column_stack([np.linspace(-0.5, 0.5, 3000), np.full(3000, 0.999), np.zeros(3000)])
+    found = irradiance(stage, close, UP, seed=seed, rays=1)
+    assert found.max() < 2.0 * np.pi
+    assert found.mean() == pytest.approx(0.5 * np.pi, rel=0.05)
+
+
+def test_a_mirror_that_faces_a_mirror_ends():
+    mirror = Metal(reflectance=grey(0.99), roughness=0.05)
+    parts = [("a", "m", plane(20, 20)), ("b", "m", at(inside_out(plane(20, 20)), 0, 0, 1))]
+    stage = staged(parts, {"m": mirror}, sky=UNIFORM)
+    towards = np.array([[0.3, 0.0, -1.0]] * 300) / np.hypot(0.3, 1.0)
+    effort = Effort(bounces=200, roulette_from=3)
+    rng = np.random.default_rng(2)
+    seen = along(stage, np.array([[0.0, 0.0, 0.5]] * 300), towards, effort, rng, gathered=1).total()
+    assert np.isfinite(seen).all()
+    assert -0.01 < seen.mean() < 1.1
+
+
+def test_a_scene_without_a_triangle_is_all_sky():
+    stage = staged([], {}, sky=UNIFORM)
+    found = picture(stage, replace(VIEW, forward=(0, 1, 1)), Rays(), Effort(), weight=WEIGHT, seed=0)
+    assert found.signal == pytest.approx(2.0, rel=1e-5)
+
+
+def test_a_million_triangles():
+    ball = sphere(0.2)
+    parts = [("balls", "m", at(ball, 0.5 * (i % 14) - 3.5, 0.5 * (i // 14), 0.2)) for i in range(196)]
+    stage = staged([("floor", "m", plane(40, 40)), *parts], {"m": 0.5}, sky=UNIFORM)
+    assert len(stage.surfaces.material_of) > 1_000_000
+    found = picture(stage, VIEW, Rays(), Effort(), weight=WEIGHT, seed=0)
+    assert (found.truth.object == 1).sum() > 50
+    assert np.isfinite(found.signal).all()
+
+
+def test_lights_of_very_different_strength_add_up():
+    far = lamp((3, 0, 2), 1e-12)
+    near = lamp((0, 0, 2), 1.0)
+    both, one, other = (
+        irradiance(staged([("floor", "m", plane(9, 9))], {"m": 0.5}, lamps=lamps), [(0, 0, 0), (3, 0, 0)], UP)
+        for lamps in ((near, far), (near,), (far,))
+    )
+    assert both == pytest.approx(one + other, rel=1e-6)
+    assert other[1] / one[0] == pytest.approx(1e-12, rel=1e-5)
+
+
+def test_a_dim_scene_is_planned_with_less_than_a_bright_one(tmp_path):
+    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0)
+    plans = []
+    for lumens in (1e-5, 100.0):
+        lit = LAMP.replace("1000", str(lumens))
+        floor = '[[object]]\nlabel = "floor"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
+        site = Site(
+            scene_of(tmp_path, CAMERA + GREY + BALL.replace("size_m", "position_m = [0, 0, 1]\nsize_m") + floor + lit)
+        )
+        plan, stage = planned(site, VIEW, eye, 0.1, 1)
+        plans.append(plan)
+        assert plan.plan.influence <= 0.05
+        assert len(stage.coats.wavelength_nm) == len(plan.wavelength_nm)
+    dim, bright = plans
+    assert dim.effort.bounces < bright.effort.bounces
+    assert len(dim.wavelength_nm) <= len(bright.wavelength_nm)
+    assert NM[0] > dim.wavelength_nm[0]
+    assert "left out" in dim.text()
