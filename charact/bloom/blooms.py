@@ -1,5 +1,6 @@
 """Extents of every stack as measurements: bloom diameters, ellipticity, saturated area, streak length."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,10 @@ def bloom_measurements(spots: tuple[Spot, ...], *, square: bool, sensor: Sensor 
         The camera, where known: areas are told at its cathode and in the field of view as well.
     """
     notes = ("the row pitch is unknown: pixels are taken as square",) if square else ()
+    # Where blooms have run into one, only fainter levels show that there are two sources.
+    beside = tuple(place for spot in spots for place in spot.others)
     out: list[Measurement] = []
-    for spot in spots:
+    for spot in (replace(spot, others=beside) for spot in spots):
         common = {"stack": spot.label, "notes": notes, **fields}
         found = {"bloom_diameter": spot.half, "bloom_diameter_background": spot.background,
                  "bloom_diameter_clip": spot.clip}  # fmt: skip
@@ -55,7 +58,9 @@ def flags_of(spot: Spot, extent: Extent) -> tuple[str, ...]:
     flags += ("window-too-small",) if extent.touches_border else ()
     wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(VAGUE_PX, VAGUE * extent.diameter_px)
     flags += ("low-signal",) if wide or not (extent.determined or extent.pulled) else ()
-    inside = [extent.region[round(one.row), round(one.col)] for one in spot.others]
+    rows, cols = extent.region.shape
+    within = [(round(one.row), round(one.col)) for one in spot.others]
+    inside = [extent.region[row, col] for row, col in within if row < rows and col < cols]
     flags += ("several-targets",) if any(inside) else ()
     # A background below the dark level is none: one of both was taken otherwise.
     below = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)

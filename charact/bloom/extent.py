@@ -29,7 +29,7 @@ PULLED_PX, PULLED_NEAR, PULLED_FAR = 2.0, 0.4, 0.1
 # Share of a ring that must lie inside the frame.
 LEAST_WHOLE = 0.3
 # What the fit of a smooth contour may be off by, px and share of the radius.
-FIT_PX, FIT_SHARE = 0.01, 0.0005
+FIT_PX, FIT_SHARE = 0.015, 0.0005
 # Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
 PRECISE_PX, NARROW = 0.04, 0.5
 # Error of a sharp edge between pixels, px.

@@ -43,6 +43,7 @@ LEFT_OUT = {
     "veiling_glare": (0.05, 3.0),
     "plate_saturation_density": (0.03, 6.0),
 }
+EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 # A best fit so near a bound, as a share of the range, is pressed against it.
 AT_BOUND = 1e-3
 MISFIT = ("model-misfit",)
@@ -59,6 +60,8 @@ OF_GLARE = 200
 LEAKS = "light that leaks through the target beside its pinhole counts as glare"
 # Draws for which derived numbers are worked out.
 DERIVED = 400
+# Degrees of freedom that the noise has at least: rings of single frames tell it, too.
+LEAST_FREEDOM = 3
 # Standard error below which a level's own diameter counts as no better.
 LEAST_SD_PX = 0.1
 # Chance of levels' own diameters scattering as they do below which geometry does not hold.
@@ -107,11 +110,16 @@ class _Told:
 
 
 def _agreeing(result: Result, best: Candidate, group: tuple[Spot, ...]) -> Result:
-    """Flag extents that the fitted light does not bear out, where it fits the rings."""
-    if best.problem.model_share > MISFIT_SHARE:
-        return result
-    off = contradicted(best, group, result.measurements)
-    told = (one.with_(flags=MISFIT) if (one.quantity, one.stack) in off else one for one in result.measurements)
+    """Flag extents that the fitted light does not bear out; where it fits no ring, none that it shows is sure."""
+    misfit = best.problem.model_share > MISFIT_SHARE or is_uneven(best.problem.series)
+    labels = {one.label for one in group}
+    off = set() if misfit else contradicted(best, group, result.measurements)
+    told = (
+        one.with_(flags=MISFIT)
+        if (one.quantity, one.stack) in off or (misfit and one.quantity in EXTENTS and one.stack in labels)
+        else one
+        for one in result.measurements
+    )
     return replace(result, measurements=tuple(told))
 
 
@@ -135,7 +143,7 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     own = own_diameters(best) if reason is None else None
     flags = _flags(best, posterior, own)
     notes = _notes(context, group, spots)
-    said = _refused(reason or "", fields) if own is None else _halo(best, posterior, own, flags, notes, fields)
+    said = _refused(reason or "", fields) if own is None else _halo(best, posterior, own, group, flags, notes, fields)
     said += _spread(best, posterior, flags, notes, fields) + _glare(best, posterior, group, flags, notes, fields)
     said += _plate(best, posterior, flags, notes, fields)
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
@@ -197,12 +205,13 @@ def _notes(context: Context, group: tuple[Spot, ...], spots: tuple[Spot, ...]) -
     return notes
 
 
-def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array], flags: tuple[str, ...],
-          notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array], group: tuple[Spot, ...],
+          flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
     """The halo's diameter, share, plateau and rim; the diameter's interval is wider where levels scatter more."""
     middle = float(np.median(posterior["halo_diameter"]))
     apart, freedom = _apart(own, middle)
     wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
+    wider = wider * _noise_unknown(group, len(posterior.draws), posterior.seed)
     draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
     draws |= {"halo_fraction": posterior["halo_fraction"]}
     halo = halo_of(best.form, posterior.draws[:DERIVED])
@@ -215,6 +224,12 @@ def _halo(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array]
                    posterior=posterior, **fields)
         for quantity, unit in OF_THE_HALO
     ]  # fmt: skip
+
+
+def _noise_unknown(group: tuple[Spot, ...], draws: int, seed: int | None) -> Array:
+    """Factors for a noise that is itself known from so many frames only (Student's), shape (draw,)."""
+    freedom = max(min(one.frames for one in group) - 1, LEAST_FREEDOM)
+    return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
 
 
 def _as_told(best: Candidate, quantity: str, draws: int, posterior: Posterior) -> Array:
