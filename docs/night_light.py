@@ -29,7 +29,7 @@ EYE = np.arange(380.0, 771.0, 5.0)
 ROCHESTER = Place(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
 SKIES = (
     ("moon of 4° phase, 59° up", NightSky.at(ROCHESTER, datetime(2024, 2, 24, 6, tzinfo=UTC))),
-    ("sun 8° below the horizon", NightSky.at(ROCHESTER, datetime(1998, 6, 24, 1, 50, tzinfo=UTC))),
+    ("sun 8° below the horizon", NightSky.at(ROCHESTER, datetime(1998, 6, 24, 1, 44, tzinfo=UTC))),
     ("new moon, 02:00 local", NightSky.at(ROCHESTER, datetime(1998, 6, 24, 6, tzinfo=UTC))),
     (
         "and a town in the north-west",
