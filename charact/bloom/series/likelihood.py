@@ -300,7 +300,7 @@ class Problem:
         """
         light = self.light(parts, amplitudes)
         near = light > (self.series.full_dn - NEAR_TOP * self.series.node_sd)[..., None]
-        nodes = light.shape[1] - int(np.argmax(near.any(axis=(0, 2))[::-1])) if near.any() else 0
+        nodes = light.shape[1] - int(np.argmax(np.asarray(near.any(axis=(0, 2)))[::-1])) if near.any() else 0
         read, slope = self.read(light[:, :nodes], self.series.node_sd[:, :nodes])
         return np.stack([light[:, :nodes] - read, (1.0 - slope) * parts.straight[:nodes], 1.0 - slope], axis=2)
 
