@@ -17,6 +17,9 @@ from drivers.v4l2.structures import words
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
+LONGEST_WAIT_S = 600.0
+"""Longest wait for a frame beyond the silence allowed, whatever period and exposure a driver tells, s."""
+
 
 class V4l2Camera:
     """A camera reached through the kernel's video interface; use it in a `with` block.
@@ -122,7 +125,7 @@ class V4l2Camera:
             standard=own.standard(),
             frames=frames,
             discard=discard,
-            patience_s=self._silence_s + 4 * period_s + (settings.exposure_s or 0.0),
+            patience_s=self._silence_s + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
             identifier=self.identifier,
         )
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from drivers.interface import CameraError
 from drivers.v4l2.requests import Request
 
-MOST_LISTED = 1024
+MOST_LISTED = 256
 """More formats, sizes, inputs or controls than this is a list without an end."""
 _GONE = {errno.ENODEV, errno.ENXIO, errno.EBADF}
 

@@ -44,6 +44,16 @@ def test_silence_ends_in_the_time_allowed():
     assert device.is_closed
 
 
+def test_a_driver_that_tells_a_frame_period_of_a_century_is_not_waited_for_as_long(monkeypatch):
+    monkeypatch.setattr("drivers.v4l2.camera.LONGEST_WAIT_S", 0.1)
+    device = FakeDevice(lambda: [])
+    device.period = (4_000_000_000, 1)
+    began_s = time.monotonic()
+    with camera_on(device, silence_s=0.05) as camera, pytest.raises(CameraError, match="has sent no frame for"):
+        taken(camera, 1)
+    assert time.monotonic() - began_s < 2.0
+
+
 def test_a_device_that_is_always_ready_and_never_has_a_frame_is_left_in_time():
     began_s = time.monotonic()
     device = FakeDevice(list)
