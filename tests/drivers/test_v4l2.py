@@ -46,7 +46,7 @@ def test_silence_ends_in_the_time_allowed():
 
 def test_a_driver_that_tells_a_frame_period_of_a_century_is_not_waited_for_as_long(monkeypatch):
     monkeypatch.setattr("drivers.v4l2.camera.LONGEST_WAIT_S", 0.1)
-    device = FakeDevice(lambda: [])
+    device = FakeDevice(list)
     device.period = (4_000_000_000, 1)
     began_s = time.monotonic()
     with camera_on(device, silence_s=0.05) as camera, pytest.raises(CameraError, match="has sent no frame for"):
