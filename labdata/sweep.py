@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from labdata.adaptive import Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.plan import Step
@@ -72,6 +73,8 @@ class SweepForm:
         0: none.
     dark_frames
         Frames of each dark; None: as many as of a stack.
+    until
+        When each stack but the darks may stop before it has all its frames; None: never.
 
     Notes
     -----
@@ -94,6 +97,7 @@ class SweepForm:
     seed: int = 0
     dark_every: int = 0
     dark_frames: int | None = None
+    until: Until | None = None
 
     def __post_init__(self) -> None:
         name = self.label or self.kind
@@ -145,6 +149,7 @@ class SweepForm:
             frames=self.frames,
             conditions=Conditions(**values, illuminance_relative_sd=self.illuminance_relative_sd),
             target=target,
+            until=self.until,
         )
 
     def _label(self, point: dict[str, int], values: dict[str, Any], repeat: int) -> str:

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from labdata.adaptive import Until
 from labdata.border import from_mapping, to_toml
 from labdata.errors import BadInput
 from labdata.plan import Plan
@@ -137,3 +138,10 @@ def test_a_plan_holds_single_steps_and_then_its_sweeps_and_is_kept_as_steps():
 def test_a_sweep_that_cannot_be_meant_is_refused(wrong, rule):
     with pytest.raises(BadInput, match=rule):
         from_mapping({"name": "p", "sweep": [{"kind": "flat", "frames": 3, **wrong}]}, Plan)
+
+
+def test_levels_of_a_sweep_may_stop_early_and_their_darks_may_not():
+    until = Until(mean_within_dn=0.1, least_frames=4)
+    steps = replace(GRID, dark_every=3, until=until).steps()
+    assert {step.until for step in steps if step.kind == "flat"} == {until}
+    assert {step.until for step in steps if step.kind == "dark"} == {None}
