@@ -27,10 +27,14 @@ check: $(READY)
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 
-.PHONY: vivid fuzz-cameras
+.PHONY: vivid fuzz-cameras fuzz-serial
 # The V4L2 driver against a kernel's own virtual camera, in an emulated machine made of Debian's packages; two minutes.
 vivid: $(READY)
 	$(BIN)/python tests/vivid/guest.py
+
+# Every parser of serial replies, against what no instrument should say.
+fuzz-serial: $(READY)
+	PYTHONPATH=. $(BIN)/python tests/fuzz/serial_replies.py --seconds 600
 
 # Answers of the kernel with noise in them, many times over; ten minutes.
 fuzz-cameras: $(READY)

@@ -5,6 +5,9 @@ import math
 from drivers.errors import InstrumentConfused, InstrumentRefused
 from drivers.line import Line
 
+LONGEST_QUOTE = 100
+"""Characters of an answer that a sentence repeats."""
+
 
 def asked_number(line: Line, question: str) -> float:
     """Ask, and return the answer as a finite number; anything else is InstrumentConfused."""
@@ -39,9 +42,9 @@ def expect(line: Line, question: str, value: float, *, within: float = 0.0) -> N
 
 def confused(line: Line, rule: str, got: str) -> InstrumentConfused:
     """Return the error of an answer that is not of the form its question asks for."""
-    return InstrumentConfused(f"the {line.name} must {rule}, got {got}", instrument=line.name)
+    return InstrumentConfused(f"the {line.name} must {rule}, got {got[:LONGEST_QUOTE]}", instrument=line.name)
 
 
 def refused(line: Line, rule: str, got: str, *, code: int | None = None) -> InstrumentRefused:
     """Return the error of an instrument that did not obey."""
-    return InstrumentRefused(f"the {line.name} must {rule}, got {got}", instrument=line.name, code=code)
+    return InstrumentRefused(f"the {line.name} must {rule}, got {got[:LONGEST_QUOTE]}", instrument=line.name, code=code)

@@ -73,7 +73,7 @@ class DelayGenerator:
         identity = self.line.ask("*IDN?")
         if not re.fullmatch(IDENTITY, identity):
             raise InstrumentConfused(
-                f"the {self.line.name} must be a DG645, got {identity!r}", instrument=self.line.name
+                f"the {self.line.name} must be a DG645, got {identity[:80]!r}", instrument=self.line.name
             )
         self.line.write("*CLS")
         return identity
@@ -157,7 +157,7 @@ class DelayGenerator:
         reference, _, seconds = answer.partition(",")
         if reference != str(EDGE_A):
             raise InstrumentRefused(
-                f"edge B of the {self.line.name} must follow edge A, got {answer!r}", instrument=self.line.name
+                f"edge B of the {self.line.name} must follow edge A, got {answer[:80]!r}", instrument=self.line.name
             )
         return number(seconds, line=self.line, question=f"DLAY? {EDGE_B}") * 1e9
 

@@ -43,7 +43,7 @@ class HighVoltage:
         identity = self.line.ask("*IDN?")
         if not re.fullmatch(IDENTITY, identity):
             raise InstrumentConfused(
-                f"the {self.line.name} must be of the PS300 series, got {identity!r}", instrument=self.line.name
+                f"the {self.line.name} must be of the PS300 series, got {identity[:80]!r}", instrument=self.line.name
             )
         self.line.write("*CLS")
         return identity

@@ -150,6 +150,6 @@ class FramedLine:
             if time.monotonic() > deadline_s:
                 self._out_of_step = True
                 raise InstrumentSilent(
-                    f"the {self.name} must answer {self._known.question} in a known form, got {answer!r}",
+                    f"the {self.name} must answer {self._known.question} in a known form, got {answer[:80]!r}",
                     instrument=self.name,
                 )

@@ -32,7 +32,8 @@ class PrologixLine:
         line.write(f"++addr {address}")
         if (kept := line.ask("++addr")) != str(address):
             raise InstrumentConfused(
-                f"the adapter of the {self.name} must keep the address {address}, got {kept!r}", instrument=self.name
+                f"the adapter of the {self.name} must keep the address {address}, got {kept[:80]!r}",
+                instrument=self.name,
             )
 
     def write(self, command: str) -> None:

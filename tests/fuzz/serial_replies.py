@@ -1,0 +1,159 @@
+"""Fuzzing of every parser of serial replies: `python tests/fuzz/serial_replies.py --seconds 600 --seed 1`.
+
+Each question of each driver is answered by bytes that are random, cut, repeated, or nearly right. A driver may end in
+one of its own errors and in nothing else, within its time and with bounded memory. A new driver adds its line to
+`PARSERS`.
+"""
+
+import argparse
+import random
+import time
+from collections.abc import Callable
+from typing import Any
+
+from drivers.delay_generator import DelayGenerator
+from drivers.dg535 import Dg535
+from drivers.echo_line import EchoLine
+from drivers.errors import BenchError
+from drivers.filter_wheel import FilterWheel
+from drivers.high_voltage import HighVoltage
+from drivers.incoming import LONGEST_ANSWER
+from drivers.iseg import Iseg, legacy_number
+from drivers.light_source import KNOWN, LightSource
+from drivers.line import ADAPTER_ANSWER, FramedLine
+from drivers.prologix import PrologixLine
+from drivers.prompt_line import PromptLine
+from labdata.errors import BadInput
+
+ANSWER_S = 0.002
+WITHIN_S = 1.5
+PIECES = (
+    b"\r\n", b"\n", b"\r", b"> ", b"0", b"-1", b"5\r\n", b"+60.000000\r\n", b"2,+0.016000000000\r\n", b"nan", b"1e999",
+    b"9" * 400, b"S1=ON \r\n", b"S1=TRP\r\n", b"S1", b"=", b"U1\r\n", b"+05000-01\r\n", b"0001-7\r\n", b"????\r\n",
+    b"? UMAX=0900\r\n", b"#\r\n480012;3.15;3000V;100uA\r\n", b"T1\r\n004\r\n", b"pos?\r3\r> ", b"*idn?\r", b"FW102C",
+    b"Command error CMD_NOT_DEFINED\n> ", b"ERROR 2: out of range\r\n", b"DC2100\r\n", b"14\r\n", b"Version 6\r\n",
+    b"\xff\xfe", b"\x00" * 40, b"x" * (LONGEST_ANSWER + 10),
+)  # fmt: skip
+
+
+class NoisyPort:
+    """A port at whose far end somebody says what they like, in pieces."""
+
+    def __init__(self, said: bytes, rng: random.Random) -> None:
+        self._said, self._rng = said, rng
+
+    def send(self, data: bytes) -> None:
+        """Nobody listens."""
+
+    def receive(self, timeout_s: float) -> bytes:
+        """The next piece."""
+        size = self._rng.choice((1, 3, 40, 5000))
+        piece, self._said = self._said[:size], self._said[size:]
+        if not piece:
+            time.sleep(min(timeout_s, ANSWER_S))
+        return piece
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def _in_step(line: Any) -> Any:
+    line._out_of_step = False
+    return line
+
+
+def _framed(port: NoisyPort) -> FramedLine:
+    return FramedLine(port, name="instrument", answer_s=ANSWER_S)
+
+
+def _bus(port: NoisyPort) -> PrologixLine:
+    adapter = FramedLine(port, name="instrument", answer_end=b"\n", answer_s=ANSWER_S, known=ADAPTER_ANSWER)
+    line = PrologixLine.__new__(PrologixLine)
+    line.name, line.hurry, line._line = adapter.name, adapter.hurry, adapter
+    return line
+
+
+def _echo(port: NoisyPort) -> EchoLine:
+    return _in_step(EchoLine(port, name="instrument", answer_s=ANSWER_S))
+
+
+def _prompt(port: NoisyPort) -> PromptLine:
+    return _in_step(PromptLine(port, name="instrument", answer_s=ANSWER_S))
+
+
+PARSERS: dict[str, Callable[[NoisyPort], object]] = {
+    "dg645 identity": lambda port: DelayGenerator(_framed(port)).identify(),
+    "dg645 shut": lambda port: DelayGenerator(_framed(port)).shut(),
+    "dg645 width": lambda port: DelayGenerator(_framed(port))._width_ns(),
+    "dg645 look": lambda port: DelayGenerator(_framed(port)).look(),
+    "dg535 delay": lambda port: Dg535(_bus(port)).identify(),
+    "dg535 shut": lambda port: Dg535(_bus(port)).shut(),
+    "ps350 prepare": lambda port: HighVoltage(_bus(port)).prepare(limit_v=900.0),
+    "ps350 status": lambda port: HighVoltage(_bus(port)).check_on(),
+    "ps350 volts": lambda port: HighVoltage(_bus(port)).measured_v(),
+    "prologix address": lambda port: PrologixLine(_framed(port), address=14),
+    "iseg identity": lambda port: Iseg(_echo(port)).identify(),
+    "iseg state": lambda port: Iseg(_echo(port)).check_on(),
+    "iseg volts": lambda port: Iseg(_echo(port)).measured_v(),
+    "iseg number": lambda port: legacy_number(port.receive(0.0).decode("ascii", "replace")),
+    "wheel identity": lambda port: FilterWheel(_prompt(port)).identify(),
+    "wheel position": lambda port: FilterWheel(_prompt(port)).position(),
+    "light identity": lambda port: LightSource(
+        FramedLine(port, name="instrument", answer_s=ANSWER_S, known=KNOWN)
+    ).identify(),
+    "light look": lambda port: LightSource(_framed(port)).look(),
+    "late answer": lambda port: [_framed_after_silence(port).ask("TSRC?")],
+}
+
+
+def _framed_after_silence(port: NoisyPort) -> FramedLine:
+    line = _framed(port)
+    line._out_of_step = True
+    return line
+
+
+def reply(rng: random.Random) -> bytes:
+    """Draw what an instrument might say: pieces of real answers, cut, repeated, and with wrong bytes among them."""
+    said = b"".join(rng.choice(PIECES) * rng.choice((1, 1, 1, 3)) for _ in range(rng.randrange(8)))
+    if rng.random() < 0.3:
+        said = rng.randbytes(rng.randrange(200))
+    if said and rng.random() < 0.3:
+        said = said[: rng.randrange(len(said))]
+    if said and rng.random() < 0.3:
+        place = rng.randrange(len(said))
+        said = said[:place] + rng.randbytes(1) + said[place + 1 :]
+    return said
+
+
+def try_once(name: str, said: bytes, rng: random.Random) -> None:
+    """Let one parser hear one reply; what is not one of the drivers' own errors comes out."""
+    began_s = time.monotonic()
+    try:
+        PARSERS[name](NoisyPort(said, rng))
+    except (BenchError, BadInput) as error:
+        if len(str(error)) > 1000:
+            raise AssertionError(f"a sentence must stay one, got {len(str(error))} characters") from error
+    if (took_s := time.monotonic() - began_s) > WITHIN_S:
+        raise AssertionError(f"{name} must end within {WITHIN_S:g} s, got {took_s:.2f} s")
+
+
+def fuzz(*, seconds: float, seed: int) -> int:
+    """Fuzz every parser in turn for a time and return how many replies were tried."""
+    rng, tried, until_s = random.Random(seed), 0, time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        for name in PARSERS:
+            said = reply(rng)
+            try:
+                try_once(name, said, rng)
+            except Exception as error:
+                raise AssertionError(f"{name} must end in an error of its own on {said!r} (seed {seed})") from error
+            tried += 1
+    return tried
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    print(f"{fuzz(seconds=asked.seconds, seed=asked.seed)} replies to {len(PARSERS)} parsers: no crash, no hang")
