@@ -44,6 +44,14 @@ class Seen:
     title: str
 
     @property
+    def less_certain(self) -> float:
+        """Share of the pixels whose rays scatter more than the plan allows, at the limit of rays or by chance."""
+        allowed = self.plan.rays.allowed
+        if allowed is None:
+            return 0.0
+        return float(np.mean(self.picture.variance > allowed(self.picture.signal)))
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the frames should know."""
         out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
@@ -51,6 +59,7 @@ class Seen:
         return (
             f"light by rays: left out {out}; see light.json; truth of each pixel in truth.npz",
             *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
+            f"by the scatter of their rays {100.0 * self.less_certain:.2g} % of the pixels are less certain than asked",
         )
 
     def document(self) -> bytes:

@@ -43,7 +43,7 @@ class Rays:
 
     fewest: int = 2
     edge: int = 12
-    most: int = 64
+    most: int = 32
     gathered: int = 2
     allowed: Callable[[Array], Array] | None = None
 
