@@ -175,7 +175,7 @@ def frames(normal: Array) -> NDArray[np.float64]:
     b = x * y * a
     first = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
     second = np.stack([b, sign + y * y * a, -y], axis=1)
-    return np.stack([first, second, np.asarray(normal, float)], axis=1)
+    return np.stack([first, second, normal], axis=1).astype(np.float64)
 
 
 def within(frame: Array, direction: Array) -> NDArray[np.float64]:
