@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.synthetic_rig import COLUMNS, ROWS, NoOperator, PacedCamera, SlowBench
 from charact.cli.judge import SaturationJudge
-from drivers.acquire import LOG, acquire
+from drivers.acquisition.acquire import LOG, acquire
 from labdata.capture import Frame
 from labdata.conditions import Conditions
 from labdata.event_log import events

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from drivers.line import Line
+from drivers.wire.line import Line
 
 
 class Instrument(Protocol):

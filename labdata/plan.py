@@ -187,7 +187,7 @@ class Plan:
             raise BadInput("a plan must have at least one step, got none")
         if len(set(labels)) != len(labels):
             raise BadInput(f"every step's label must be its own, got {labels}")
-        # Where a sensor is named, its own limits are known to whoever has read it; see drivers.plan_check.
+        # Where a sensor is named, its own limits are known to whoever has read it; see drivers.acquisition.plan_check.
         if self.sensor is None:
             known = limits_in_force(self.limits, None, self.overrides)
             for step in self.steps:

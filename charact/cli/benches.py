@@ -61,10 +61,10 @@ def _on_virtual_bench(
     plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
 ) -> Session:
     from charact.cli.judge import SaturationJudge
-    from drivers.acquire import acquire
-    from drivers.interlock import Bench
-    from drivers.models import model
-    from drivers.requests import Requests
+    from drivers.acquisition.acquire import acquire
+    from drivers.acquisition.requests import Requests
+    from drivers.instruments.models import model
+    from drivers.tube.bench import Bench
     from labdata.sensors import load_sensor
     from simulate.rig.bench import VirtualBench
 
@@ -110,7 +110,7 @@ def _eye(plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]) -> "A
         return camera_named(plan.wires.camera, tell=tell)
     if virtual.camera is None:
         return virtual.in_process_camera()
-    from drivers.aravis import AravisCamera
+    from drivers.aravis.camera import AravisCamera
 
     return AravisCamera(virtual.camera.identifier, silence_s=virtual.silence_s, say=tell)
 
@@ -120,10 +120,10 @@ def _on_real_bench(
 ) -> Session:
     from charact.cli.judge import SaturationJudge
     from charact.cli.prompting import PromptingOperator
-    from drivers.acquire import acquire
-    from drivers.interlock import Bench
-    from drivers.plan_check import gate_hz
-    from drivers.requests import Requests
+    from drivers.acquisition.acquire import acquire
+    from drivers.acquisition.plan_check import gate_hz
+    from drivers.acquisition.requests import Requests
+    from drivers.tube.bench import Bench
     from labdata.sensors import load_sensor
 
     sensor = None if plan.sensor is None else load_sensor(plan.sensor)

@@ -30,7 +30,7 @@ def camera_named(name: str | None, *, tell: Callable[[str], None] = say) -> "Abs
     """
     kind, colon, rest = (name or "").partition(":")
     if not colon or kind not in ("v4l2", "replay"):
-        from drivers.aravis import AravisCamera
+        from drivers.aravis.camera import AravisCamera
 
         return AravisCamera(name, say=tell)
     place, _, part = rest.partition("#")

@@ -22,7 +22,7 @@ def conform(
     Example: charact conform iseg
     """
     with bad_input_ends("conform"):
-        from drivers.models import models
+        from drivers.instruments.models import models
         from labdata.errors import BadInput
 
         broken = sum(_tried(name) for name in names or models())
@@ -36,7 +36,7 @@ def _tried(name: str) -> int:
     from pathlib import Path
 
     from charact.cli.virtual_pair import VirtualPair
-    from drivers.conformance import rules_for
+    from drivers.instruments.conformance import rules_for
 
     broken = []
     with tempfile.TemporaryDirectory() as folder, VirtualPair(name, Path(folder)) as pair:

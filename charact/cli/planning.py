@@ -12,7 +12,7 @@ from charact.cli import options
 from charact.cli.output import bad_input_ends
 
 if TYPE_CHECKING:
-    from drivers.forecast import Forecast, StepForecast
+    from drivers.acquisition.forecast import Forecast, StepForecast
     from labdata.plan import Plan
     from labdata.sensor import Sensor
     from labdata.tube_dose import Dose
@@ -49,8 +49,8 @@ def plan(
     """
     with bad_input_ends(str(plan), as_json=as_json):
         from charact.cli.plan_files import load_plan
-        from drivers.forecast import forecast
-        from drivers.plan_check import check_plan
+        from drivers.acquisition.forecast import forecast
+        from drivers.acquisition.plan_check import check_plan
         from labdata.sensors import load_sensor
 
         asked = load_plan(plan)
@@ -112,7 +112,7 @@ def _dose_document(dose: "Dose") -> dict[str, float]:
 
 
 def _lines(asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None", *, every: bool) -> list[str]:
-    from drivers.pace import duration
+    from drivers.acquisition.pace import duration
 
     shown = foreseen.steps if every else foreseen.steps[:MOST_LINES]
     left = len(foreseen.steps) - len(shown)

@@ -9,8 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.line import OwnedLine
-from drivers.models import Model, models
+from drivers.instruments.models import Model, models
+from drivers.wire.line import OwnedLine
 from labdata.errors import BadInput
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.models import virtual_model

@@ -6,9 +6,9 @@ It knows the interlock's commands and none of its rules: what hurts is computed 
 import math
 from dataclasses import dataclass, field
 
-from drivers.tube_interlock import Interlock
-from drivers.tube_rules import REACTIONS, RULES
-from drivers.tube_state import (
+from drivers.tube.interlock import Interlock
+from drivers.tube.rules import REACTIONS, RULES
+from drivers.tube.state import (
     DarkSeen,
     Failed,
     GainRead,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.acquire import acquire
+from drivers.acquisition.acquire import acquire
 from drivers.errors import InstrumentTripped
 from drivers.interface import CameraError
 from labdata.adaptive import SaturationSearch, Until

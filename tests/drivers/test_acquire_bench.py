@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.acquire import acquire
-from drivers.aravis import AravisCamera
-from drivers.interlock import Bench
-from drivers.lines import gate_line, supply_line
+from drivers.acquisition.acquire import acquire
+from drivers.aravis.camera import AravisCamera
+from drivers.tube.bench import Bench
+from drivers.wire.lines import gate_line, supply_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Override, limits_in_force

@@ -6,8 +6,8 @@ from functools import cache
 import pytest
 
 from charact.cli.virtual_pair import VirtualPair
-from drivers.conformance import rules_for
-from drivers.models import models
+from drivers.instruments.conformance import rules_for
+from drivers.instruments.models import models
 from simulate.rig.models import virtual_models
 
 pytestmark = pytest.mark.wires

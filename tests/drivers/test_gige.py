@@ -4,8 +4,8 @@ import socket
 
 import pytest
 
-from drivers import gige
-from drivers.gige import BlockNumbers
+from drivers.aravis import gige
+from drivers.aravis.gige import BlockNumbers
 
 
 def test_running_numbers_go_on_where_16_bits_start_again_at_1():

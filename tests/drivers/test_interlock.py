@@ -11,11 +11,12 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
-from drivers import high_voltage, safe
 from drivers.errors import BenchError, InstrumentSilent, InstrumentTripped
-from drivers.interlock import FIELD_RATE_HZ, Bench
-from drivers.lines import gate_line, supply_line
-from drivers.tube_state import InterlockRefused, OpenGate
+from drivers.instruments import high_voltage
+from drivers.tube import safe
+from drivers.tube.bench import FIELD_RATE_HZ, Bench
+from drivers.tube.state import InterlockRefused, OpenGate
+from drivers.wire.lines import gate_line, supply_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
-from drivers.tube_rules import REACTIONS, RULES
-from drivers.tube_state import (
+from drivers.tube.rules import REACTIONS, RULES
+from drivers.tube.state import (
     DarkSeen,
     Failed,
     GainRead,

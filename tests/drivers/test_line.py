@@ -8,8 +8,8 @@ import tty
 import pytest
 
 from drivers.errors import BenchError, InstrumentLost, InstrumentSilent
-from drivers.line import FramedLine
-from drivers.port import SerialPort
+from drivers.wire.line import FramedLine
+from drivers.wire.port import SerialPort
 
 ANSWER_S = 0.15
 KNOWN = b"a,b,c,d\r\n"

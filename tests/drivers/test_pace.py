@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from drivers.pace import Pace, StepClock, duration
+from drivers.acquisition.pace import Pace, StepClock, duration
 
 
 def test_only_what_is_neither_wire_nor_settling_is_our_own():

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.acquire import acquire
+from drivers.acquisition.acquire import acquire
+from drivers.acquisition.requests import PAUSED, STOPPING, Requests
 from drivers.errors import InstrumentTripped
-from drivers.requests import PAUSED, STOPPING, Requests
 from labdata.conditions import Conditions
 from labdata.event_log import events
 from labdata.plan import Plan, Step

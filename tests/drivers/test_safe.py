@@ -2,10 +2,10 @@
 
 import pytest
 
-from drivers.delay_generator import DelayGenerator
-from drivers.high_voltage import HighVoltage
-from drivers.lines import gate_line, supply_line
-from drivers.safe import make_safe
+from drivers.instruments.delay_generator import DelayGenerator
+from drivers.instruments.high_voltage import HighVoltage
+from drivers.tube.safe import make_safe
+from drivers.wire.lines import gate_line, supply_line
 from simulate.rig.faults import Faults
 from simulate.rig.in_process import InProcessInstruments
 

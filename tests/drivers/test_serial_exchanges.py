@@ -2,10 +2,10 @@
 
 import pytest
 
-from drivers.delay_generator import DelayGenerator
 from drivers.errors import InstrumentConfused, InstrumentRefused, InstrumentTripped
-from drivers.high_voltage import HighVoltage
-from drivers.prologix import PrologixLine
+from drivers.instruments.delay_generator import DelayGenerator
+from drivers.instruments.high_voltage import HighVoltage
+from drivers.wire.prologix import PrologixLine
 from labdata.errors import BadInput
 
 

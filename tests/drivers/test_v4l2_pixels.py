@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.packed_pixels import PACKINGS
+from drivers.aravis.packed_pixels import PACKINGS
 from drivers.v4l2 import requests, structures
 from drivers.v4l2.pixels import LAYOUTS, Picture
 from drivers.v4l2.structures import code_of, four_letters

@@ -4,11 +4,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from drivers.acquire import acquire
-from drivers.aravis import AravisCamera
+from drivers.acquisition.acquire import acquire
+from drivers.aravis.camera import AravisCamera
 from drivers.errors import BenchError
-from drivers.interlock import Bench
-from drivers.lines import gate_line, supply_line
+from drivers.tube.bench import Bench
+from drivers.wire.lines import gate_line, supply_line
 from labdata.border import from_toml
 from labdata.errors import BadInput
 from labdata.limits import limits_in_force

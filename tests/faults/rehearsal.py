@@ -16,7 +16,7 @@ import numpy as np
 
 from charact.measuring import measure
 from charact.report.truth import Beside, beside_truth
-from drivers.acquire import LOG
+from drivers.acquisition.acquire import LOG
 from labdata.conditions import Conditions
 from labdata.event_log import events
 from labdata.limits import Override

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from drivers.errors import BenchError, InstrumentLost, InstrumentSilent, InstrumentTripped, WatchdogLost
-from drivers.interlock import Bench
+from drivers.tube.bench import Bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.wires
 WITHIN_S = 1.0
 CLIENT = """
     import sys, time
-    from drivers.interlock import Bench
+    from drivers.tube.bench import Bench
     from labdata import Conditions
     from labdata.limits import Limits
     from labdata.plan import Wires

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.forecast import forecast
-from drivers.plan_check import check_plan
+from drivers.acquisition.forecast import forecast
+from drivers.acquisition.plan_check import check_plan
 from labdata.border import from_toml, to_toml
 from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput

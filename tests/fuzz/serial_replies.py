@@ -11,18 +11,18 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from drivers.delay_generator import DelayGenerator
-from drivers.dg535 import Dg535
-from drivers.echo_line import EchoLine
 from drivers.errors import BenchError
-from drivers.filter_wheel import FilterWheel
-from drivers.high_voltage import HighVoltage
-from drivers.incoming import LONGEST_ANSWER
-from drivers.iseg import Iseg, legacy_number
-from drivers.light_source import KNOWN, LightSource
-from drivers.line import ADAPTER_ANSWER, FramedLine
-from drivers.prologix import PrologixLine
-from drivers.prompt_line import PromptLine
+from drivers.instruments.delay_generator import DelayGenerator
+from drivers.instruments.dg535 import Dg535
+from drivers.instruments.filter_wheel import FilterWheel
+from drivers.instruments.high_voltage import HighVoltage
+from drivers.instruments.iseg import Iseg, legacy_number
+from drivers.instruments.light_source import KNOWN, LightSource
+from drivers.wire.echo_line import EchoLine
+from drivers.wire.incoming import LONGEST_ANSWER
+from drivers.wire.line import ADAPTER_ANSWER, FramedLine
+from drivers.wire.prologix import PrologixLine
+from drivers.wire.prompt_line import PromptLine
 from labdata.errors import BadInput
 
 ANSWER_S = 0.002

@@ -3,7 +3,7 @@
 import pytest
 
 from charact.cli.cameras import camera_named
-from drivers.aravis import AravisCamera
+from drivers.aravis.camera import AravisCamera
 from drivers.replay import ReplayCamera
 from drivers.v4l2 import V4l2Camera
 from labdata.errors import BadInput

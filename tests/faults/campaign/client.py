@@ -6,11 +6,11 @@ import time
 from pathlib import Path
 
 from charact.cli.judge import SaturationJudge
-from drivers.acquire import acquire
-from drivers.aravis import AravisCamera
+from drivers.acquisition.acquire import acquire
+from drivers.acquisition.opening import PLAN
+from drivers.aravis.camera import AravisCamera
 from drivers.errors import BenchError
-from drivers.interlock import Bench
-from drivers.opening import PLAN
+from drivers.tube.bench import Bench
 from labdata.errors import BadInput
 from labdata.limits import limits_in_force
 from labdata.plan import Plan

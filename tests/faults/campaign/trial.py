@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.acquire import LOG
+from drivers.acquisition.acquire import LOG
 from labdata.errors import BadInput
 from labdata.event_log import events
 from labdata.plan import Plan

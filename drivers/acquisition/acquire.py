@@ -1,0 +1,151 @@
+"""Acquisition: a plan becomes a session, step by step, and the tube is safe whichever way it ends."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
+
+from drivers.acquisition.opening import bit_depth, keep_plan, session_writer, whole_sensor
+from drivers.acquisition.pace import Pace
+from drivers.acquisition.plan_check import check_plan
+from drivers.acquisition.requests import Requests
+from drivers.acquisition.run import Run
+from drivers.acquisition.search import search
+from drivers.interface import Bench, Camera, Operator
+from labdata.errors import BadInput
+from labdata.event_log import EventLog
+from labdata.plan import Judge, Plan
+from labdata.sensors import load_sensor
+from labdata.session import Session, open_session
+from labdata.store.storage import Storage
+
+LOG = "log.jsonl"
+
+
+def acquire(
+    plan: Plan,
+    folder: str | Path,
+    *,
+    camera: AbstractContextManager[Camera],
+    bench: AbstractContextManager[Bench],
+    operator: Operator,
+    judge: Judge | None = None,
+    resume: bool = False,
+    progress: Callable[[str, float], None] = lambda sentence, share: None,
+    requests: Requests | None = None,
+) -> Session:
+    """Take a plan's stacks into a session.
+
+    The plan is checked in full before anything is switched on. Frames are stored by a thread of their own; progress
+    tells of those that are on the disk. Whatever ends the run, an error of an instrument or of the disk included, the
+    gate is shut and the gain lowered first; the frames so far stay, and the session's log says what happened.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    folder
+        Folder of the session.
+    camera
+        The camera, not yet open; opened first and closed last.
+    bench
+        Gate and gain, not yet open; leaving it makes the tube safe.
+    operator
+        Puts targets and light before the camera.
+    judge
+        Watches each stack while it is taken; its complaint becomes a note of the stack.
+    resume
+        Go on with a run that was broken off: finished stacks are not repeated, a broken one is filled up, or taken
+        anew where the bench failed while it was taken.
+    progress
+        Told the step and the share done (0..1).
+    requests
+        What a person asks of the run meanwhile; by default Ctrl-C and SIGUSR1.
+
+    Returns
+    -------
+    Session
+        The session, open.
+
+    Raises
+    ------
+    BadInput
+        If the plan breaks a rule, the folder holds a session, a resumed plan is not the one that was begun or reads
+        back other conditions, or the disk does not take the frames.
+    BenchError
+        If an instrument or the camera fails; the sentence says which and how.
+    KeyboardInterrupt
+        If the run was stopped: after the first Ctrl-C when the present step is finished, after the second at once.
+    """
+    folder = Path(folder)
+    sensor = None if plan.sensor is None else load_sensor(plan.sensor)
+    check_plan(plan, folder, sensor)
+    _require_judge(plan, judge)
+    keep_plan(plan, folder, resume=resume)
+    asked = requests or Requests()
+    with ExitStack() as opened:
+        log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume))
+        opened.enter_context(asked.heard())
+        eye = opened.enter_context(camera)
+        settings = eye.configure(whole_sensor(sensor))
+        log("camera opened", camera=eye.identifier, **vars(settings))
+        writer = opened.enter_context(session_writer(plan, folder, sensor, settings))
+        finished, partial, doubtful = writer.finished, writer.partial, writer.doubtful
+        storage = opened.enter_context(Storage(writer))
+        opened.callback(operator.darken)
+        tube = opened.enter_context(bench)
+        operator = tube.guard(operator)
+        log("bench opened", finished=finished, broken_off=partial, doubtful=doubtful)
+        pace = Pace(
+            frames=sum(step.most_frames for step in plan.steps),
+            done=sum(step.most_frames for step in plan.steps if step.label in finished),
+        )
+        run = Run(
+            folder,
+            storage=storage,
+            log=log,
+            camera=eye,
+            bench=tube,
+            operator=operator,
+            settings=settings,
+            full_scale_dn=2.0 ** bit_depth(sensor, settings) - 1.0,
+            judge=judge,
+            settle=plan.settle,
+            pace=pace,
+            progress=progress,
+            finished=finished,
+            partial=partial,
+            doubtful=doubtful,
+        )
+        with asked.running():
+            for step in plan.steps:
+                if step.search is not None:
+                    search(run, step, step.search, asked)
+                elif step.label not in finished:
+                    run.between_steps(asked)
+                    run.take(step)
+            storage.wait()
+            run.tell_done()
+    return open_session(folder)
+
+
+def _require_judge(plan: Plan, judge: Judge | None) -> None:
+    for step in plan.steps:
+        if judge is None and (step.until or step.search):
+            raise BadInput(f"a step that looks at its own frames must have a judge, got none for {step.label!r}")
+
+
+@contextmanager
+def _logged(path: Path, *, plan: str, resume: bool) -> Iterator[EventLog]:
+    """Open the session's log; its last line says how the run ended, if anybody lived to write it."""
+    log = EventLog(path)
+    log("run begins", plan=plan, resume=resume)
+    try:
+        yield log
+    except BaseException as error:
+        told = [str(error) or "interrupted", *getattr(error, "__notes__", ())]
+        log("run ends", whole=False, kind=type(error).__name__, reason=" - ".join(told))
+        raise
+    else:
+        log("run ends", whole=True)
+    finally:
+        log.close()

@@ -1,0 +1,118 @@
+"""What is checked of a plan before anything is switched on."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+from drivers.tube.bench import FIELD_RATE_HZ
+from drivers.tube.interlock import Interlock
+from drivers.tube.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
+from labdata.errors import BadInput
+from labdata.limits import LimitsInForce, limits_in_force
+from labdata.plan import Plan, Step
+from labdata.sensor import Sensor
+
+_NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
+_SPARE_BYTES = 64 << 20
+# Conditions that no driver sets or reads back: the record would repeat what was asked as if it had been in force.
+_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "filter_density", "gain_control")
+
+
+def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
+    """Check a plan in full.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    folder
+        Where the session will be.
+    sensor
+        The camera it is for, or None.
+
+    Raises
+    ------
+    BadInput
+        At the first rule broken: what the interlock would refuse, a limit above the tube's, a label that is no file
+        name, light on a dark, a target without its numbers, a gate wider than the exposure, a condition that no driver
+        sets, or a disk too small.
+    """
+    limits = limits_in_force(plan.limits, sensor, plan.overrides)
+    for step in plan.steps:
+        _check_step(step, sensor)
+        _check_rules(step.brightest, limits, gate_hz(sensor))
+    _check_disk(plan, folder, sensor)
+
+
+def gate_hz(sensor: Sensor | None) -> float:
+    """Openings of the gate a second, Hz: one for each exposure of the camera, or of 525-line video if unknown."""
+    return float(sensor.video.field_rate_hz) if sensor else FIELD_RATE_HZ
+
+
+def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
+    """Bytes that the frames of a plan will take."""
+    if sensor is None:
+        return 0
+    pixels = sensor.ccd.rows * sensor.ccd.columns
+    return sum(step.most_frames for step in plan.steps) * pixels * (1 if sensor.video.bit_depth <= 8 else 2)
+
+
+def same_but_wires(plan: Plan, other: Plan) -> str | None:
+    """Return what differs between two plans besides their wires, in words; None if nothing does."""
+    if replace(plan, wires=other.wires) == other:
+        return None
+    steps = {step.label: step for step in other.steps}
+    for step in plan.steps:
+        if steps.get(step.label) != step:
+            return f"step {step.label!r}"
+    names = ("name", "sensor", "tube", "seed", "scene", "limits", "overrides", "settle")
+    return next((name for name in names if getattr(plan, name) != getattr(other, name)), "steps")
+
+
+def _check_step(step: Step, sensor: Sensor | None) -> None:
+    if not step.label or step.label.startswith(".") or set(step.label) & set("/\\\0"):
+        raise BadInput(f"a step's label must be a file name without slashes or a leading dot, got {step.label!r}")
+    asked = step.conditions
+    if step.kind == "dark" and asked.illuminance_lux:
+        raise BadInput(f"a dark must be taken without light, got {asked.illuminance_lux:g} lux in {step.label!r}")
+    for name in _NEEDED[step.kind]:
+        if getattr(step.target, name) is None:
+            raise BadInput(f"a {step.kind} target must have its {name}, got none in {step.label!r}")
+    _check_settable(step)
+    exposure_s = asked.exposure_s or (1.0 / float(sensor.video.field_rate_hz) if sensor else None)
+    # A gate of one field time is written rounded; one per mille more than the exposure is still that.
+    if asked.gate_ns is not None and exposure_s is not None and asked.gate_ns > exposure_s * 1e9 * 1.001:
+        raise BadInput(
+            f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got {asked.gate_ns:g} in {step.label!r}"
+        )
+
+
+def _check_rules(step: Step, limits: LimitsInForce, rate_hz: float) -> None:
+    """Let the interlock's own rules look at what the step will order, with nothing there to obey."""
+    asked, point = step.conditions, step.kind == "point"
+    commands: list[Command] = [SetLight(illuminance_lux=0.0, point=point, target=step.target)]
+    if asked.mcp_v:
+        commands.append(RaiseGain(goal_v=asked.mcp_v, rate_v_per_s=limits.ramp_v_per_s))
+    if asked.gate_ns:
+        commands.append(OpenGate(width_ns=asked.gate_ns, rate_hz=rate_hz))
+    if asked.illuminance_lux:
+        commands.append(SetLight(illuminance_lux=asked.illuminance_lux, point=point, target=step.target))
+    safe = TubeState(duty=0.0, mcp_v=0.0, light_lux=0.0, dark_seen=True, heard_s=0.0)
+    try:
+        Interlock(limits, clock=lambda: 0.0).foresee(*commands, state=safe)
+    except InterlockRefused as error:
+        raise BadInput(f"{error}, in step {step.label!r}") from None
+
+
+def _check_settable(step: Step) -> None:
+    for name in _SET_BY_NOBODY:
+        value = getattr(step.conditions, name)
+        if value is not None:
+            raise BadInput(f"{name} must be left out of a plan, as no driver sets it, got {value} in {step.label!r}")
+
+
+def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + _SPARE_BYTES
+    if free < needed:
+        raise BadInput(f"the disk must have {needed / 1e6:.0f} MB free for this plan, got {free / 1e6:.0f} MB")

@@ -1,0 +1,64 @@
+"""The filters: a Thorlabs FW102C wheel with six or twelve positions."""
+
+import re
+
+from drivers.wire.answers import asked_whole, confused, expect, refused
+from drivers.wire.line import Line
+from labdata.errors import BadInput
+
+IDENTITY = re.compile(r"(?i).*FW(102|212).*")
+SENSORS_OFF = "sensors=0"
+"""The lamps of its own position sensors out while it stands: they would light the tube."""
+
+
+class FilterWheel:
+    """The wheel.
+
+    Parameters
+    ----------
+    line
+        Line to the instrument.
+    """
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+
+    def identify(self) -> str:
+        """Return the identity, and have the wheel's own lamps out; another instrument is InstrumentConfused."""
+        identity = self.line.ask("*idn?")
+        if not IDENTITY.fullmatch(identity):
+            raise confused(self.line, "be an FW102C or FW212C", repr(identity))
+        self.line.write(SENSORS_OFF)
+        expect(self.line, "sensors?", 0)
+        return identity
+
+    def look(self) -> None:
+        """Ask for a sign of life."""
+        self.position()
+
+    @property
+    def positions(self) -> int:
+        """How many positions the wheel has."""
+        return asked_whole(self.line, "pcount?")
+
+    def position(self) -> int:
+        """Where the wheel stands, counted from 1; somebody may have turned it at its buttons."""
+        return asked_whole(self.line, "pos?")
+
+    def turn_to(self, position: int) -> int:
+        """Turn the wheel, wait until it stands, and return the position read back.
+
+        Raises
+        ------
+        BadInput
+            If the wheel has no such position.
+        InstrumentRefused
+            If it stands elsewhere afterwards.
+        """
+        count = self.positions
+        if not 1 <= position <= count:
+            raise BadInput(f"the filter must be one of 1 to {count}, got {position}")
+        self.line.write(f"pos={position}")
+        if (reached := self.position()) != position:
+            raise refused(self.line, f"turn to {position}", f"{reached}")
+        return reached
