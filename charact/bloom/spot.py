@@ -135,7 +135,7 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
     settled = False
     for _ in range(MOST_MOVES):
         better = middle(view, row, col)
-        if better is None:
+        if better is None or not _inside(better[0], better[1], view.signal.shape):
             break
         moved = float(np.hypot(better[0] - row, better[1] - col))
         row, col, settled = better
@@ -143,6 +143,11 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
             break
         view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     return Place(row=row, col=col, significance=found.significance, cut=cut, settled=settled)
+
+
+def _inside(row: float, col: float, shape: tuple[int, ...]) -> bool:
+    """Whether a place lies in the frame: the contour of a bloom that runs out of it may have its middle elsewhere."""
+    return -0.5 <= row < shape[0] - 0.5 and -0.5 <= col < shape[1] - 0.5
 
 
 def agreed(own: Place, places: list[Place], image: Array) -> Place:

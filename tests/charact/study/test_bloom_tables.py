@@ -84,3 +84,8 @@ def test_cells_are_what_the_method_still_does(cells, seed):
     for number in np.random.default_rng(seed).choice(len(rows), 3, replace=False):
         before, again = rows[number], bloom_map.measured_cell(rows[number]["number"])
         assert (again.ok, again.suspect, again.refused) == (before["ok"], before["suspect"], before["refused"])
+
+
+def test_a_bloom_that_runs_out_of_the_frame_is_no_stumble():
+    """Cell 1027: the middle of a contour around two sources lies beyond the border."""
+    assert bloom_map.measured_cell(1027).crashed == 0
