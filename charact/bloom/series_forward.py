@@ -60,6 +60,8 @@ OF_GLARE = 200
 LEAKS = "light that leaks through the target beside its pinhole counts as glare"
 # Draws for which derived numbers are worked out.
 DERIVED = 400
+# Codes from dark to the highest below which steps hide what a halo is.
+LEAST_CODES = 16
 # Degrees of freedom that the noise has at least: rings of single frames tell it, too.
 LEAST_FREEDOM = 3
 # Standard error below which a level's own diameter counts as no better.
@@ -141,7 +143,7 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     posterior = _posterior(best, context)
     reason = why_no_halo(forms)
     own = own_diameters(best) if reason is None else None
-    flags = _flags(best, posterior, own)
+    flags = _flags(best, posterior, own) + _coarse(group)
     notes = _notes(context, group, spots)
     said = _refused(reason or "", fields) if own is None else _halo(best, posterior, own, group, flags, notes, fields)
     said += _spread(best, posterior, flags, notes, fields) + _glare(best, posterior, group, flags, notes, fields)
@@ -192,6 +194,12 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
         flags += ("window-too-small",)
     apart, freedom = _apart(own, diameter)
     return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
+
+
+def _coarse(group: tuple[Spot, ...]) -> tuple[str, ...]:
+    """Rounding to so few codes eats faint light, and what is left of a halo is not its share."""
+    codes = min(one.full_scale_dn - one.dark_dn for one in group)
+    return ("quantised",) if codes < LEAST_CODES else ()
 
 
 def _apart(own: tuple[Array, Array, Array], diameter: float) -> tuple[float, int]:
