@@ -18,6 +18,8 @@ from labdata.sensor import Sensor
 COUNTING = 0.84
 # Width of a 95 % interval, px and share of the diameter, from which on the noise all but hides where light ends.
 VAGUE_PX, VAGUE = 3.0, 0.3
+# Codes from dark to the highest below which steps hide where light ends.
+LEAST_CODES = 16
 LEVELS = {
     "bloom_diameter": "half of full scale",
     "bloom_diameter_background": "twice the background over dark",
@@ -55,6 +57,7 @@ def bloom_measurements(spots: tuple[Spot, ...], *, square: bool, sensor: Sensor 
 def flags_of(spot: Spot, extent: Extent) -> tuple[str, ...]:
     """What is to be distrusted of an extent."""
     flags = () if spot.dark_known else ("no-darks",)
+    flags += coarse(spot)
     flags += ("window-too-small",) if extent.touches_border else ()
     wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(VAGUE_PX, VAGUE * extent.diameter_px)
     flags += ("low-signal",) if wide or not (extent.determined or extent.pulled) else ()
@@ -65,6 +68,11 @@ def flags_of(spot: Spot, extent: Extent) -> tuple[str, ...]:
     # A background below the dark level is none: one of both was taken otherwise.
     below = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
     return flags + (("unlike-conditions",) if below else ())
+
+
+def coarse(spot: Spot) -> tuple[str, ...]:
+    """Whether rounding to so few codes moves where light falls through a level, and eats what is faint."""
+    return ("quantised",) if spot.full_scale_dn - spot.dark_dn < LEAST_CODES else ()
 
 
 def _reason(spot: Spot, name: str) -> str:

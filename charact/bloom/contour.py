@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.pixel_noise import Noise, seen
-from charact.bloom.polar import SECTORS, Polar
+from charact.bloom.polar import Polar
 
 Array = NDArray[np.float64]
 
@@ -118,11 +118,9 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
         normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
         beta = normal @ (weighted.T @ working)
         linear = basis @ beta
-    residual = weight * (working - linear)
-    scores = basis * residual[:, None]
-    covariance = normal @ _scatter(scores, polar.sector[pixels], noise.tied) @ normal
-    # What the noise of pixels makes it at least, for a scatter of few sectors may happen to be small.
-    covariance = max(covariance, noise.tied * normal, key=lambda one: float(one[0, 0]))
+    scores = basis * (weight * (working - linear))[:, None]
+    # Noise tied over an area is tied along a line by the root of it; the pixels' scatter says the same otherwise.
+    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + np.sqrt(noise.tied) * normal)
     return _solved(beta, covariance, radius, terms)
 
 
@@ -161,15 +159,10 @@ def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
     return np.stack([known[term] for term in terms], axis=-1)
 
 
-def _scatter(scores: Array, sector: NDArray[np.intp], tied: float) -> Array:
-    """Scatter of the sums of scores, from sectors and from pixels whose noise is tied, the larger of both."""
-    by_sector = np.stack([np.bincount(sector, score, minlength=SECTORS) for score in scores.T], axis=1)
-    by_sector = by_sector[np.bincount(sector, minlength=SECTORS) > 0]
-    out = []
-    for parts, factor in ((by_sector, 1.0), (scores, tied)):
-        spare = max(len(parts) - min(scores.shape[1], len(parts) - 1), 1)
-        out.append(parts.T @ parts * factor * len(parts) / spare)
-    return max(out, key=lambda one: float(np.diag(one)[0]))
+def _scatter(scores: Array, tied: float) -> Array:
+    """Scatter of the sum of scores, from pixels whose noise is tied."""
+    spare = max(len(scores) - min(scores.shape[1], len(scores) - 1), 1)
+    return scores.T @ scores * tied * len(scores) / spare
 
 
 def _solved(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:

@@ -26,10 +26,14 @@ ONE_CONTOUR = (3.0, 0.1)
 # the rings' crossing, px and shares of it.
 PULLED_PIXELS, NARROW_PX = 3, 4.0
 PULLED_PX, PULLED_NEAR, PULLED_FAR = 2.0, 0.4, 0.1
+# How far from the source's column the columns are that its charge brightens, px.
+COLUMNS_PX = 6.0
 # Share of a ring that must lie inside the frame.
 LEAST_WHOLE = 0.3
-# What the fit of a smooth contour may be off by, px and share of the radius.
-FIT_PX, FIT_SHARE = 0.015, 0.0005
+# What the fit of a smooth contour may be off by, px.
+FIT_PX = 0.004
+# Share of the step between two annuli by which the choice of one may be off.
+STEPS_OFF = 0.25
 # Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
 PRECISE_PX, NARROW = 0.04, 0.5
 # Error of a sharp edge between pixels, px.
@@ -171,9 +175,20 @@ def _pulled(view: View, visible: float, first: float) -> Mask:
     region = _component(view, picture >= min(sure, 0.5 * (visible + view.top)))
     margin = max(min(PULLED_PX, PULLED_NEAR * first), PULLED_FAR * first, 1.0)
     pixels = np.bincount(view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS)
-    pulled = pixels >= (PULLED_PIXELS if first > NARROW_PX else 1)
+    pulled = (pixels >= (PULLED_PIXELS if first > NARROW_PX else 1)) | _along_columns(view, visible, first + margin)
     # What pulls a sector spills into those beside it.
     return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
+
+
+def _along_columns(view: View, visible: float, beyond: float) -> Mask:
+    """Sectors through which columns near the source stay at a level for most of their length, shape (sector,)."""
+    out = np.zeros(SECTORS, bool)
+    for col in np.flatnonzero(np.abs(view.polar.dx[0]) < COLUMNS_PX):
+        for side in (-1.0, 1.0):
+            rows = (side * view.polar.dy[:, col] > 0) & (view.polar.radius[:, col] > beyond)
+            if rows.any() and np.median(view.signal[rows, col]) >= visible:
+                out[view.polar.sector[rows, col]] = True
+    return out
 
 
 def _settled(view: View, level: float, radius: float, sectors: Mask) -> Contour | None:
@@ -189,7 +204,7 @@ def _settled(view: View, level: float, radius: float, sectors: Mask) -> Contour 
         narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < PRECISE_PX
         if width < 1.0 and found is not None:
             # What the choice of the annulus moves is an error as well.
-            apart = 0.5 * abs(fitted.area - found.area)
+            apart = STEPS_OFF * abs(fitted.area - found.area)
             fitted = replace(fitted, area_sd=float(np.hypot(fitted.area_sd, apart)))
         settled = abs(again - radius) < 0.05 and not narrow
         found, radius, width = fitted, again, NARROW if narrow else width
@@ -212,7 +227,7 @@ def _composed(view: View, level_dn: float, visible: float, contour: Contour, sec
         variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (EDGE_PX * (extra > 0).sum() ** 0.5) ** 2)
         region = inside | (extra > 0.5)
     radius = float(np.sqrt(area / np.pi))
-    sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * (FIT_PX + FIT_SHARE * radius))
+    sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * FIT_PX)
     moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
     areas = area + float(np.hypot(sd, moved)) * NORMAL
     return Extent(

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.blooms import provenance
+from charact.bloom.blooms import coarse, provenance
 from charact.bloom.edge import STEP_SEEN, first_radius
 from charact.bloom.finish import finished
 from charact.bloom.profile import profile_of, reach_of
-from charact.bloom.series.agreement import contradicted
+from charact.bloom.series.agreement import MISFIT, compared
 from charact.bloom.series.choice import Candidate, candidates
 from charact.bloom.series.gather import gathered
 from charact.bloom.series.likelihood import Solved
@@ -46,7 +46,6 @@ LEFT_OUT = {
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 # A best fit so near a bound, as a share of the range, is pressed against it.
 AT_BOUND = 1e-3
-MISFIT = ("model-misfit",)
 # Share of the farthest ring beyond which a halo is not seen whole.
 WHOLE = 0.92
 # Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
@@ -60,8 +59,6 @@ OF_GLARE = 200
 LEAKS = "light that leaks through the target beside its pinhole counts as glare"
 # Draws for which derived numbers are worked out.
 DERIVED = 400
-# Codes from dark to the highest below which steps hide what a halo is.
-LEAST_CODES = 16
 # Degrees of freedom that the noise has at least: rings of single frames tell it, too.
 LEAST_FREEDOM = 3
 # Standard error below which a level's own diameter counts as no better.
@@ -112,14 +109,12 @@ class _Told:
 
 
 def _agreeing(result: Result, best: Candidate, group: tuple[Spot, ...]) -> Result:
-    """Flag extents that the fitted light does not bear out; where it fits no ring, none that it shows is sure."""
-    misfit = best.problem.model_share > MISFIT_SHARE or is_uneven(best.problem.series)
+    """Hold extents against the fitted light; where that fits no ring, none that it shows is sure."""
+    if best.problem.model_share <= MISFIT_SHARE and not is_uneven(best.problem.series):
+        return replace(result, measurements=compared(best, group, result.measurements))
     labels = {one.label for one in group}
-    off = set() if misfit else contradicted(best, group, result.measurements)
     told = (
-        one.with_(flags=MISFIT)
-        if (one.quantity, one.stack) in off or (misfit and one.quantity in EXTENTS and one.stack in labels)
-        else one
+        one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
         for one in result.measurements
     )
     return replace(result, measurements=tuple(told))
@@ -143,7 +138,7 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     posterior = _posterior(best, context)
     reason = why_no_halo(forms)
     own = own_diameters(best) if reason is None else None
-    flags = _flags(best, posterior, own) + _coarse(group)
+    flags = _flags(best, posterior, own) + coarse(min(group, key=lambda one: one.full_scale_dn - one.dark_dn))
     notes = _notes(context, group, spots)
     said = _refused(reason or "", fields) if own is None else _halo(best, posterior, own, group, flags, notes, fields)
     said += _spread(best, posterior, flags, notes, fields) + _glare(best, posterior, group, flags, notes, fields)
@@ -194,12 +189,6 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
         flags += ("window-too-small",)
     apart, freedom = _apart(own, diameter)
     return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
-
-
-def _coarse(group: tuple[Spot, ...]) -> tuple[str, ...]:
-    """Rounding to so few codes eats faint light, and what is left of a halo is not its share."""
-    codes = min(one.full_scale_dn - one.dark_dn for one in group)
-    return ("quantised",) if codes < LEAST_CODES else ()
 
 
 def _apart(own: tuple[Array, Array, Array], diameter: float) -> tuple[float, int]:

@@ -45,6 +45,13 @@ def moffat_as_gaussians(scale_px: float, exponent: float) -> tuple[Array, Array]
     return scale_px / np.sqrt(2.0 * np.exp(log_t)), weight / weight.sum()
 
 
+def moffat_blurred(radius_px: Array, scale_px: float, exponent: float, sigma_px: float) -> Array:
+    """Return the density of a Moffat wing blurred by a Gaussian, 1/px2."""
+    widths, weights = moffat_as_gaussians(scale_px, exponent)
+    variance = widths**2 + sigma_px**2
+    return np.exp(-0.5 * np.divide.outer(radius_px**2, variance)) @ (weights / (2.0 * np.pi * variance))
+
+
 @lru_cache
 def _nodes(count: int) -> tuple[Array, Array]:
     return np.polynomial.legendre.leggauss(count)

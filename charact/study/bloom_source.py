@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.bloom_light import gaussian, halo_blurred, halo_rings, moffat, moffat_as_gaussians
+from charact.study.bloom_light import gaussian, halo_blurred, halo_rings, moffat_as_gaussians, moffat_blurred
 from labdata.errors import BadInput
 from labdata.frames import read_only
 
@@ -129,10 +129,7 @@ class BloomScene:
     @property
     def core_peak(self) -> float:
         """Highest share of the core's light that a pixel can hold, dimensionless."""
-        narrow, wing = gaussian(np.zeros(1), self.core_sigma_px), moffat(
-            np.zeros(1), self.wing_radius_px, self.wing_exponent
-        )  # fmt: skip
-        return self.row_pitch * float(((1.0 - self.wing_share) * narrow + self.wing_share * wing)[0])
+        return self.row_pitch * float(_core(self, np.zeros(1), before_gain=False)[0])
 
     def source_dn(self, overload: float) -> float:
         """All light of the source, DN px: at the overload 1 the core's peak just meets full scale."""
@@ -150,12 +147,7 @@ def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fal
     before_gain
         Whether the blur after the gain is still to come.
     """
-    sigma = _narrow_sigma(scene, before_gain)
-    wing = scene.wing_share
-    light = (1.0 - wing) * gaussian(radius_px, sigma)
-    if wing > 0:
-        light = light + wing * moffat(radius_px, scene.wing_radius_px, scene.wing_exponent)
-    light = (1.0 - scene.halo_fraction - scene.glare_fraction) * light
+    light = (1.0 - scene.halo_fraction - scene.glare_fraction) * _core(scene, radius_px, before_gain=before_gain)
     if scene.halo_fraction <= 0:
         return light
     return light + scene.halo_fraction * radial_halo(scene, radius_px, before_gain=before_gain)
@@ -163,7 +155,7 @@ def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fal
 
 def radial_halo(scene: BloomScene, radius_px: Array, *, before_gain: bool = False) -> Array:
     """Return the halo alone, blurred by core and wing, as a density of volume 1."""
-    sigma, wing = _narrow_sigma(scene, before_gain), scene.wing_share
+    (sigma, after), wing = _sigmas(scene, before_gain), scene.wing_share
     rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share)
     light = halo_blurred(radius_px, rings, [(sigma, 1.0 - wing)])
     if wing <= 0:
@@ -173,14 +165,23 @@ def radial_halo(scene: BloomScene, radius_px: Array, *, before_gain: bool = Fals
     coarse = np.arange(0.0, radius_px.max() + 1.0, SMOOTH_STEP_PX)
     rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, SMOOTH_RINGS)
     gaussians = zip(*moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent), strict=True)
-    far = halo_blurred(coarse, rings, [(wide, wing * weight) for wide, weight in gaussians])
+    far = halo_blurred(coarse, rings, [(np.hypot(wide, after), wing * weight) for wide, weight in gaussians])
     return light + np.asarray(CubicSpline(coarse, far)(radius_px))
 
 
-def _narrow_sigma(scene: BloomScene, before_gain: bool) -> float:
-    """Standard deviation of the core, whole or without the blur after the gain."""
-    after = scene.post_gain_sigma_px if before_gain else 0.0
-    return float(np.sqrt(scene.core_sigma_px**2 - after**2))
+def _core(scene: BloomScene, radius_px: Array, *, before_gain: bool) -> Array:
+    """Core and wing as a density of volume 1."""
+    (sigma, after), wing = _sigmas(scene, before_gain), scene.wing_share
+    light = (1.0 - wing) * gaussian(radius_px, sigma)
+    if wing <= 0:
+        return light
+    return light + wing * moffat_blurred(radius_px, scene.wing_radius_px, scene.wing_exponent, after)
+
+
+def _sigmas(scene: BloomScene, before_gain: bool) -> tuple[float, float]:
+    """Standard deviations of the core and of what blurs the wing, px: the blur after the gain is in both or in none."""
+    after = scene.post_gain_sigma_px
+    return (float(np.sqrt(scene.core_sigma_px**2 - after**2)), 0.0) if before_gain else (scene.core_sigma_px, after)
 
 
 def optics_of(scene: BloomScene) -> BloomScene:

@@ -57,7 +57,7 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
         "streak_length": float((column >= half).sum()),
         "overflow_length": float((column - scene.dark_dn >= 0.999 * limit).sum()),
         "saturated_area": _pixels(scene, picture, scene.full_scale_dn - 0.5),
-        "bloom_ellipticity": _ellipticity(scene, picture, half),
+        "bloom_ellipticity": _ellipticity(scene, picture, half, _dry(scene, overload, picture)),
         "core_compression": _compression(scene, overload),
         "smear_fraction": scene.smear_fraction,
         **halo_truth(scene),
@@ -67,7 +67,7 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
 
 def diameter(scene: BloomScene, overload: float, level_dn: float, picture: Array) -> float:
     """Return the diameter of the circle of equal area to the connected region around the source, column pitches."""
-    if _is_round(scene):
+    if _is_round(scene, picture):
         radius, density = _radial(optics_of(scene))
         light = scene.row_pitch * scene.source_dn(overload) * (density + scene.glare_fraction / GLARE_SIDE_PX**2)
         over = np.log(np.maximum(light, 1e-300) / max(level_dn - scene.dark_dn - scene.background_dn, 1e-9))
@@ -76,12 +76,12 @@ def diameter(scene: BloomScene, overload: float, level_dn: float, picture: Array
             return 0.0
         if last >= 0 and radius[last + 1] < _to_border(scene):
             return float(2.0 * (radius[last] + STEP_PX * over[last] / (over[last] - over[last + 1])))
-    return diameter_of_picture(scene, level_dn, picture)
+    return diameter_of_picture(scene, level_dn, picture, _dry(scene, overload, picture))
 
 
-def diameter_of_picture(scene: BloomScene, level_dn: float, picture: Array) -> float:
-    """Return that diameter of any picture of the scene, by parts of its pixels."""
-    area = _region(scene, picture, level_dn).sum() / PARTS**2 * scene.row_pitch
+def diameter_of_picture(scene: BloomScene, level_dn: float, picture: Array, dry: Array | None = None) -> float:
+    """Return that diameter of any picture of the scene, by parts of its pixels; `dry` is it before wells overflow."""
+    area = _region(scene, picture, level_dn, dry).sum() / PARTS**2 * scene.row_pitch
     return float(2.0 * np.sqrt(area / np.pi))
 
 
@@ -99,23 +99,36 @@ def _to_border(scene: BloomScene) -> float:
     return float(min(down, col, scene.cols - 1 - col))
 
 
-def _is_round(scene: BloomScene) -> bool:
+def _is_round(scene: BloomScene, picture: Array) -> bool:
     """Whether nothing but the light shapes the picture."""
-    wrong = scene.second_distance_px is not None or scene.full_well_dn is not None
+    wrong = scene.second_distance_px is not None or bool(_full(scene, picture).any())
     return not (wrong or scene.plate_saturation_dn is not None or scene.smear_fraction > 0 or scene.agc)
 
 
-def _region(scene: BloomScene, picture: Array, level_dn: float) -> NDArray[np.bool_]:
+def _full(scene: BloomScene, picture: Array) -> NDArray[np.bool_]:
+    """Pixels filled to the brim."""
+    if scene.full_well_dn is None:
+        return np.zeros(picture.shape, bool)
+    return picture - scene.dark_dn >= 0.999 * scene.full_well_dn * scene.drain_ratio
+
+
+def _dry(scene: BloomScene, overload: float, picture: Array) -> Array:
+    """The picture before wells overflow."""
+    return expected(replace(scene, full_well_dn=None), overload) if _full(scene, picture).any() else picture
+
+
+def _region(scene: BloomScene, picture: Array, level_dn: float, dry: Array | None) -> NDArray[np.bool_]:
     """Parts of pixels at or above a level that hang together with the source.
 
-    Between pixels the log is smooth; where charge fills pixels to the brim, pixels count as wholes.
+    Between pixels the log is smooth; pixels that charge reached along their column count as wholes.
     """
     from scipy import ndimage
 
-    log = np.log(np.maximum(picture - scene.dark_dn, 1e-6))
-    order = 3 if scene.full_well_dn is None else 0
-    fine = np.asarray(ndimage.zoom(log, PARTS, order=order, mode="nearest", grid_mode=True))
-    above = fine >= np.log(max(level_dn - scene.dark_dn, 1e-6))
+    level, dry = np.log(max(level_dn - scene.dark_dn, 1e-6)), picture if dry is None else dry
+    log = np.log(np.maximum(dry - scene.dark_dn, 1e-6))
+    fine = np.asarray(ndimage.zoom(log, PARTS, order=3, mode="nearest", grid_mode=True))
+    reached = (picture >= level_dn) & (picture > dry)
+    above = (fine >= level) | np.kron(reached, np.ones((PARTS, PARTS), bool))
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
     row, col = (round(PARTS * (at + 0.5) - 0.5) for at in scene.centre)
     inside = 0 <= row < labels.shape[0] and 0 <= col < labels.shape[1]
@@ -131,14 +144,14 @@ def _pixels(scene: BloomScene, picture: Array, level_dn: float) -> float:
     return float((labels == labels[row, col]).sum()) if labels[row, col] else 0.0
 
 
-def _ellipticity(scene: BloomScene, picture: Array, level_dn: float) -> float:
+def _ellipticity(scene: BloomScene, picture: Array, level_dn: float, dry: Array) -> float:
     """Minor over major axis of the ellipse with the region's second moments; nan without a region.
 
     A round source that runs into the border is called round.
     """
-    if _is_round(scene):
+    if _is_round(scene, picture):
         return 1.0
-    down, along = np.nonzero(_region(scene, picture, level_dn))
+    down, along = np.nonzero(_region(scene, picture, level_dn, dry))
     if len(down) < 2:
         return float("nan")
     low, high = np.linalg.eigvalsh(np.cov(scene.row_pitch * down, along))

@@ -1,5 +1,8 @@
 """Whether extents read from the frames are those of the fitted light: two ways to one number that must agree."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,13 +12,22 @@ from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]
 
+MISFIT = ("model-misfit",)
 # What the two may differ by: px or a share, whichever is more, and the light that the fitted one may be off by.
 WITHIN_PX, WITHIN_SHARE, LIGHT_SHARE = 1.0, 0.05, 0.03
-LEVELS = {"bloom_diameter": "half_dn", "bloom_diameter_clip": "full_scale_dn"}
+# Levels that the fitted light tells, and those whose extents it may contradict.
+LEVELS: dict[str, Callable[[Spot], float]] = {
+    "bloom_diameter": lambda spot: spot.half_dn,
+    "bloom_diameter_clip": lambda spot: spot.full_scale_dn,
+    "bloom_diameter_background": lambda spot: spot.dark_dn + 2.0 * spot.light.level_dn,
+}
+CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
+# Share of the difference between both that is charged to what is told, as a standard error.
+CHARGED = 0.4
 
 
-def contradicted(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measurement, ...]) -> set[tuple[str, str]]:
-    """Tell the extents that the fitted light does not bear out.
+def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measurement, ...]) -> tuple[Measurement, ...]:
+    """Return the measurements, extents held against the fitted light: intervals own to a difference, flags to more.
 
     Parameters
     ----------
@@ -26,27 +38,38 @@ def contradicted(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measur
     extents
         Measurements of the stacks, streaks among them.
 
-    Returns
-    -------
-    set
-        Quantity and stack of each extent that is off, or that a streak may have joined to a rim which the round light
-        leaves apart.
+    Notes
+    -----
+    An extent is flagged that is off, or that a streak may have joined to a rim which the round light leaves apart.
     """
     problem = best.problem
     light = problem.light_at(best.peak.point[None])[..., 0]
     streaked = {one.stack for one in extents if one.quantity == "streak_level" and one.status != "refused"}
-    out = set()
+    spots = {spot.label: spot for spot in group}
+    out = []
     for one in extents:
-        spot = next((spot for spot in group if spot.label == one.stack), None)
-        if one.quantity not in LEVELS or one.interval95 is None or spot is None:
-            continue
-        curve = light[problem.series.labels.index(spot.label)]
-        level = getattr(spot, LEVELS[one.quantity])
-        if _is_off(problem.series.node_px, curve, level, one.interval95) or (
-            spot.label in streaked and _stands_apart(curve, level)
-        ):
-            out.add((one.quantity, spot.label))
-    return out
+        if one.quantity in LEVELS and one.interval95 is not None and one.stack in spots:
+            spot = spots[one.stack]
+            curve, level = light[problem.series.labels.index(spot.label)], LEVELS[one.quantity](spot)
+            joined = spot.label in streaked and _stands_apart(curve, level)
+            off = joined or _is_off(problem.series.node_px, curve, level, one.interval95)
+            one = _charged(one, _diameter(problem.series.node_px, curve, level))
+            one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
+        out.append(one)
+    return tuple(out)
+
+
+def _charged(extent: Measurement, diameter_px: float) -> Measurement:
+    """The extent with what it differs from the fitted light's in its intervals."""
+    value, low68, low95 = extent.value, extent.interval68, extent.interval95
+    if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
+        return extent
+    sd = CHARGED * abs(value - diameter_px)
+    wide = [
+        (value - float(np.hypot(value - low, times * sd)), value + float(np.hypot(high - value, times * sd)))
+        for (low, high), times in ((low68, 1.0), (low95, 1.96))
+    ]
+    return replace(extent, interval68=wide[0], interval95=wide[1])
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:

@@ -71,7 +71,7 @@ def candidates(
     out: list[Candidate] = []
     for core in CORES:
         bare = fitted(series, form(core, "none"), [])
-        found = [one.peak.point[-3:] for one in out if one.form.halo == "disc"]
+        found = [one for one in out if one.form.halo == "disc"]
         out += [bare, fitted(series, form(core, "disc"), _discs(form(core, "disc"), first_diameter_px, bare, found))]
     likeliest = min(out, key=lambda one: one.bic)
     out.append(fitted(series, form(likeliest.form.core, "gaussian"), []))
@@ -90,15 +90,22 @@ def _tired(best: Candidate) -> list[Candidate]:
     return [one for one in fitted_on if one.bic < best.bic - CLEARLY_BETTER]
 
 
-def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Array]) -> list[Array]:
-    """Starts of a disc: those of other cores, the step seen, and every diameter, for an edge makes many small peaks."""
+def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Candidate]) -> list[Array]:
+    """Starts of a disc: those of other cores, the step seen, and every diameter, for an edge makes many small peaks.
+
+    A wing that was fitted without a halo stands for one: wings start beside the core of a plain one and its disc, too.
+    """
     low, high = form.bounds[form.names.index("halo_diameter")]
     diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, STARTS)
     if np.isfinite(first_diameter_px):
         diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
-    halos = [*found, *([diameter, 0.4, 0.08] for diameter in diameters)]
+    halos = [*(one.peak.point[-3:] for one in found), *([diameter, 0.4, 0.08] for diameter in diameters)]
     cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
-    return [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
+    out = [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
+    if form.core == "moffat":
+        plain = found[0].peak.point
+        out.append(np.array([plain[0], *cores[1][1:], *plain[-3:]]))
+    return out
 
 
 def fitted(series: Series, form: Form, starts: list[Array]) -> Candidate:

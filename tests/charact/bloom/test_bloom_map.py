@@ -62,7 +62,7 @@ def compared(found, truth, distance):
 @pytest.mark.parametrize("overload", [0.5, 20.0, 2000.0])
 @pytest.mark.parametrize(
     "scene",
-    [BloomScene(), BloomScene(wing_share=0.2), BloomScene(glare_fraction=0.05), BloomScene(row_pitch=13 / 11)],
+    [BloomScene(), BloomScene(wing_share=0.2, post_gain_sigma_px=0.0), BloomScene(glare_fraction=0.05), BloomScene(row_pitch=13 / 11)],
     ids=["plain", "wing", "glare", "row-pitch"],
 )
 def test_the_share_of_a_point_source_is_its_light_beyond_the_near(scene, overload, seed):
@@ -102,7 +102,7 @@ def test_the_core_alone_leaves_the_share_of_its_own_tail(seed):
 
 def test_a_halo_that_is_clipped_all_over_tells_nothing_and_says_so(seed):
     rng = np.random.default_rng(seed)
-    for scene in (BloomScene(), BloomScene(wing_share=0.2), BloomScene(glare_fraction=0.05)):
+    for scene in (BloomScene(), BloomScene(wing_share=0.2, post_gain_sigma_px=0.0), BloomScene(glare_fraction=0.05)):
         light, truth, distance = parts(scene, 5e4)
         found = bloom_map(
             np.minimum(light, CLIP_DN), spread_of_scene(scene, rng), clip_dn=CLIP_DN, noise_dn=0.2, rng=rng
@@ -175,7 +175,7 @@ def test_a_posterior_becomes_a_spread():
 
 
 def test_the_density_of_a_spread_is_the_closed_form(seed):
-    scene = BloomScene(wing_share=0.2, halo_fraction=0.2)
+    scene = BloomScene(wing_share=0.2, halo_fraction=0.2, post_gain_sigma_px=0.0)
     spread = spread_of_scene(scene, np.random.default_rng(seed), sd=0.0, draws=1)
     radius = np.array([0.0, 2.0, 10.0, 20.0, 22.5, 30.0, 60.0])
     assert spread.density(radius)[0] == pytest.approx(radial_light(scene, radius), rel=0.01, abs=1e-7)

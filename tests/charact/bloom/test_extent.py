@@ -117,6 +117,26 @@ def test_overflow_and_smear_are_part_of_the_region(seed):
     assert shape.value == pytest.approx(known["bloom_ellipticity"], abs=0.1)
 
 
+def test_smear_at_the_level_is_a_streak_to_the_border_however_thin_it_is(seed):
+    """Two columns of it, a fifth above the level, under noise that frays single pixels."""
+    rng = np.random.default_rng(seed)
+    image = gaussian_filter(disc(15.0), 1.0)
+    image[:, 44:46] = np.maximum(image[:, 44:46], 120.0)
+    frames = image + rng.normal(0.0, 16.0, (4, *image.shape))
+    found = extent_at(view_of(frames, 0.0, 255.0, 40.0, 45.0, 1.0), 100.0)
+    assert found is not None and found.pulled and found.touches_border
+    assert found.area == pytest.approx((image >= 100.0).sum(), rel=0.03)
+
+
+def test_extents_of_few_codes_are_flagged(in_memory, seed):
+    """Eleven codes from dark to the highest: rounding moves where the light falls through a level."""
+    scene = BloomScene(dark_dn=1.0, background_dn=0.2, full_scale_dn=12.0, photoelectron_dn=0.15, read_noise_dn=0.03)
+    drawn = session(scene, [0.8, 30.0, 300.0], np.random.default_rng(seed))
+    found = bloom.measure(drawn, method="threshold", context=QUICK).measurements
+    told = [one for one in found if one.quantity in LEVELS and one.status != "refused"]
+    assert told and all("quantised" in one.flags for one in told)
+
+
 def test_saturated_area_is_told_in_pixels_and_at_the_cathode(seed):
     scene = BloomScene(row_pitch=13.0 / 11.0)
     sensor = load_sensor("pulnix-ag5745ef3")

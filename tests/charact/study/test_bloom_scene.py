@@ -79,11 +79,30 @@ def test_truth_by_pixels_agrees_with_truth_in_closed_form():
             assert counted[name] == pytest.approx(exact[name], abs=0.15), (overload, name)
 
 
-def test_pixels_count_as_wholes_where_charge_overflows():
-    source = BloomScene(full_well_dn=400.0)
-    picture = expected(source, 30.0)
-    counted = (picture >= source.dark_dn + 0.5 * source.span_dn).sum()
-    assert truth(source, 30.0)["bloom_diameter"] == pytest.approx(2.0 * np.sqrt(counted / np.pi))
+def test_a_streak_grows_the_bloom_by_whole_pixels():
+    source, half = BloomScene(full_well_dn=400.0), 12.0 + 0.5 * 243.0
+    dry = replace(source, full_well_dn=None)
+    counted, round_only = ((expected(one, 30.0) >= half).sum() for one in (source, dry))
+    areas = [0.25 * np.pi * truth(one, 30.0)["bloom_diameter"] ** 2 for one in (source, dry)]
+    assert counted > round_only + 100
+    assert areas[0] - areas[1] == pytest.approx(counted - round_only, abs=3.0)
+
+
+def test_wells_that_never_overflow_change_no_truth():
+    source = BloomScene()
+    assert truth(replace(source, full_well_dn=1e4), 3.0) == truth(source, 3.0)
+
+
+@pytest.mark.parametrize("wing", [0.0, 0.3])
+def test_the_law_along_the_radius_is_that_of_the_picture(wing):
+    """The blur after the gain widens the wing as well: a tenth of its light 5 px out."""
+    source = BloomScene(core_sigma_px=1.15, post_gain_sigma_px=0.8, wing_share=wing, wing_radius_px=2.0)
+    row, col = source.centre
+    radius = np.hypot((np.arange(source.rows) - row)[:, None], (np.arange(source.cols) - col)[None, :])
+    near, table = radius < 40, np.arange(0.0, 41.0, 0.01)
+    law = np.interp(radius[near], table, radial_light(source, table))
+    picture = expected(source, 1.0)[near] - source.dark_dn - source.background_dn
+    assert picture == pytest.approx(source.source_dn(1.0) * law, rel=5e-3, abs=1e-6 * source.span_dn)
 
 
 def test_light_of_all_parts_adds_up():
