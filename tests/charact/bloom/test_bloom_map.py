@@ -62,7 +62,12 @@ def compared(found, truth, distance):
 @pytest.mark.parametrize("overload", [0.5, 20.0, 2000.0])
 @pytest.mark.parametrize(
     "scene",
-    [BloomScene(), BloomScene(wing_share=0.2, post_gain_sigma_px=0.0), BloomScene(glare_fraction=0.05), BloomScene(row_pitch=13 / 11)],
+    [
+        BloomScene(),
+        BloomScene(wing_share=0.2, post_gain_sigma_px=0.0),
+        BloomScene(glare_fraction=0.05),
+        BloomScene(row_pitch=13 / 11),
+    ],
     ids=["plain", "wing", "glare", "row-pitch"],
 )
 def test_the_share_of_a_point_source_is_its_light_beyond_the_near(scene, overload, seed):
