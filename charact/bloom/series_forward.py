@@ -51,7 +51,7 @@ WHOLE = 0.92
 # Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
 WALKERS = 16
 # Steps after which a chain is given up: one parameter that the rings hardly know makes it crawl.
-MOST_STEPS = 600
+MOST_STEPS = 300
 # Draws by importance, where a point or a chain takes too long, and how many must be effective.
 FIRST_DRAWS, ENOUGH = 2000, 1000.0
 # Draws for which the glare is worked out, and what belongs to it as well.

@@ -62,14 +62,17 @@ def draw_map(
                 title="inside the scope")  # fmt: skip
     for axis, (_, _, log) in breaking.items():
         own = [cell for cell in cells if cell["axis"] == axis]
-        _draw_fates(next(panels), own, [cell["strength"] for cell in own], log=log, label=labels[axis], title=axis)
+        _draw_fates(next(panels), own, [cell["strength"] for cell in own], log=log, label=labels[axis],
+                    title=axis.removesuffix("_px").removesuffix("_dn").replace("_", " "))  # fmt: skip
     if last is not None:
         last(next(panels), inside)
     for spare in panels:
         spare.axis("off")
     for panel in grid[:, 0]:
         panel.set_ylabel("share of the drawings (1)")
-    grid[-1, -1].legend(*grid[0, 0].get_legend_handles_labels(), loc="center", frameon=False)
+    handles, names = grid[0, 0].get_legend_handles_labels()
+    nothing = _pyplot().Rectangle((0, 0), 1, 1, facecolor="white", edgecolor="#b8b8b8")
+    grid[-1, -1].legend([*handles, nothing], [*names, "no cell drawn here"], loc="center", frameon=False)
     figure.suptitle(_title(found), fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)
@@ -100,8 +103,15 @@ def _draw_fates(panel: Any, cells: Rows, at: Sequence[float], *, log: bool, labe
         floor = floor + share
     panel.set(xlim=(low, high), ylim=(0, 1), xlabel=label, title=title, xscale="log" if log else "linear")
     if log:
-        plain_numbers(panel.xaxis, subs=(1.0, 3.0) if high > 6.0 * low else (1.0, 2.0, 5.0))
+        plain_numbers(panel.xaxis, subs=_subs(high / low))
     panel.grid(visible=False)
+
+
+def _subs(span: float) -> tuple[float, ...]:
+    """Which numbers of a decade stand at an axis that spans so many times its lowest."""
+    if span > 1e3:
+        return (1.0,)
+    return (1.0, 3.0) if span > 6.0 else (1.0, 2.0, 5.0)
 
 
 def _fates(cell: Mapping[str, Any]) -> tuple[int, ...]:
