@@ -3,6 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
 WORKERS ?= 2
+SECONDS ?= 3600
 
 .PHONY: demo test test-seeds check bench bench-acquisition fault-campaign rehearsal study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures night-light live-check clean
 
@@ -27,18 +28,15 @@ check: $(READY)
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 
-.PHONY: vivid fuzz-cameras fuzz-serial
+.PHONY: vivid fuzz
 # The V4L2 driver against a kernel's own virtual camera, in an emulated machine made of Debian's packages; two minutes.
 vivid: $(READY)
 	$(BIN)/python tests/vivid/guest.py
 
-# Every parser of serial replies, against what no instrument should say.
-fuzz-serial: $(READY)
-	PYTHONPATH=. $(BIN)/python tests/fuzz/serial_replies.py --seconds 600
-
-# Answers of the kernel with noise in them, many times over; ten minutes.
-fuzz-cameras: $(READY)
-	CHARACT_FUZZ_EXAMPLES=60000 $(BIN)/pytest -q tests/drivers/test_v4l2_fuzz.py
+# Every parser of bytes from outside, mangled: serial replies, the kernel's structures, documents, pictures; an hour on
+# one core, divided among them.
+fuzz: $(READY)
+	OPENBLAS_NUM_THREADS=1 nice -n 19 $(BIN)/python -m tests.fuzz --seconds $(SECONDS)
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks

@@ -100,7 +100,7 @@ class TubeLoad:
         """Standard uncertainty of the logarithm of the current at a voltage, V."""
         if not mcp_v > 0.0:
             return self.relative_sd
-        return math.hypot(self.relative_sd, self.exponent_sd * math.log(mcp_v / self.reference_v))
+        return math.hypot(self.relative_sd, self.exponent_sd * (math.log(mcp_v) - math.log(self.reference_v)))
 
 
 def _log_sd(parameter: Parameter) -> float:

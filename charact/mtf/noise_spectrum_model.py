@@ -7,6 +7,7 @@ grid folds |H|^2 back into its band, whereas white noise stays white; a video fi
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +91,14 @@ class Problem:
 
     def parts(self, theta: Array) -> tuple[Array, Array]:
         """Return the white part and that of the blurred pulses, each (n, cell), DN^2."""
-        own = float(np.mean(self.spectrum.power_dn2 - self.spectrum.dark_dn2))
-        white = theta[:, 1:2] * max(own, 1e-12) * self.known.electronics(self.spectrum.column_cy_per_px) ** 2
+        white = theta[:, 1:2] * self._white_dn2
         return white + self.spectrum.quantised_dn2, np.exp(theta[:, :1]) * self.folding.power(self.shape, theta[:, 2:])
+
+    @cached_property
+    def _white_dn2(self) -> Array:
+        """Power in every cell if all of it were white, shape (cell,), DN^2."""
+        own = float(np.mean(self.spectrum.power_dn2 - self.spectrum.dark_dn2))
+        return max(own, 1e-12) * self.known.electronics(self.spectrum.column_cy_per_px) ** 2
 
     def model(self, theta: Array) -> Array:
         """Return the power in every cell, dark included, shape (n, cell), DN^2."""

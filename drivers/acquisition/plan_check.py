@@ -115,4 +115,4 @@ def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + _SPARE_BYTES
     if free < needed:
-        raise BadInput(f"the disk must have {needed / 1e6:.0f} MB free for this plan, got {free / 1e6:.0f} MB")
+        raise BadInput(f"the disk must have {needed // 10**6} MB free for this plan, got {free // 10**6} MB")

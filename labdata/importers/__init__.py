@@ -1,5 +1,6 @@
 """Frames made elsewhere: one module per format, chosen by what the file is called and checked by what it holds."""
 
+import os
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -61,7 +62,7 @@ def read_frames(path: str | Path, plane: str | None = None) -> FrameStack:
         If the file is missing, of no known kind, damaged, or holds no frames.
     """
     path = Path(path)
-    if not path.exists():
+    if not os.path.exists(path):  # Path.exists raises on names that no disk takes
         raise BadInput(f"a file of frames must exist to be read, got {path}")
     try:
         return with_full_scale(reader_of(path)(path, plane))

@@ -155,7 +155,7 @@ def _level(key: str, values: Sequence[str]) -> Level:
 def _with_image(level: Level, image: str) -> Level:
     # Descriptors are written on Windows too.
     name = image.replace("\\", "/")
-    if not name:
+    if not name or "\0" in name:
         raise ValueError
     return Level(
         kind=level.kind,

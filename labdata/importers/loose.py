@@ -1,5 +1,6 @@
 """Loose files of frames become a session; a pattern reads conditions from their names."""
 
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import fields, replace
@@ -49,7 +50,7 @@ def import_frames(
 def _check(path: Path) -> None:
     from labdata.importers import reader_of
 
-    if not path.exists():
+    if not os.path.exists(path):
         raise BadInput(f"a file of frames must exist to be read, got {path}")
     reader_of(path)
 

@@ -1,6 +1,7 @@
 """TIFF: whole and real pixels of 8 to 64 bits, both byte orders, many pages, colour planes kept apart."""
 
 import logging
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,14 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers import planes
+from labdata.importers.expansion import require_possible
 
 
 def read(path: Path, plane: str | None = None) -> FrameStack:
     """Read all pages of a TIFF file as frames; see `labdata.importers.read_frames`."""
     data, axes = _pixels(path)
+    if not data.size:
+        raise BadInput(f"a TIFF file must hold pixels, got the shape {data.shape} in {path}")
     if axes.endswith("S"):
         frames = data.reshape((-1, *data.shape[-3:]))
         if frames.shape[-1] >= 3:
@@ -32,6 +36,7 @@ def _pixels(path: Path) -> tuple[NDArray, str]:
         with tifffile.TiffFile(path) as file:
             _check_whole(file, path)
             _check_meaning(file, path)
+            _check_possible(file, path)
             series = file.series[0]
             if len(file.series) > 1:
                 shapes = {one.shape for one in file.series}
@@ -63,6 +68,16 @@ def _check_whole(file, path: Path) -> None:
         end = max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=0)
         if end > size:
             raise BadInput(f"a TIFF file must be whole, got {path} of {size} bytes where its pixels end at {end}")
+
+
+def _check_possible(file, path: Path) -> None:
+    """Refuse pages of more pixels than the file can hold; strips and tiles are unpacked whole, however few are used."""
+    stated = 0
+    for page in file.pages:
+        page = page.aspage()
+        segment = math.prod(page.chunks or (0,)) * page.dtype.itemsize if page.dtype else 0
+        stated += max(page.nbytes, segment)
+    require_possible(stated, path.stat().st_size, path.name)
 
 
 def _check_meaning(file, path: Path) -> None:

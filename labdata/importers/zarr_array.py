@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers import planes
+from labdata.importers.expansion import require_possible
 
 
 def read(path: Path, plane: str | None = None) -> FrameStack:
@@ -26,7 +27,10 @@ def _foreign(path: Path) -> NDArray:
 
     try:
         array = zarr.open_array(path, mode="r")
+        require_possible(array.nbytes, sum(part.stat().st_size for part in path.rglob("*")), path.name)
         data = np.asarray(array[...])
+    except BadInput:
+        raise
     except Exception:
         raise BadInput(f"a folder of frames must be a readable Zarr array, got {path}") from None
     if array.ndim not in (2, 3):

@@ -1,5 +1,6 @@
 """Screens of image intensifiers: the shipped phosphors by name, others by path."""
 
+import os
 from importlib import resources
 from pathlib import Path
 
@@ -31,7 +32,7 @@ def load_phosphor(name_or_path: str | Path) -> Phosphor:
     if name in shipped_phosphors():
         with resources.as_file(resources.files("labdata.phosphors") / f"{name}.toml") as path:
             return from_toml(path, Phosphor)
-    if not Path(name_or_path).is_file():
+    if not os.path.isfile(name_or_path):
         raise BadInput(
             f"a phosphor must be one of {', '.join(shipped_phosphors())} or the path of a TOML file, "
             f"got {str(name_or_path)!r}"

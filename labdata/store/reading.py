@@ -30,7 +30,7 @@ def read(path: str | Path, *, verify: bool = True) -> FrameStack:
     frames = journal(path)
     if not frames:
         raise BadInput(f"a stack must hold at least one frame, got none in {path}")
-    data = opened(path)[: len(frames)]
+    data = _pixels(path, opened(path), 0, len(frames))
     if len(data) < len(frames):
         raise BadInput(f"{path} must hold the {len(frames)} frames of its journal, got {len(data)}")
     if verify:
@@ -49,11 +49,19 @@ def lazy(path: str | Path) -> Any:
 
 def block(path: Path, array: Any, acknowledged: tuple[Acknowledged, ...]) -> NDArray:
     """Read some frames that follow one another of an array opened by `lazy`; altered or missing ones are a BadInput."""
-    data = array[acknowledged[0].index : acknowledged[-1].index + 1]
+    data = _pixels(path, array, acknowledged[0].index, acknowledged[-1].index + 1)
     if len(data) < len(acknowledged):
         raise BadInput(f"{path} must hold the frames of its journal, got none from frame {acknowledged[0].index} on")
     _check(path, data, acknowledged)
     return data
+
+
+def _pixels(path: Path, array: Any, first: int, last: int) -> NDArray:
+    """Read frames first..last-1; files of other sizes than the array's description states are a BadInput."""
+    try:
+        return array[first:last]
+    except Exception:  # decoding fails in as many ways as there are codecs
+        raise BadInput(f"the frames {first} to {last - 1} of {path} must be as it describes them, got others") from None
 
 
 def _check(path: Path, data: NDArray, frames: tuple[Acknowledged, ...]) -> None:

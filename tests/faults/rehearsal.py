@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,7 @@ STRIKES_EVERY_S = (8.0, 30.0)
 DRAWING_S = 60.0  # the simulator may be compiled first
 MOST_RUNS = 400
 MOST_IDLE_RUNS = 6
+JUDGED = ("covariance_gain", "blur_factor")
 
 
 def main() -> int:
@@ -134,13 +136,16 @@ def _end_of(session: Path) -> str:
 
 def beside(result: Result, session: Session, specimen: Sensor) -> tuple[Beside, ...]:
     """Every number with a truth beside it; those of a setting beside the truth at that setting."""
-    rows: list[Beside] = []
     main = _main_voltage(result, session)
-    for m in result.measurements:
-        mcp_v = main if m.stack is None else session.stack(m.stack).conditions.mcp_v
-        known = truth.quantities(specimen, Conditions(mcp_v=mcp_v, gate_ns=GATE_NS))
-        wanted = {name: known[name] for name in ("covariance_gain", "blur_factor") if name in known}
-        rows += beside_truth(Result(measurements=(m,)), wanted)
+
+    @cache
+    def known(mcp_v: float | None) -> dict[str, float]:
+        return truth.quantities(specimen, Conditions(mcp_v=mcp_v, gate_ns=GATE_NS))
+
+    rows: list[Beside] = []
+    for m in (m for name in JUDGED for m in result.find(name)):
+        found = known(main if m.stack is None else session.stack(m.stack).conditions.mcp_v)
+        rows += beside_truth(Result(measurements=(m,)), {m.quantity: found[m.quantity]})
     return tuple(rows)
 
 

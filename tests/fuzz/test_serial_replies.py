@@ -1,14 +1,10 @@
 """Whatever an instrument says, its driver ends in an error of its own, in time."""
 
-import importlib.util
 import random
-from pathlib import Path
 
 import pytest
 
-_spec = importlib.util.spec_from_file_location("serial_replies", Path(__file__).with_name("serial_replies.py"))
-serial_replies = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(serial_replies)
+from tests.fuzz import serial_replies
 
 
 @pytest.mark.parametrize("name", serial_replies.PARSERS)

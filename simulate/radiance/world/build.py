@@ -1,5 +1,6 @@
 """From the description of a scene to its surfaces: shapes and mesh files, turned, scaled and set in their places."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def _mesh(scene: Scene, thing: Object) -> Mesh:
 def _read(path: Path, metre: float) -> Mesh:
     if path.suffix.lower() not in KINDS:
         raise BadInput(f"a mesh file must be one of {', '.join(KINDS)}, got {path.name}")
-    if not path.is_file():
+    if not os.path.isfile(path):  # Path.is_file raises on names that no disk takes
         raise BadInput(f"a mesh file must exist to be read, got {path}")
     import trimesh
 
@@ -72,8 +73,12 @@ def _read(path: Path, metre: float) -> Mesh:
         raise BadInput(f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}") from None
     if not len(faces):
         raise BadInput(f"a mesh must have triangles, got none in {path.name}")
+    if vertices.shape[1:] != (3,):
+        raise BadInput(f"the vertices of a mesh must have three coordinates, got {vertices.shape[1:]} in {path.name}")
     if not np.isfinite(vertices).all():
         raise BadInput(f"the vertices of a mesh must be finite, got others in {path.name}")
+    if not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise BadInput(f"the corners of a mesh must be among its {len(vertices)} vertices, got others in {path.name}")
     return Mesh(metre * vertices, faces)
 
 

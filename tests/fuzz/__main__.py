@@ -1,0 +1,135 @@
+"""`make fuzz SECONDS=3600`: every parser of bytes from outside, each for its share of the time, in its own processes.
+
+A parser that crashes takes only its own process along: decoders that are not ours are among them. What broke is told
+with the seed that makes it again: `python -m tests.fuzz --again PARSER SEED`.
+"""
+
+import argparse
+import json
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.fuzz import documents, kernel_answers, pictures, serial_replies
+from tests.fuzz.bounds import LONGEST_S, in_time, limit_memory, most_resident_mb, require_little
+
+PARSERS: dict[str, Callable[[random.Random, Path], bool]] = {
+    "serial": serial_replies.once,
+    "v4l2": kernel_answers.once,
+    "documents": documents.once,
+    "pictures": pictures.once,
+}
+"""What is fuzzed: each reads something drawn, in a folder of its own, and returns whether it was still sound."""
+
+SLICE_S = 60.0
+GRACE_S = 60.0
+
+
+def main() -> int:
+    """Fuzz and print the tally; exit code 1 if anything broke."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=3600.0, help="time in all, s")
+    parser.add_argument("--seed", type=int, default=time.time_ns() % 2**31)
+    parser.add_argument("--only", choices=PARSERS)
+    parser.add_argument("--again", nargs=2, metavar=("PARSER", "SEED"), help="one case, with what it raises")
+    parser.add_argument("--slice", nargs=3, metavar=("PARSER", "SECONDS", "STATE"), help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.again:
+        return _again(asked.again[0], int(asked.again[1]))
+    if asked.slice:
+        return _slice(asked.slice[0], float(asked.slice[1]), Path(asked.slice[2]), asked.seed)
+    return _all([asked.only] if asked.only else list(PARSERS), asked.seconds, asked.seed)
+
+
+def _all(names: list[str], seconds: float, seed: int) -> int:
+    """Give each parser a slice in turn until the time is over."""
+    print(f"seed {seed}, {seconds:g} s for {', '.join(names)}", flush=True)
+    slice_s = min(SLICE_S, seconds / len(names))
+    tallies: dict[str, Counter[str]] = {name: Counter() for name in names}
+    until_s, turn = time.monotonic() + seconds - 0.5 * slice_s, 0
+    while time.monotonic() < until_s:
+        name = names[turn % len(names)]
+        found = _sliced(name, slice_s, seed + (turn << 32))
+        most_mb = max(tallies[name]["most_mb"], found.pop("most_mb", 0))
+        tallies[name].update(found)
+        tallies[name]["most_mb"] = most_mb
+        turn += 1
+    for name, tally in tallies.items():
+        print(
+            f"{name}: {tally['read']} read in {tally['seconds']} s, {tally['sound']} of them still sound, "
+            f"{tally['broken']} broke it; {tally['most_mb']} MB at most"
+        )
+    return 1 if any(tally["broken"] for tally in tallies.values()) else 0
+
+
+def _sliced(name: str, seconds: float, seed: int) -> dict[str, int]:
+    """Run one slice in its own process; one that crashes or hangs there has broken something."""
+    with tempfile.TemporaryDirectory() as folder:
+        state = Path(folder) / "seed"
+        command = [sys.executable, "-m", "tests.fuzz", "--slice", name, str(seconds), str(state), "--seed", str(seed)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        try:
+            said, _ = process.communicate(timeout=seconds + GRACE_S)
+            how = "" if process.returncode == 0 else f"ended with {_ended(process.returncode)}"
+        except subprocess.TimeoutExpired:
+            process.kill()
+            said, _ = process.communicate()
+            how = f"hung for more than {GRACE_S:g} s"
+        last = state.read_text() if state.exists() else "none"
+    *told, tally = said.splitlines() or [""]
+    for line in told:
+        print(f"BROKEN {name}: {line}", flush=True)
+    if how:
+        print(f"BROKEN {name}: its process {how} at --again {name} {last}", flush=True)
+        return {"broken": 1, "seconds": round(seconds)}
+    return json.loads(tally)
+
+
+def _ended(code: int) -> str:
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
+def _slice(name: str, seconds: float, state: Path, seed: int) -> int:
+    """Fuzz one parser for a time; tell what breaks it, line by line, and the tally last."""
+    limit_memory()
+    tally: Counter[str] = Counter(seconds=round(seconds))
+    until_s = time.monotonic() + seconds
+    with tempfile.TemporaryDirectory() as folder, state.open("w") as file:
+        while time.monotonic() < until_s:
+            seed += 1
+            file.seek(0)
+            file.write(f"{seed:20d}")
+            file.flush()
+            tally["read"] += 1
+            before_mb = most_resident_mb()
+            try:
+                tally["sound"] += _once(name, seed, Path(folder))
+                require_little(most_resident_mb() - before_mb)
+            except Exception as error:  # whatever it is, it is what is looked for
+                tally["broken"] += 1
+                print(f"{type(error).__name__}: {str(error)[:200]!r} at --again {name} {seed}", flush=True)
+    tally["most_mb"] = round(most_resident_mb())
+    print(json.dumps(tally))
+    return 0
+
+
+def _once(name: str, seed: int, folder: Path) -> bool:
+    with in_time(LONGEST_S):
+        return PARSERS[name](random.Random(seed), folder)
+
+
+def _again(name: str, seed: int) -> int:
+    limit_memory()
+    with tempfile.TemporaryDirectory() as folder:
+        print("sound" if _once(name, seed, Path(folder)) else "refused")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

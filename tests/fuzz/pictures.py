@@ -1,0 +1,168 @@
+"""Files of frames that nobody meant: pictures, arrays, raw files and meshes, mangled and read.
+
+Decoders that are not ours do most of this reading, some of them in C; whoever calls this in a loop does so in a process
+of its own. Only BadInput may come of it, and no picture of other pixels than its header states.
+"""
+
+import json
+import random
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tifffile
+import trimesh
+from astropy.io import fits
+
+from labdata.errors import BadInput
+from labdata.importers import read_frames
+from labdata.store.appending import ArrayWriter
+from labdata.store.layout import METADATA
+from simulate.radiance.scene import load_scene
+from simulate.radiance.world.build import KINDS as MESHES
+from simulate.radiance.world.build import built
+from simulate.radiance.world.description import Object, Scene
+from tests.fuzz.documents import mangled
+from tests.labdata import dng
+
+ROWS, COLUMNS = 12, 16
+PLANES = (None, "r", "g1", "luminance", "mono", "")
+
+
+def _frames(kind: type = np.uint16, *shape: int) -> np.ndarray:
+    values = np.random.default_rng(1).integers(0, 200, shape or (3, ROWS, COLUMNS))
+    return values.astype(kind)
+
+
+def _tiff(**options) -> Callable[[Path], object]:
+    return lambda path: tifffile.imwrite(path, _frames(), **{"photometric": "minisblack", **options})
+
+
+def _png(kind: type, *shape: int) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(cv2.imencode(".png", _frames(kind, *shape))[1].tobytes())
+
+
+def _store(path: Path) -> None:
+    array = ArrayWriter(path, (ROWS, COLUMNS), np.uint16)
+    for number, frame in enumerate(_frames()):
+        array.append(frame, 0.1 * number, number)
+    array.close()
+
+
+def _zarr(path: Path) -> None:
+    import zarr
+
+    zarr.save_array(path, _frames())
+
+
+FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "tiff": ("a.tif", _tiff()),
+    "tiff, big and in tiles": ("a.tif", _tiff(bigtiff=True, tile=(16, 16), byteorder=">")),
+    "tiff, packed": ("a.tif", _tiff(compression="zlib", predictor=True)),
+    "tiff of ImageJ": ("a.tif", _tiff(imagej=True)),
+    "png": ("a.png", _png(np.uint16, ROWS, COLUMNS)),
+    "png in colour": ("a.png", _png(np.uint8, ROWS, COLUMNS, 3)),
+    "npy": ("a.npy", lambda path: np.save(path, _frames())),
+    "npy of reals": ("a.npy", lambda path: np.save(path, _frames(np.float64))),
+    "fits": ("a.fits", lambda path: fits.writeto(path, _frames(np.int16))),
+    "fits, scaled": ("a.fits", lambda path: fits.writeto(path, _frames(np.uint16))),
+    "dng": ("a.dng", lambda path: dng.write(path, _frames(np.uint16, 40, 60))),
+    "store": ("a.zarr", _store),
+    "zarr": ("b.zarr", _zarr),
+    **{f"mesh {kind}": (f"a{kind}", lambda path: trimesh.creation.box().export(path)) for kind in MESHES},
+}
+"""What is read: the name of each file, and who writes a sound one."""
+
+
+@cache
+def sound(name: str) -> Path:
+    """Return a sound file, or a folder of them, written once; copies of it are mangled."""
+    file, write = FILES[name]
+    path = Path(tempfile.mkdtemp(prefix="charact-sound-")) / file
+    write(path)
+    return path
+
+
+def once(rng: random.Random, folder: Path) -> bool:
+    """Mangle one file of any kind and read it; whether it was still sound."""
+    return read(rng.choice(tuple(FILES)), rng, folder)
+
+
+def read(name: str, rng: random.Random, folder: Path, *, wrong: bool = True) -> bool:
+    """Read a file, mangled if it should be; whether it was sound. Anything but BadInput comes out."""
+    whole, path = sound(name), folder / sound(name).name
+    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    if whole.is_dir():
+        shutil.copytree(whole, path)
+        parts = sorted(part for part in path.iterdir() if part.is_file())
+        part = path / METADATA if rng.random() < 0.5 else rng.choice(parts)
+    else:
+        part = Path(shutil.copy(whole, path))
+    if wrong:
+        part.write_bytes(mangled_bytes(part.read_bytes(), rng))
+    plane = "r" if name == "dng" or "colour" in name else None
+    if wrong and rng.random() < 0.1:
+        plane = rng.choice(PLANES)
+    try:
+        _read(name, path, plane)
+    except BadInput as error:
+        assert str(error).strip() and "\n" not in str(error), "a refusal is one sentence"
+        return False
+    return True
+
+
+def _read(name: str, path: Path, plane: str | None) -> None:
+    if name.startswith("mesh"):
+        built(scene_of(path))
+        return
+    stack = read_frames(path, plane)
+    assert stack.data.ndim == 3 and stack.data.size, "frames are pictures of rows and columns"
+
+
+def scene_of(mesh: Path) -> Scene:
+    """Return a scene in which nothing stands but the mesh of a file."""
+    scene = _road()
+    thing = Object(label="thing", material=scene.material[0].label, file=mesh.name, unit="m")
+    return replace(scene, object=(thing,), folder=str(mesh.parent))
+
+
+@cache
+def _road() -> Scene:
+    scene = load_scene("road")
+    assert isinstance(scene, Scene)
+    return scene
+
+
+def mangled_bytes(data: bytes, rng: random.Random) -> bytes:
+    """Return a file with something wrong in it: in its words and lines if it has any, else in its bytes and numbers."""
+    if rng.random() < 0.3:
+        return mangled(data, rng)
+    if data[:1] == b"{" and rng.random() < 0.7:
+        return _other_json(data, rng)
+    out = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 8))):
+        width = rng.choice((1, 1, 2, 4, 8))
+        # Headers come first, and there numbers have the most to say.
+        end = len(out) if rng.random() < 0.4 else min(len(out), 400)
+        at = rng.randrange(max(1, end - width))
+        value = rng.choice((0, 1, 2 ** (8 * width) - 1, 2 ** (8 * width - 1), rng.randrange(2 ** (8 * width))))
+        out[at : at + width] = value.to_bytes(width, rng.choice(("little", "big")))
+    return bytes(out)
+
+
+def _other_json(data: bytes, rng: random.Random) -> bytes:
+    """Return a document of JSON with one value of another kind or size."""
+    try:
+        document = json.loads(data)
+    except ValueError:
+        return mangled(data, rng)
+    if not isinstance(document, dict) or not document:
+        return data
+    strange = (0, -1, 1e99, "", "x", None, [], {}, [10**12, 4, 4], [10**6, 10**6], [0, 4, 4], "int8", "float64", "<U9")
+    document[rng.choice(sorted(document))] = rng.choice(strange)
+    return json.dumps(document).encode()
