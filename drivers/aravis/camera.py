@@ -70,7 +70,7 @@ class AravisCamera:
         name: str | None = None,
         *,
         resend: bool = True,
-        silence_s: float = 0.6,
+        silence_s: float = 0.5,
         control_s: float = 2.5 * HEARTBEAT_S,
         say: Callable[[str], None] = lambda sentence: None,
     ) -> None:

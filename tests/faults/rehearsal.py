@@ -33,10 +33,10 @@ from tests.faults.campaign.rig import CampaignRig
 
 ROWS, COLUMNS = 123, 192
 FASTER = 10.0
-LOWEST_V, HIGHEST_V = 640.0, 800.0
-FULL_LUX, AT_V, GAIN_EXPONENT = 3e-4, 700.0, 10.5
+LOWEST_V, HIGHEST_V = 740.0, 860.0
+FULL_LUX, AT_V, GAIN_EXPONENT = 6e-4, 700.0, 10.5
 DIMMEST_SHARE = 0.03
-FRAMES = 6
+FRAMES = 12
 GATE_NS = 1.6e7
 STRIKES_EVERY_S = (8.0, 30.0)
 DRAWING_S = 60.0  # the simulator may be compiled first

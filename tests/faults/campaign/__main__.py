@@ -5,11 +5,12 @@ Every session is struck a few times in a row and then resumed undisturbed, which
 
 import argparse
 import json
+import os
 import signal
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -43,14 +44,17 @@ def main() -> int:
     parser.add_argument("--keep", type=Path, help="file for the tally, Markdown")
     parser.add_argument("--trials", type=Path, help="file for every trial, one JSON object a line")
     asked = parser.parse_args()
+    loads = [os.getloadavg()[0]]
     with tempfile.TemporaryDirectory() as folder:
         outcomes, completed, failed = campaign(
             Path(folder), faults=asked.faults, kills=asked.kills, seed=asked.seed, minutes=asked.minutes,
-            trials=asked.trials,
+            trials=asked.trials, after_each=lambda: loads.append(os.getloadavg()[0]),
         )  # fmt: skip
     text = (
         f"{table(outcomes)}\n\nSeed {asked.seed}: {len(outcomes)} trials; {completed} of {completed + failed} sessions "
-        "were completed by the run that was left undisturbed.\n"
+        "were completed by the run that was left undisturbed. "
+        f"The machine: {os.cpu_count()} cores, {min(loads):.1f} to {max(loads):.1f} processes at work or waiting for one, "
+        f"{np.median(loads):.1f} in the median.\n"
     )
     print(text)
     for outcome in outcomes:
@@ -62,7 +66,14 @@ def main() -> int:
 
 
 def campaign(
-    folder: Path, *, faults: int, kills: int, seed: int, minutes: float = 120.0, trials: Path | None = None
+    folder: Path,
+    *,
+    faults: int,
+    kills: int,
+    seed: int,
+    minutes: float = 120.0,
+    trials: Path | None = None,
+    after_each: Callable[[], object] = lambda: None,
 ) -> tuple[list[Outcome], int, int]:
     """Strike as often as asked; return the outcomes, and how many sessions were completed and not completed.
 
@@ -78,6 +89,8 @@ def campaign(
         No further fault strikes after this time, min.
     trials
         File to which every outcome is appended.
+    after_each
+        Called after every trial.
     """
     rng = np.random.default_rng(seed)
     left = _order(faults, kills, rng)
@@ -98,6 +111,7 @@ def campaign(
                     break
                 outcomes.append(outcome)
                 _keep(outcome, after_s, trials)
+                after_each()
             if not (broken := _undisturbed(rig, plan, session)):
                 completed += 1
             else:

@@ -9,6 +9,7 @@ from charact.cli.judge import SaturationJudge
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.opening import PLAN
 from drivers.aravis.camera import AravisCamera
+from drivers.aravis.capture import AravisCapture
 from drivers.errors import BenchError
 from drivers.tube.bench import Bench
 from labdata.errors import BadInput
@@ -17,6 +18,7 @@ from labdata.plan import Plan
 from tests.faults.campaign.rig import CampaignRig
 
 CLOCK_JUMP_S = 7200.0
+ASKED = "frames are asked for at "
 
 
 class Client:
@@ -55,6 +57,11 @@ class Client:
     def acknowledged(self) -> dict[str, int]:
         """Frames of each stack that the client was told are safe."""
         return {label: count for label, count in map(_acknowledged, self.told()) if label}
+
+    def frames_due_s(self, since_s: float) -> float:
+        """When frames were first asked for after a monotonic time, s; that time where they never were again."""
+        asked = (float(line.removeprefix(ASKED)) for line in self.told() if line.startswith(ASKED))
+        return next((at_s for at_s in asked if at_s > since_s), since_s)
 
     def exit_code(self) -> int | None:
         """Exit code, negative for a signal; None while it runs."""
@@ -102,7 +109,7 @@ def _exit_code(rig: CampaignRig, plan: Plan, session: Path, silence_s: float) ->
         acquire(
             plan,
             session,
-            camera=AravisCamera(rig.wires.camera, silence_s=silence_s),
+            camera=_TellingCamera(rig.wires.camera, silence_s=silence_s),
             bench=Bench(
                 rig.wires,
                 limits_in_force(plan.limits, rig.sensor, plan.overrides),
@@ -118,6 +125,14 @@ def _exit_code(rig: CampaignRig, plan: Plan, session: Path, silence_s: float) ->
         print(error, flush=True)
         return 1
     return 0
+
+
+class _TellingCamera(AravisCamera):
+    """A camera that tells when frames are asked of it."""
+
+    def capture(self, *, frames: int, discard: int = 0) -> AravisCapture:
+        print(f"{ASKED}{time.monotonic():.4f}", flush=True)
+        return super().capture(frames=frames, discard=discard)
 
 
 def _clock_jumps(*_: object) -> None:

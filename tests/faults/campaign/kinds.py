@@ -12,8 +12,7 @@ from tests.faults.campaign.client import Client
 from tests.faults.campaign.rig import CampaignRig
 
 PATIENT_S = 15.0
-SILENCE_S = 0.6
-NOTICED_S = SILENCE_S + 4 / 29.97 + 1 / 59.94  # a camera's driver also waits four frames and an exposure
+SILENCE_S = 0.5
 
 Act = Callable[[CampaignRig, Client], None]
 
@@ -37,8 +36,11 @@ class Fault:
     silence_s
         How long the client's camera may be silent, s: short where silence is the fault, long where drawing a frame
         on a busy machine must not be taken for one.
-    notice_s
-        Time that passes by design before anybody can call it a fault, s: the time promised counts from then.
+    shows_in_frames
+        Whether it shows only where frames are asked for and do not come: the time promised counts from then. Between
+        two stacks a camera sends nothing, and the tube is in the conditions that the plan asks for.
+    ends_runs
+        Whether a run must end by it; one that need not is timed nowhere.
     repair
         What a person has to do at the bench afterwards.
     """
@@ -51,7 +53,8 @@ class Fault:
     supply_hears: bool = True
     client_lives: bool = True
     silence_s: float = PATIENT_S
-    notice_s: float = 0.0
+    shows_in_frames: bool = False
+    ends_runs: bool = True
     repair: Callable[[CampaignRig], None] = lambda rig: None
 
 
@@ -95,9 +98,7 @@ def _power_cycle_supply(rig: CampaignRig) -> None:
     rig.plug_in("high_voltage")
 
 
-def _seen(
-    faults: Callable[[np.random.Generator], Faults], *, silence_s: float = PATIENT_S, notice_s: float = float("inf")
-):
+def _seen(faults: Callable[[np.random.Generator], Faults], *, silence_s: float = PATIENT_S, ends_runs: bool = False):
     """A fault of the camera."""
 
     def draw(kind: str, rng: np.random.Generator) -> Fault:
@@ -106,9 +107,10 @@ def _seen(
             kind=kind,
             strike=lambda rig, client: rig.provoke("camera", wrong),
             heal=lambda rig, client: rig.provoke("camera", Faults()),
-            hold_s=float(rng.uniform(0.5, 2.0)),
+            hold_s=float(rng.uniform(0.8, 2.5)),
             silence_s=silence_s,
-            notice_s=notice_s,
+            shows_in_frames=True,
+            ends_runs=ends_runs,
         )
 
     return draw
@@ -203,7 +205,7 @@ _DRAWERS: dict[str, Callable[[str, np.random.Generator], Fault]] = {
     "unplugged": _unplugged,
     "power cycle": _power_cycled,
     "packet loss": _seen(lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3)))),
-    "stalled camera": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, notice_s=NOTICED_S),
+    "stalled camera": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, ends_runs=True),
     "clock jump": _clock_jumped,
     "client hangs": _client_hangs,
     "kill -9 of the watchdog": _watchdog_killed,

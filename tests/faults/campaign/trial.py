@@ -35,8 +35,9 @@ class Outcome:
     live
         Whether gate or high voltage were on when the fault struck.
     gate_s, off_s
-        Seconds from the fault until the gate was shut on its wire and the high voltage ordered off; None where that
-        was not asked for: nothing was on, the run endured, or the instrument could not hear.
+        Seconds from the fault, or from the frames that it kept from coming, until the gate was shut on its wire and
+        the high voltage ordered off; None where that was not asked for: nothing was on, the run endured, or the
+        instrument could not hear.
     broken
         Each promise that was broken, in words.
     """
@@ -80,11 +81,15 @@ def try_fault(
         client.signal(signal.SIGKILL)
         client.wait(END_S)
     off_s = rig.ordered_off_s(struck.at_s)
+    if fault.shows_in_frames:
+        unseen_s = client.frames_due_s(struck.at_s) - struck.at_s
+        gate_s, off_s = gate_s - unseen_s, None if off_s is None else off_s - unseen_s
     left_on = tuple(_left_on(rig, fault))
     fault.repair(rig)
     rig.switch_off_what_is_on()
     endured = code == 0
-    gate_s = gate_s if struck.gate_was_open and fault.gate_hears and not endured else None
+    gate_must_shut = struck.gate_was_open or (fault.shows_in_frames and gate_s > 0.0)
+    gate_s = max(gate_s, 0.0) if gate_must_shut and fault.gate_hears and not endured else None
     must_be_ordered = struck.voltage_was_on and fault.supply_hears and not endured
     off_s = (np.inf if off_s is None else off_s) if must_be_ordered else None
     return Outcome(
@@ -93,7 +98,10 @@ def try_fault(
         live=struck.gate_was_open or struck.voltage_was_on,
         gate_s=gate_s,
         off_s=off_s,
-        broken=(*left_on, *_broken(client, session, fault, code, gate_s, off_s, within_s + fault.notice_s)),
+        broken=(
+            *left_on,
+            *_broken(client, session, fault, code, gate_s, off_s, within_s if fault.ends_runs else np.inf),
+        ),
     )
 
 
