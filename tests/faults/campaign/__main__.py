@@ -53,8 +53,8 @@ def main() -> int:
     text = (
         f"{table(outcomes)}\n\nSeed {asked.seed}: {len(outcomes)} trials; {completed} of {completed + failed} sessions "
         "were completed by the run that was left undisturbed. "
-        f"The machine: {os.cpu_count()} cores, {min(loads):.1f} to {max(loads):.1f} processes at work or waiting for one, "
-        f"{np.median(loads):.1f} in the median.\n"
+        f"The machine: {os.cpu_count()} cores, {min(loads):.1f} to {max(loads):.1f} processes at work or waiting for "
+        f"one, {np.median(loads):.1f} in the median.\n"
     )
     print(text)
     for outcome in outcomes:
