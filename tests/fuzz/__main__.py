@@ -27,8 +27,8 @@ PARSERS: dict[str, Callable[[random.Random, Path], bool]] = {
 }
 """What is fuzzed: each reads something drawn, in a folder of its own, and returns whether it was still sound."""
 
-SLICE_S = 60.0
-GRACE_S = 60.0
+SLICE_S = 120.0
+STUCK_S = 60.0
 
 
 def main() -> int:
@@ -52,14 +52,12 @@ def _all(names: list[str], seconds: float, seed: int) -> int:
     print(f"seed {seed}, {seconds:g} s for {', '.join(names)}", flush=True)
     slice_s = min(SLICE_S, seconds / len(names))
     tallies: dict[str, Counter[str]] = {name: Counter() for name in names}
-    until_s, turn = time.monotonic() + seconds - 0.5 * slice_s, 0
-    while time.monotonic() < until_s:
+    for turn in range(round(seconds / slice_s)):
         name = names[turn % len(names)]
         found = _sliced(name, slice_s, seed + (turn << 32))
         most_mb = max(tallies[name]["most_mb"], found.pop("most_mb", 0))
         tallies[name].update(found)
         tallies[name]["most_mb"] = most_mb
-        turn += 1
     for name, tally in tallies.items():
         print(
             f"{name}: {tally['read']} read in {tally['seconds']} s, {tally['sound']} of them still sound, "
@@ -69,26 +67,32 @@ def _all(names: list[str], seconds: float, seed: int) -> int:
 
 
 def _sliced(name: str, seconds: float, seed: int) -> dict[str, int]:
-    """Run one slice in its own process; one that crashes or hangs there has broken something."""
+    """Run one slice in its own process; one that crashes or goes no further there has broken something."""
     with tempfile.TemporaryDirectory() as folder:
         state = Path(folder) / "seed"
+        state.touch()
         command = [sys.executable, "-m", "tests.fuzz", "--slice", name, str(seconds), str(state), "--seed", str(seed)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        try:
-            said, _ = process.communicate(timeout=seconds + GRACE_S)
-            how = "" if process.returncode == 0 else f"ended with {_ended(process.returncode)}"
-        except subprocess.TimeoutExpired:
-            process.kill()
-            said, _ = process.communicate()
-            how = f"hung for more than {GRACE_S:g} s"
-        last = state.read_text() if state.exists() else "none"
-    *told, tally = said.splitlines() or [""]
-    for line in told:
+        said, how = _outlived(subprocess.Popen(command, stdout=subprocess.PIPE, text=True), state)
+        last = state.read_text()
+    lines = said.splitlines()
+    tally = {"broken": 1, "seconds": round(seconds)} if how else json.loads(lines.pop())
+    for line in (*lines, *([f"its process {how} at --again {name} {last}"] if how else [])):
         print(f"BROKEN {name}: {line}", flush=True)
-    if how:
-        print(f"BROKEN {name}: its process {how} at --again {name} {last}", flush=True)
-        return {"broken": 1, "seconds": round(seconds)}
-    return json.loads(tally)
+    return tally
+
+
+def _outlived(process: subprocess.Popen, state: Path) -> tuple[str, str]:
+    """Wait for the end of a slice; return what it said, and how it ended if that was no good end."""
+    before = ""
+    while True:
+        try:
+            said, _ = process.communicate(timeout=STUCK_S)
+            return said, "" if process.returncode == 0 else f"ended with {_ended(process.returncode)}"
+        except subprocess.TimeoutExpired:
+            if (now := state.read_text()) and now == before:
+                process.kill()
+                return process.communicate()[0], f"went no further for {STUCK_S:g} s"
+            before = now
 
 
 def _ended(code: int) -> str:

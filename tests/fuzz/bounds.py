@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 LONGEST_S = 10.0
-"""What takes longer hangs, s."""
+"""What takes longer hangs, s of the processor: a busy machine may take longer."""
 
 MOST_BYTES = 4 << 30
 """Address space that a process which reads may take, bytes."""
@@ -18,18 +18,18 @@ MOST_GROWTH_MB = 300.0
 
 @contextmanager
 def in_time(longest_s: float = LONGEST_S) -> Iterator[None]:
-    """Raise TimeoutError in what takes longer, s."""
+    """Raise TimeoutError in what takes longer, s of the processor."""
 
     def late(*_: Any) -> None:
         raise TimeoutError(f"what is read must be read within {longest_s:g} s")
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, longest_s)
+    before = signal.signal(signal.SIGPROF, late)
+    signal.setitimer(signal.ITIMER_PROF, longest_s)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def limit_memory() -> None:
