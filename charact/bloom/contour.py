@@ -26,6 +26,10 @@ NEAREST_CUT_PX, CUT_SHARE = 1.5, 0.85
 # How far out the surroundings are looked for, px, and the share of their level that the fit stands on.
 SURROUNDINGS_PX = 4.0
 SURROUNDINGS_SHARE = 0.97
+# Radius up to which a contour is so short that its noise is that of an area, px.
+SMALL_PX = 2.0
+# Share of the second harmonic that the ones left out may come to.
+HIGHER = 0.05
 ROUNDS = 4
 # Pixels inside the contour, not cut by the highest code, from which on a bend of the logarithm may be fitted.
 BENDS = 10
@@ -120,7 +124,8 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
         linear = basis @ beta
     scores = basis * (weight * (working - linear))[:, None]
     # Noise tied over an area is tied along a line by the root of it; the pixels' scatter says the same otherwise.
-    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + np.sqrt(noise.tied) * normal)
+    tied = noise.tied if radius <= SMALL_PX else np.sqrt(noise.tied)
+    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + tied * normal)
     return _solved(beta, covariance, radius, terms)
 
 
@@ -181,12 +186,13 @@ def _solved(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...
     waves = [2.0 * wave(2 * DIRECTIONS) / mean for wave in (np.cos, np.sin)]
     toward = [np.pi * shifts.mean(axis=0), *((shifts * wave[:, None]).mean(axis=0) for wave in waves)]
     sds = [float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in toward]
+    oval = (float((squared * waves[0]).mean()), float((squared * waves[1]).mean()))
     return Contour(
         radius=np.sqrt(squared),
         area=np.pi * mean,
-        area_sd=sds[0],
+        area_sd=float(np.hypot(sds[0], HIGHER * np.hypot(*oval) * np.pi * mean)),
         slope=float(-2.0 * np.mean(fall) / radius),
-        oval=(float((squared * waves[0]).mean()), float((squared * waves[1]).mean())),
+        oval=oval,
         oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
     )
 
