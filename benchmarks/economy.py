@@ -18,8 +18,10 @@ from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from simulate.iiccd import light, pattern, tiers
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effects import Picture, effects_of, per_pixel, planned
 from simulate.iiccd.exposure import freed_by_picture
+from simulate.iiccd.influence.effects import effects_of
+from simulate.iiccd.influence.picture import Picture, per_pixel
+from simulate.iiccd.influence.planning import planned
 from simulate.iiccd.streamed import law
 from tests.simulate.random_scenes import Scene, random_scene
 

@@ -9,8 +9,8 @@ from lab_card import luminance
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from simulate.cameras import camera_of
-from simulate.iiccd.effects import planned
 from simulate.iiccd.exposure import freed_by_picture
+from simulate.iiccd.influence.planning import planned
 
 PAGE = Path(__file__).resolve().parent / "simulator.md"
 CAMERA = "pulnix-ag5745ef3"

@@ -41,7 +41,7 @@ class LabBench:
     scene
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
     left_out
-        Effects of the camera that are left out, see `simulate.iiccd.effects`.
+        Effects of the camera that are left out, see `simulate.iiccd.influence`.
 
     Notes
     -----

@@ -213,7 +213,9 @@ def _economical(camera: Any, freed: Any, conditions: Conditions, asked: Asked) -
     """Return the camera without what this light does not need, and the fields of the shot that say so."""
     from simulate.economy import Plan
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.effects import Picture, effects_of, per_pixel, planned
+    from simulate.iiccd.influence.effects import effects_of
+    from simulate.iiccd.influence.picture import Picture, per_pixel
+    from simulate.iiccd.influence.planning import planned
 
     exact = asked.tolerance is None
     if not isinstance(camera, IntensifiedCamera):

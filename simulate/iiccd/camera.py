@@ -55,7 +55,7 @@ class IntensifiedCamera:
     local_depletion
         Whether a plate's gain falls place by place under its own load; otherwise all of the plate falls alike.
     left_out
-        Names of effects that are left out, see `simulate.iiccd.effects`.
+        Names of effects that are left out, see `simulate.iiccd.influence`.
     """
 
     sensor: Sensor

@@ -22,8 +22,8 @@ from labdata.sensor import Sensor
 from simulate.economy import Effect, Plan, plan_of
 from simulate.iiccd import pattern, tiers
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effects import planned
 from simulate.iiccd.exposure import freed_by_picture
+from simulate.iiccd.influence.planning import planned
 from simulate.iiccd.light import Light, product
 from simulate.iiccd.streamed.prepare import Stages
 from simulate.iiccd.transfer import PixelAperture
