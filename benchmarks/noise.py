@@ -35,7 +35,11 @@ def rows() -> Iterator[Row]:
             ("statistics", promised, lambda: read_levels(session, context=context, spectra=False)),
             ("statistics with spectra", promised, lambda: read_levels(session, context=context, spectra=True)),
             ("variance --quick", promised, lambda: noise.measure(session, method="variance", context=context)),
-            ("covariance-sum --quick", None, lambda: noise.measure(session, method="covariance-sum", context=context)),
+            (
+                "covariance-sum --quick",
+                promised,
+                lambda: noise.measure(session, method="covariance-sum", context=context),
+            ),
         ):
             yield Row(name=f"{name}, {PAIRS} pairs, CPU", seconds=_cpu_seconds(work) - reading,
                       peer="variance of differences in NumPy", peer_seconds=plain, limit_seconds=limit)  # fmt: skip

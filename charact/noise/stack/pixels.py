@@ -165,19 +165,17 @@ class _Pass:
 def _of_all(products: Array, parity: Whole) -> Array:
     """Products of the modes of all exposures from those of all but the last of each parity, shape (bin, i, j).
 
-    Centred exposures add up to nothing.
+    Centred exposures add up to nothing: the last is minus the sum of the others.
     """
-    last = [np.flatnonzero(parity == value)[-1] for value in np.unique(parity)]
-    free = np.setdiff1d(np.arange(len(parity)), last)
-    # Exposures come parity by parity.
-    free = free[np.argsort(parity[free], kind="stable")]
-    out = np.zeros((len(products), len(parity), len(parity)))
-    out[:, free[:, None], free] = products
-    for one in last:
-        out[:, one] = -out[:, free[parity[free] == parity[one]]].sum(axis=1)
-    for one in last:
-        out[:, :, one] = -out[:, :, free[parity[free] == parity[one]]].sum(axis=2)
-    return out
+    made = np.zeros((len(parity), products.shape[1]))
+    first = 0
+    # The others come parity by parity.
+    for value in np.unique(parity):
+        same = np.flatnonzero(parity == value)
+        here = first + np.arange(len(same) - 1)
+        made[same[:-1], here], made[same[-1], here] = 1.0, -1.0
+        first += len(here)
+    return made @ products @ made.T
 
 
 def _middle(length: int) -> slice:
@@ -232,8 +230,10 @@ def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, 
     """Add the products of a band that begins at row `start`, under the row `above`; return those of its mean."""
     count, rows, cols = band.shape
     mean_square, high = 0.0, 0
+    sums = np.zeros((len(total), cols), np.float32)
     for row in range(rows):
         while start + row >= row_cuts[high + 1]:
+            _flush(sums, total[:, high], col_cuts)
             high += 1
         mean_square += dot(mean[row], mean[row])
         for i in range(count):
@@ -244,21 +244,36 @@ def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, 
                 products[i, j] += square
                 products[j, i] += square
             products[i, i] += dot(line, line)
-        for wide in range(len(col_cuts) - 1):
-            left, right = col_cuts[wide], col_cuts[wide + 1]
-            beside = min(right, cols - 1)
-            sums = total[:, high, wide]
-            for t in range(count):
-                line = band[t, row]
-                over = band[t, row - 1] if row else above[t]
-                sums[0] += dot(line[left:right], line[left:right])
-                sums[1] += dot(line[left:beside], line[left + 1 : beside + 1])
-                sums[2] += dot(line[left:right], over[left:right])
-            for pair in range(len(first)):
-                sums[3] += dot(band[first[pair], row, left:right], band[second[pair], row, left:right])
-            for value in mean[row, left:right]:
-                sums[4] += value
+        for t in range(count):
+            line = band[t, row]
+            _add_products(line, line, sums[0])
+            _add_products(line[:-1], line[1:], sums[1])
+            _add_products(line, band[t, row - 1] if row else above[t], sums[2])
+        for pair in range(len(first)):
+            _add_products(band[first[pair], row], band[second[pair], row], sums[3])
+        for col in range(cols):
+            sums[4, col] += mean[row, col]
+    _flush(sums, total[:, high], col_cuts)
     return mean_square
+
+
+@njit(cache=True, fastmath=True)
+def _add_products(one, two, sums):
+    """Add the products of two rows, column for column."""
+    for col in range(len(one)):
+        sums[col] += one[col] * two[col]
+
+
+@njit(cache=True, fastmath=True)
+def _flush(sums, total, col_cuts):
+    """Add the sums of columns to those of blocks, and begin anew."""
+    for kind in range(len(sums)):
+        for wide in range(len(col_cuts) - 1):
+            block = 0.0
+            for col in range(col_cuts[wide], col_cuts[wide + 1]):
+                block += sums[kind, col]
+            total[kind, wide] += block
+    sums[:] = 0.0
 
 
 def variance_error(sums: PixelSums, variance: float) -> float:

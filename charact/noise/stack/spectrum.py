@@ -56,6 +56,17 @@ class Bins:
         return across / total, down / total / self.row_pitch**2
 
     @cached_property
+    def fades(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The window along each axis, of which it is the product."""
+        rows, cols = (_fade(length).astype(np.float32) for length in self.window.shape)
+        return rows, cols
+
+    @cached_property
+    def power(self) -> float:
+        """Sum of the squares of the window: what white noise of variance one leaves in a mode."""
+        return float((self.window.astype(float) ** 2).sum())
+
+    @cached_property
     def columns(self) -> int:
         """Frequencies along rows up to the highest that any bin holds."""
         return int(np.flatnonzero((self.select >= 0).any(axis=0)).max(initial=-1)) + 1
@@ -159,9 +170,9 @@ def along_rows(band: NDArray[np.float32], first: int, bins: Bins) -> NDArray[np.
     """Return the spectra of rows `first` and following, the sides faded out, shape (..., row, column of modes)."""
     from scipy import fft
 
-    rows, cols = band.shape[-2], bins.window.shape[1]
-    faded = band[..., :cols] * bins.window[first : first + rows]
-    return np.asarray(fft.rfft(faded, axis=-1, workers=1))[..., : bins.columns]
+    fade_rows, fade_cols = bins.fades
+    spectra = np.asarray(fft.rfft(band[..., : len(fade_cols)] * fade_cols, axis=-1, workers=1))
+    return spectra[..., : bins.columns] * fade_rows[first : first + band.shape[-2], None]
 
 
 def modes_of(along: NDArray[np.complex64], parity: int, bins: Bins) -> NDArray[np.float32]:
@@ -173,7 +184,7 @@ def modes_of(along: NDArray[np.complex64], parity: int, bins: Bins) -> NDArray[n
 
     if not len(bins.order):
         return np.empty((2, 0), np.float32)
-    modes = np.asarray(fft.fft(along, axis=0, workers=1), np.complex64)
+    modes = np.asarray(fft.fft(along, axis=0, workers=1, overwrite_x=True), np.complex64)
     if parity:
         modes *= np.exp(-1j * np.pi * np.fft.fftfreq(len(modes))).astype(np.complex64)[:, None]
     chosen = modes.ravel()[bins.order]
@@ -182,8 +193,7 @@ def modes_of(along: NDArray[np.complex64], parity: int, bins: Bins) -> NDArray[n
 
 def products_of(modes: NDArray[np.float32], bins: Bins) -> Array:
     """Return the mean product of modes in every bin, shape (bin, exposure, exposure), DN^2; see `cross_spectra`."""
-    scale = float((bins.window.astype(float) ** 2).sum())
-    return _products(modes, bins.edges) / (scale * np.diff(bins.edges)[:, None, None])
+    return _products(modes, bins.edges) / (bins.power * np.diff(bins.edges)[:, None, None])
 
 
 @njit(cache=True, fastmath=True)
