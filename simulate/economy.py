@@ -64,11 +64,11 @@ class Plan:
         """Names of the effects left out."""
         return frozenset(effect.name for effect in self.left_out)
 
-    def text(self) -> str:
-        """Return the plan as a table for people."""
+    def text(self, measure: str = "at most, of the noise") -> str:
+        """Return the plan as a table for people, under the heading that says what influences are."""
         everything = sorted((*self.kept, *self.left_out), key=lambda effect: -effect.influence)
         width = max((len(effect.name) for effect in everything), default=6)
-        head = f"{'effect':{width}}  {'at most, of the noise':>21}  {'':8}  {'once, ms':>9}  {'a frame, ms':>11}"
+        head = f"{'effect':{width}}  {measure:>21}  {'':8}  {'once, ms':>9}  {'a frame, ms':>11}"
         lines = [
             f"{effect.name:{width}}  {_percent(effect.influence):>21}  "
             f"{'left out' if effect in self.left_out else 'kept':8}  "

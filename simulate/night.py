@@ -12,6 +12,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.cameras import Camera
 from simulate.iiccd.eye import eye_of
+from simulate.radiance.transport.eye import KNOWN, Eye
 from simulate.radiance.transport.picture import Picture, picture
 from simulate.radiance.transport.workers import workers
 from simulate.radiance.world.description import Scene
@@ -35,21 +36,22 @@ class Seen:
         Radiance, its error and the truth of each pixel.
     plan
         What it was made with.
+    eye
+        The sensor as it was planned for.
     title
         What it shows, where and when.
     """
 
     picture: Picture
     plan: LightPlan
+    eye: Eye
     title: str
 
     @property
-    def less_certain(self) -> float:
-        """Share of the pixels whose rays scatter more than the plan allows, at the limit of rays or by chance."""
-        allowed = self.plan.rays.allowed
-        if allowed is None:
-            return 0.0
-        return float(np.mean(self.picture.variance > allowed(self.picture.signal)))
+    def chance(self) -> float:
+        """Error of the pixels by chance over their grain, root mean square, by the scatter of their own rays."""
+        grain = self.eye.grain(self.picture.signal)
+        return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -59,7 +61,8 @@ class Seen:
         return (
             f"light by rays: left out {out}; see light.json; truth of each pixel in truth.npz",
             *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
-            f"by the scatter of their rays {100.0 * self.less_certain:.2g} % of the pixels are less certain than asked",
+            f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of their noise (or "
+            f"{100.0 * KNOWN * self.chance:.2g} % of the signal where that is more), root mean square",
         )
 
     def document(self) -> bytes:
@@ -156,7 +159,7 @@ class Night:
                 run=run,
                 progress=progress,
             )
-        return Seen(picture=found, plan=plan, title=self._title())
+        return Seen(picture=found, plan=plan, eye=eye, title=self._title())
 
     def _title(self) -> str:
         where, sky = self.scene.place, self.site.sky

@@ -137,7 +137,7 @@ def shot_of(
 
 def is_scene(source: Path) -> bool:
     """Whether a source is a scene's file or the name of a shipped one."""
-    return source.suffix == ".toml" or (not source.suffix and not source.exists())
+    return source.suffix == ".toml" or (not source.suffix and not source.is_file())
 
 
 def _no_bench(asked: Asked, conditions: Conditions) -> None:

@@ -99,6 +99,11 @@ class Table:
             object.__setattr__(self, name, read_only(values))
         object.__setattr__(self, "_total", self._integral())
 
+    @property
+    def integral(self) -> float:
+        """Integral of the intensities over all directions: lumens where they are candela."""
+        return self._total
+
     def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the share of the flux per sr, linear in both angles between the table's."""
         polar = np.rad2deg(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))

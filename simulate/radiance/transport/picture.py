@@ -1,8 +1,7 @@
 """The picture of a scene in spectral radiance: rays where they are needed, an estimate of its own error for each pixel.
 
-A first look along the middle of each pixel finds the edges of objects and shadows; a second, at some pixels of each
-tile, finds how much single rays differ. Both decide how many rays a pixel gets, and neither enters the picture: it is
-made of rays drawn afresh, so that choosing where to look closely does not bend what is seen.
+A first look along the middle of each pixel finds what is where (`truth`); a trial finds how much single rays differ and
+decides how many rays a pixel gets (`allotment`). The picture is made of rays drawn afresh.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.allotment import Rays, Trial, allotted
 from simulate.radiance.transport.gather import R2, Effort, Parts, Stage
 from simulate.radiance.transport.small_sources import add_small_sources
 from simulate.radiance.transport.truth import Truth, truth
@@ -21,31 +21,8 @@ from simulate.radiance.world.viewpoint import Viewpoint
 Array = NDArray[np.floating]
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
-# Side of a tile, px, and pixels and rays by which it is tried.
-TILE, TRIED, TRIES = 8, 2, 2
-# The same where it is tried how open the sky is.
+# Side of a tile, px, and pixels and rays by which it is tried how open the sky is.
 OPEN_TILE, OPEN_TRIED, OPEN_TRIES = 4, 2, 4
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rays:
-    """How many rays pixels get.
-
-    Parameters
-    ----------
-    fewest, edge, most
-        Rays of a pixel where nothing changes, of one where objects or shadows meet, and of any pixel at most.
-    gathered
-        Rays by which each place that they hit gathers its hemisphere.
-    allowed
-        Variance that a pixel's signal may have by chance, by its signal; None: no pixel gets more for its variance.
-    """
-
-    fewest: int = 2
-    edge: int = 12
-    most: int = 32
-    gathered: int = 2
-    allowed: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,20 +171,21 @@ def picture(
     )
     here = truth(stage, view)
     known = sky_known(stage, view, seed)
-    wanted = _wanted(look, here, known, rays)
+    wanted = allotted(here, rays, _tried(look, known), seed)
     jobs = list(_jobs(wanted, known, rays.gathered))
     bands, size = len(look.weight), wanted.size
     radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
     results = map(look.seen, jobs) if run is None else run(look, jobs)
-    done = 0
+    done, rays_in_all = 0, int(wanted.sum())
     for job, (light, spread) in zip(jobs, results, strict=True):
         radiance[job.pixels], variance[job.pixels] = light, spread
-        done += len(job.pixels)
-        progress(done / size)
+        done += len(job.pixels) * job.rays
+        progress(done / rays_in_all)
     add_small_sources(stage, view, radiance, effort.left_out)
     below_zero = int(np.count_nonzero((radiance < 0.0).any(axis=1)))
     signal = (radiance @ look.weight).reshape(view.shape)
-    cube = np.ascontiguousarray(np.maximum(radiance, 0.0).T).reshape(bands, *view.shape)
+    np.maximum(radiance, 0.0, out=radiance)
+    cube = np.ascontiguousarray(radiance.T).reshape(bands, *view.shape)
     return Picture(
         cube=RadianceCube(wavelength_nm=stage.coats.wavelength_nm, radiance=cube),
         signal=signal,
@@ -240,31 +218,18 @@ def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:
     return _of_tiles(1.0 - share, OPEN_TILE, view.shape).astype(np.float32)
 
 
-def _wanted(look: Look, here: Truth, known: NDArray[np.float32], rays: Rays) -> NDArray[np.int32]:
-    """Rays of each pixel, shape (row, col)."""
-    wanted = np.full(look.view.shape, rays.fewest, np.int32)
-    edges = here.edges()
-    if rays.allowed is not None:
-        wanted = np.maximum(wanted, _tried(look, edges, known, rays.allowed))
-    wanted[edges] = np.maximum(wanted[edges], rays.edge)
-    steps = 2 ** np.ceil(np.log2(np.minimum(wanted, rays.most) / rays.fewest))
-    return np.minimum(rays.fewest * steps, rays.most).astype(np.int32)
+def _tried(look: Look, known: NDArray[np.float32]) -> Trial:
+    """Trials of pixels, a batch at a time."""
 
+    def trial(pixels: NDArray[np.int64], rays: int) -> tuple[Array, Array]:
+        signal, single = np.empty(len(pixels)), np.empty(len(pixels))
+        for start in range(0, len(pixels), BATCH // rays):
+            part = slice(start, start + BATCH // rays)
+            light, variance = look.seen(Job(pixels[part], rays, known.ravel()[pixels[part]]))
+            signal[part], single[part] = light @ look.weight, variance * rays
+        return signal, single
 
-def _tried(
-    look: Look, edges: NDArray[np.bool_], known: NDArray[np.float32], allowed: Callable[[Array], Array]
-) -> NDArray[np.int32]:
-    """Rays that the variance of a few plain pixels of each tile asks for, for all of its pixels."""
-    rng = np.random.default_rng([look.seed, 0])
-    pixel, tiles = _some_pixels(look.view.shape, TILE, TRIED, rng)
-    signal, single = np.empty(len(pixel)), np.empty(len(pixel))
-    for start in range(0, len(pixel), BATCH // TRIES):
-        part = slice(start, start + BATCH // TRIES)
-        light, variance = look.seen(Job(pixel[part], TRIES, known.ravel()[pixel[part]]))
-        signal[part], single[part] = light @ look.weight, variance * TRIES
-    single[edges.ravel()[pixel]] = 0.0
-    need = (single / allowed(signal)).reshape(*tiles, TRIED).mean(axis=-1)
-    return _of_tiles(np.ceil(np.minimum(need, 1e6)).astype(np.int32), TILE, look.view.shape)
+    return trial
 
 
 def _some_pixels(

@@ -1,9 +1,11 @@
 """How much of a scene's light a sensor would notice: the bands, rays, bounces and sources that a picture needs.
 
-A trial picture of few pixels keeps every source and every bounce apart. What a part adds at most, over the noise of a
-pixel there in one frame, is its influence; parts whose influences stay below half of the tolerance together are left
-out. The other half is left to chance: a pixel gets as many rays as bring its own error below that. Influences are found
-at the trial's places, so they are estimates and no bounds: something small that the trial missed may have more.
+A trial picture of few pixels keeps every source and every bounce apart. What a part changes, over the grain of a pixel
+there (`Eye.grain`), root mean square over the sixteenth of the picture where that is most, is its influence; parts
+whose influences stay together below a share of the tolerance are left out. Bands are chosen to change no source by more
+than another share; the rest is left to chance, by which the whole picture may be off in its root mean square.
+Influences are found at the trial's places, so they are estimates and no bounds: something small that the trial missed
+may have more.
 """
 
 from dataclasses import dataclass
@@ -12,21 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.economy import Effect, Plan, plan_of
-from simulate.radiance.transport.eye import Eye
+from simulate.radiance.transport.allotment import Rays
+from simulate.radiance.transport.eye import KNOWN, Eye
 from simulate.radiance.transport.gather import Effort, Stage
-from simulate.radiance.transport.picture import Rays, along
+from simulate.radiance.transport.picture import along
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
 
-# Pixels of the trial, rays of each and by which each gathers, and bounces that it follows.
-TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES = 1500, 2, 4, 4
-# Share of the tolerance for what is left out; the rest is for chance.
-SHARE = 0.5
+# Pixels of the trial, rays of each and by which each gathers; bounces that it tells apart, and follows in all.
+TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES, TRIAL_LAST = 1600, 2, 4, 4, 24
+# Parts of the picture, down and across, in each of which influences are found by themselves.
+REGIONS = 4
+# Shares of the tolerance: for what is left out, for bands, and for chance, which adds by its square.
+SHARE, BANDS, CHANCE = 0.4, 0.2, 0.8
 # Spectral error allowed of any source's signal, at least and at most, and that of the trial.
 FINEST, COARSEST = 0.0005, 0.02
-# With nothing left out: error by chance as a share of the noise or of the signal, the larger counts; bounces before
-# paths go on by chance only, and at most.
-EXACT_NOISE, EXACT_SIGNAL, EXACT_ROULETTE, EXACT_BOUNCES = 0.01, 0.002, 3, 200
+# Most rays of a pixel; with nothing left out: the same, what chance may change, bounces before paths go on by chance
+# only, and bounces at most.
+MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 256, 2048, 0.03, 3, 200
+LAST_BOUNCE = f"bounce {TRIAL_BOUNCES} and further"
 # Brightest pixels, per cent, that saturate any sensor: they do not decide how fine the bands are.
 BRIGHTEST = 0.5
 # Seconds for a million rays and ten bands, as measured on one core: what a part costs.
@@ -35,22 +41,21 @@ SOURCE_S, BOUNCE_S = 0.25, 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class Chance:
-    """The variance by chance that a pixel may have: a share of its noise's, or of its signal squared if that is more.
+    """The variance by chance that pixels may have in the mean, by their signal.
 
     Parameters
     ----------
     eye
         Who looks.
-    of_noise, of_signal
-        Shares of the standard deviation and of the signal.
+    of_grain
+        Share of the grain that is the standard deviation of chance, root mean square over the picture.
     """
 
     eye: Eye
-    of_noise: float
-    of_signal: float = 0.0
+    of_grain: float
 
     def __call__(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
-        return np.maximum(self.of_noise * self.eye.noise(signal), self.of_signal * np.abs(signal)) ** 2
+        return (self.of_grain * self.eye.grain(signal)) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +71,7 @@ class LightPlan:
     rays, effort
         How many rays, and how far light is followed.
     plan
-        Parts that are kept and left out, influences in units of a pixel's noise.
+        Parts that are kept and left out, influences in units of a pixel's grain.
     sees
         Whose noise that is.
     exact
@@ -83,15 +88,19 @@ class LightPlan:
 
     def text(self) -> str:
         """Return the plan for people."""
-        chance = "as little as the exact mode asks" if self.exact else f"{SHARE * self.plan.tolerance:.3g} of the noise"
+        few, most = self.rays.fewest, self.rays.most
+        chance = self.rays.allowed.of_grain if isinstance(self.rays.allowed, Chance) else 0.0
+        follows = self.effort
+        bounces = "to the end, by chance" if follows.roulette_from is not None else f"{follows.bounces}"
         return "\n".join(
             (
                 f"light, by what {self.sees} would notice of it:",
-                self.plan.text(),
+                self.plan.text("rms where it is most"),
                 f"{len(self.wavelength_nm)} bands from {self.wavelength_nm[0]:.0f} to {self.wavelength_nm[-1]:.0f} nm, "
                 f"which change no source's signal by more than {100.0 * self.spectral_error:.2g} %",
-                f"{self.rays.fewest} to {self.rays.most} rays a pixel, {self.rays.edge} or more at edges, so that "
-                f"chance adds {chance}; bounces followed: {self.effort.bounces}",
+                f"{few} to {most} rays a pixel, so that chance adds {100.0 * chance:.2g} % of the "
+                f"noise (or {100.0 * KNOWN * chance:.2g} % of the signal, where that is more), root mean square",
+                f"bounces followed: {bounces}",
             )
         )
 
@@ -102,6 +111,7 @@ class LightPlan:
             "wavelength_nm": self.wavelength_nm.tolist(),
             "spectral_error": self.spectral_error,
             "bounces": self.effort.bounces,
+            "bounces_by_chance_from": self.effort.roulette_from,
             "rays": {name: getattr(self.rays, name) for name in ("fewest", "edge", "most", "gathered")},
             "exact": self.exact,
         }
@@ -116,7 +126,7 @@ class Trial:
     signal
         Signal of each place, shape (place,).
     parts
-        Signal of each part there, by name.
+        Signal of each part there by each ray, shape (place, ray), by name.
     shape
         Places (down, across).
     """
@@ -136,7 +146,7 @@ def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) 
     eye
         The sensor's response and noise.
     tolerance
-        What leaving out and chance may change together, as a share of a pixel's noise in one frame.
+        What leaving out and chance may change together, as a share of a pixel's grain, root mean square.
     seed
         Seed of the trial.
     """
@@ -144,18 +154,15 @@ def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) 
     tried = trial(stage, view, eye, seed)
     chosen = plan_of(_effects(tried, eye, view, len(stage.coats.wavelength_nm)), SHARE * tolerance)
     bright = float(np.percentile(tried.signal, 100.0 - BRIGHTEST)) if len(tried.signal) else 0.0
-    noise = float(eye.noise(bright))
-    error = float(np.clip(0.5 * SHARE * tolerance * noise / max(bright, 1e-30), FINEST, COARSEST))
+    error = float(np.clip(BANDS * tolerance * float(eye.grain(bright)) / max(bright, 1e-30), FINEST, COARSEST))
     if error < COARSEST:
         stage = site.on(site.bands(eye.response_nm, eye.response, error))
-    rays = Rays(allowed=Chance(eye=eye, of_noise=(1.0 - SHARE) * tolerance))
     plan = Plan(tolerance=tolerance, kept=chosen.kept, left_out=chosen.left_out)
-    effort = _effort(plan)
     return LightPlan(
         wavelength_nm=stage.coats.wavelength_nm,
         spectral_error=error,
-        rays=rays,
-        effort=effort,
+        rays=Rays(most=MOST, allowed=Chance(eye=eye, of_grain=CHANCE * tolerance)),
+        effort=_effort(plan),
         plan=plan,
         sees=eye.name,
     ), stage
@@ -168,13 +175,7 @@ def exact(site: Site, view: Viewpoint, eye: Eye, seed: int) -> tuple[LightPlan, 
     return LightPlan(
         wavelength_nm=stage.coats.wavelength_nm,
         spectral_error=FINEST,
-        rays=Rays(
-            fewest=4,
-            edge=64,
-            most=1024,
-            gathered=4,
-            allowed=Chance(eye=eye, of_noise=EXACT_NOISE, of_signal=EXACT_SIGNAL),
-        ),
+        rays=Rays(fewest=4, edge=64, most=EXACT_MOST, allowed=Chance(eye=eye, of_grain=EXACT_CHANCE)),
         effort=Effort(bounces=EXACT_BOUNCES, roulette_from=EXACT_ROULETTE),
         plan=Plan(tolerance=0.0, kept=tuple(effects), left_out=()),
         sees=eye.name,
@@ -200,19 +201,24 @@ def trial(stage: Stage, view: Viewpoint, eye: Eye, seed: int) -> Trial:
         stage,
         origin,
         towards,
-        Effort(bounces=TRIAL_BOUNCES),
+        Effort(bounces=TRIAL_LAST, roulette_from=TRIAL_BOUNCES),
         rng,
         gathered=TRIAL_GATHERED,
         split=True,
     ).found
-    parts = {name: _of_places(light @ weight) for name, light in found.items()}
+    parts: dict[str, NDArray[np.floating]] = {}
+    for name, light in found.items():
+        parts[_known_as(name)] = parts.get(_known_as(name), 0.0) + (light @ weight).reshape(-1, TRIAL_RAYS)
+    signal = np.asarray(sum(parts.values(), start=np.zeros((grid[0].size, TRIAL_RAYS)))).mean(axis=1)
     if stage.air.absorbs and stage.lighting.lamps:
-        parts["air before surfaces"] = _of_places(_air_between(stage, origin, towards, seed) @ weight)
-    return Trial(np.asarray(sum(parts[name] for name in found)), parts, grid[0].shape)
+        between = _air_between(stage, origin, towards, seed) @ weight
+        parts["air before surfaces"] = between.reshape(-1, TRIAL_RAYS)
+    return Trial(signal, parts, grid[0].shape)
 
 
-def _of_places(signal: NDArray[np.floating]) -> NDArray[np.floating]:
-    return signal.reshape(-1, TRIAL_RAYS).mean(axis=1)
+def _known_as(name: str) -> str:
+    """Bounces beyond those that are told apart are one part."""
+    return LAST_BOUNCE if name.startswith("bounce ") and int(name.split()[1]) >= TRIAL_BOUNCES else name
 
 
 def _air_between(
@@ -234,30 +240,40 @@ def _air_between(
 
 
 def _effects(tried: Trial, eye: Eye, view: Viewpoint, bands: int) -> list[Effect]:
-    """Turn parts into effects: their largest influence, and what they would cost."""
-    noise = eye.noise(tried.signal)
+    """Turn parts into effects: their influence, and what they would cost."""
+    grain = eye.grain(tried.signal)[:, None]
     million = view.shape[0] * view.shape[1] * Rays().fewest * 1e-6 * bands / 10.0
     influence = {
-        name: float(np.max(np.abs(_evened(part, tried.shape) if _gathered(name) else part) / noise, initial=0.0))
+        name: _influence(part / grain, tried.shape)
         for name, part in tried.parts.items()
         if name not in ("in view", "sky")
     }
     # A bounce cannot be followed without those before it.
-    for order in range(TRIAL_BOUNCES - 1, 0, -1):
-        further = influence.get(f"bounce {order + 1}", 0.0)
-        influence[f"bounce {order}"] = max(influence.get(f"bounce {order}", 0.0), further)
+    orders = [f"bounce {order}" for order in range(1, TRIAL_BOUNCES)] + [LAST_BOUNCE]
+    for order, further in zip(orders[-2::-1], orders[:0:-1], strict=True):
+        if further in influence:
+            influence[order] = max(influence.get(order, 0.0), influence[further])
     return [Effect(name=name, influence=amount, setup_s=million * _cost(name)) for name, amount in influence.items()]
+
+
+def _influence(part: NDArray[np.floating], shape: tuple[int, int]) -> float:
+    """Root mean square of a part (place, ray) over the region where that is largest.
+
+    Notes
+    -----
+    The mean square is that of the product of two rays of the same place, which chance does not enlarge as it would the
+    square of their mean: specks of one ray find no like in the other.
+    """
+    square = (part[:, 0] * part[:, 1]).reshape(shape)
+    regions = [
+        region.mean() for rows in np.array_split(square, REGIONS) for region in np.array_split(rows, REGIONS, axis=1)
+        if region.size
+    ]  # fmt: skip
+    return float(np.sqrt(max(0.0, *regions)))
 
 
 def _gathered(name: str) -> bool:
     return name.startswith("bounce") or name == "hidden sky"
-
-
-def _evened(part: NDArray[np.floating], shape: tuple[int, int]) -> NDArray[np.floating]:
-    """Average each place with its neighbours: what is gathered is smooth, and the largest of noisy numbers is not."""
-    from scipy.ndimage import uniform_filter
-
-    return uniform_filter(part.reshape(shape), 3).ravel()
 
 
 def _cost(name: str) -> float:
@@ -267,9 +283,12 @@ def _cost(name: str) -> float:
 def _effort(plan: Plan) -> Effort:
     orders = [int(effect.name.split()[1]) for effect in plan.kept if effect.name.startswith("bounce ")]
     out = plan.names
+    followed = max(orders, default=0)
+    to_the_end = followed >= TRIAL_BOUNCES
     return Effort(
-        bounces=max(orders, default=0),
+        bounces=EXACT_BOUNCES if to_the_end else followed,
         hidden_sky="hidden sky" not in out,
         air_between="air before surfaces" not in out,
         left_out=frozenset(out),
+        roulette_from=EXACT_ROULETTE if to_the_end else None,
     )

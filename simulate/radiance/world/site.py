@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere.air import Atmosphere
-from simulate.radiance.lamps import Cosine, Isotropic, Lamp, Spot, read_spectrum, spectrum
+from simulate.radiance.lamps import Cosine, Isotropic, Lamp, Spot, read_ies, read_spectrum, spectrum
 from simulate.radiance.sky.disc import Disc
 from simulate.radiance.sky.ephemeris import Place
 from simulate.radiance.sky.night_sky import NightSky
@@ -80,7 +80,7 @@ class Site:
     def sources(self) -> tuple[Spectrum, ...]:
         """Return the spectra of all light."""
         natural = () if self.sky is None else self.sky.sources()
-        lamps = tuple(lamp.flux for post, lamp in self.lamps if post.lumens > 0.0)
+        lamps = tuple(lamp.flux for _, lamp in self.lamps if lamp.flux.lumens > 0.0)
         return (*natural, *lamps, *(glow for _, glow in self.glows))
 
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
@@ -113,7 +113,7 @@ class Site:
                 )
                 for disc in discs
             ),
-            lamps=tuple(_lamp_light(post, lamp, grid) for post, lamp in self.lamps if post.lumens > 0.0),
+            lamps=tuple(_lamp_light(post, lamp, grid) for post, lamp in self.lamps if lamp.flux.lumens > 0.0),
             panels=self._panels(grid),
         )
 
@@ -178,16 +178,19 @@ def _without(sky: NightSky, bodies: tuple[Disc, ...]) -> NightSky:
 
 def _lamp(scene: Scene, post: LampPost) -> Lamp:
     beams = {"isotropic": Isotropic, "cosine": Cosine, "spot": lambda: Spot(half_angle_deg=post.half_angle_deg)}
+    measured = read_ies(scene.file(post.beam)) if post.measured else None
+    distribution = beams[post.beam]() if measured is None else measured.table
+    lumens = measured.lumens if post.lumens is None and measured is not None else float(post.lumens or 0.0)
     if post.kind.endswith(".csv"):
-        flux = read_spectrum(scene.file(post.kind), lumens=post.lumens)
+        flux = read_spectrum(scene.file(post.kind), lumens=lumens)
     else:
         flux = spectrum(
             post.kind,
-            lumens=post.lumens,
+            lumens=lumens,
             temperature_k=post.temperature_k,
             near_infrared_share=post.near_infrared_share,
         )
-    return Lamp(flux=flux, distribution=beams[post.beam]())
+    return Lamp(flux=flux, distribution=distribution)
 
 
 @dataclass(frozen=True)
@@ -204,7 +207,7 @@ class _Pattern:
 def _lamp_light(post: LampPost, lamp: Lamp, grid: NDArray[np.float64]) -> LampLight:
     position = np.asarray(post.position_m, float)
     axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.asarray(post.aim_m, float) - position
-    frame = frames((axis / np.linalg.norm(axis))[None])[0]
+    frame = _frame(axis / np.linalg.norm(axis), post.heading_deg)
     return LampLight(
         name=post.label,
         position_m=position,
@@ -212,6 +215,18 @@ def _lamp_light(post: LampPost, lamp: Lamp, grid: NDArray[np.float64]) -> LampLi
         spectrum=lamp.flux.on(grid).astype(np.float32),
         pattern=_Pattern(lamp, frame),
     )
+
+
+def _frame(axis: NDArray[np.float64], heading_deg: float) -> NDArray[np.float64]:
+    """Axes of a lamp, rows: C0, C90 (counterclockwise from above where it shines down) and its axis."""
+    heading = np.deg2rad(heading_deg)
+    first = np.array([np.sin(heading), np.cos(heading), 0.0])
+    first -= (first @ axis) * axis
+    length = np.linalg.norm(first)
+    if length < 1e-9:
+        return frames(axis[None])[0]
+    first /= length
+    return np.stack([first, np.cross(first, axis), axis])
 
 
 def _refuse_touching(post: LampPost, surfaces: Surfaces) -> None:

@@ -156,7 +156,7 @@ def test_choosing_where_to_look_closely_does_not_bend_the_picture(seed):
     parts = [("floor", "m", plane(40, 40)), ("shed", "m", at(shed(6, 5, 3, 4), 0, 4, 0))]
     stage = staged(parts, {"m": 0.5}, sky=UNIFORM, lamps=(lamp((0, 4, 2), 3.0, 0.3),))
     effort = Effort(bounces=1)
-    rays = Rays(allowed=lambda signal: (0.05 * signal) ** 2 + 1e-6)
+    rays = Rays(most=64, allowed=lambda signal: (0.02 * signal) ** 2 + 1e-6)
     found = picture(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
     rng = np.random.default_rng([seed, 1])
     row, col = 24 * rng.random(40000), 32 * rng.random(40000)

@@ -1,0 +1,177 @@
+"""How many rays each pixel gets: as few as keep chance, over the whole picture, within what is allowed.
+
+Some pixels of each tile are tried, edges of objects and shadows apart from the rest. What single rays differ there
+counts for the pixels of the same object around. The rays of the trial enter no picture: choosing where to look closely
+would else bend what is seen.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.transport.truth import Truth
+
+Array = NDArray[np.floating]
+# Side of a tile, px; pixels of each that are tried, those at edges that are tried besides, and rays of each.
+TILE, TRIED, TRIED_EDGES, TRIES = 8, 4, 2, 2
+# A trial costs so large a share of the rays that it asks for, in so many rounds at most: rare bright rays hide long.
+TRIAL_SHARE, ROUNDS = 0.1, 64
+# Objects beyond so many share their trials with others.
+OBJECTS = 255
+# Numbers of rays are steps of a factor of 2^(1/2), so that pixels of a kind can be followed together.
+STEPS_PER_DOUBLING = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rays:
+    """How many rays pixels get.
+
+    Parameters
+    ----------
+    fewest, edge, most
+        Rays of any pixel at least, of one where objects or shadows meet, and of any pixel at most.
+    gathered
+        Rays by which each place that they hit gathers its hemisphere.
+    allowed
+        Variance that pixels may have by chance, by their signal: over the picture, variances over this are 1 in the
+        mean. None: no pixel gets more for its variance.
+    """
+
+    fewest: int = 2
+    edge: int = 8
+    most: int = 32
+    gathered: int = 2
+    allowed: Callable[[Array], Array] | None = None
+
+
+class Trial(Protocol):
+    """Follows some pixels by a few rays each."""
+
+    def __call__(self, pixels: NDArray[np.int64], rays: int) -> tuple[Array, Array]:
+        """Return signals and the variances of single rays, each of shape (pixel,)."""
+        ...
+
+
+def allotted(here: Truth, rays: Rays, trial: Trial, seed: int) -> NDArray[np.int32]:
+    """Return the rays of each pixel, shape (row, col).
+
+    Notes
+    -----
+    With a variance v of single rays, in units of what is allowed, n = c v^(1/2) rays give the least mean of v/n for
+    their number (Neyman, 1934); c is the least that brings it to 1, were there no limit of rays. At edges n rays spread
+    evenly leave about v n^(-3/2), as the line crosses few of their cells; there n = (3/2 c^2 v)^(2/5), no fewer than
+    in the plain places around.
+    """
+    edges = here.edges()
+    least = np.where(edges, max(rays.edge, rays.fewest), rays.fewest)
+    least = np.minimum(least, rays.most)
+    if rays.allowed is None:
+        return least.astype(np.int32)
+    tried = _Tried(here, edges, rays.allowed)
+    rng = np.random.default_rng([seed, 0])
+    for round_number in range(1, ROUNDS + 1):
+        pixel = np.concatenate([_some(edges.shape, rng), *(_one_edge_each(edges, rng) for _ in range(TRIED_EDGES))])
+        tried.add(pixel, *trial(pixel, TRIES))
+        wanted = _shared_out(*tried.variances(), least, rays.most)
+        if round_number * TRIES * len(pixel) >= TRIAL_SHARE * wanted.sum():
+            break
+    return wanted
+
+
+def _shared_out(plain: Array, edge: Array, least: NDArray[np.integer], most: int) -> NDArray[np.int32]:
+    """Rays by variances of single ones in plain places and at edges: the fewest whose mean variance is 1, or `most`.
+
+    What pixels at the limit lack is not made up for by others: these could not, however many they got.
+    """
+
+    def rays(scale: float) -> Array:
+        return np.maximum(np.maximum(scale * np.sqrt(plain), (1.5 * scale**2 * edge) ** 0.4), least)
+
+    low, high = 0.0, max(1.0, 2.0 * float(np.sqrt(plain + edge).mean()))
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        each = rays(middle)
+        enough = np.mean(plain / each + edge / each**1.5) <= 1.0
+        low, high = (low, middle) if enough else (middle, high)
+    return _steps(rays(high), least, most)
+
+
+def _steps(rays: Array, least: NDArray[np.integer], most: int) -> NDArray[np.int32]:
+    """The nearest number of rays that is a step, between the least and the most."""
+    step = np.round(STEPS_PER_DOUBLING * np.log2(np.maximum(rays, 1.0)))
+    return np.clip(np.round(2.0 ** (step / STEPS_PER_DOUBLING)), least, most).astype(np.int32)
+
+
+class _Tried:
+    """What trials found, by kind of place: objects, and edges as a kind of their own; by tile, and the eight around it.
+
+    Parameters
+    ----------
+    here, edges
+        What is where, and what is an edge.
+    allowed
+        Variance allowed, by signal.
+    """
+
+    def __init__(self, here: Truth, edges: NDArray[np.bool_], allowed: Callable[[Array], Array]) -> None:
+        self._object = 1 + (here.object + 1) % OBJECTS
+        self._kind = np.where(edges, 0, self._object)
+        self._edges, self._allowed = edges, allowed
+        # Number of trials, sums of their signals and of their variances.
+        self._sums = np.zeros((3, OBJECTS + 1, *_tiles(edges.shape)))
+
+    def add(self, pixel: NDArray[np.int64], signal: Array, single: Array) -> None:
+        """Add trials of pixels (pixel,)."""
+        place = (self._kind.ravel()[pixel], *_tile_of(pixel, self._kind.shape))
+        for sums, values in zip(self._sums, (np.ones(len(pixel)), np.maximum(signal, 0.0), single), strict=True):
+            np.add.at(sums, place, values)
+
+    def variances(self) -> tuple[Array, Array]:
+        """Return variances of single rays over what is allowed, in plain places and at edges, shape (row, col)."""
+        count, signal, variance = (_with_neighbours(sums) for sums in self._sums)
+        # Where a kind was not tried around: all kinds there; where nothing was, everything.
+        of_all = count.sum(axis=0) > 0.5
+        mean, spread = (
+            np.where(
+                count > 0.5,
+                total / np.maximum(count, 1.0),
+                np.where(of_all, total.sum(axis=0) / np.maximum(count.sum(axis=0), 1.0), total.sum() / count.sum()),
+            )
+            for total in (signal, variance)
+        )
+        share = spread / self._allowed(mean)
+        down, across = np.indices(self._edges.shape) // TILE
+        return share[self._object, down, across], np.where(self._edges, share[0, down, across], 0.0)
+
+
+def _with_neighbours(grid: Array) -> Array:
+    """Sum of each tile (kind, down, across) and the eight around it."""
+    wide = np.pad(grid, ((0, 0), (1, 1), (1, 1)))
+    down = wide[:, :-2] + wide[:, 1:-1] + wide[:, 2:]
+    return down[:, :, :-2] + down[:, :, 1:-1] + down[:, :, 2:]
+
+
+def _tiles(shape: tuple[int, ...]) -> tuple[int, int]:
+    return -(-shape[0] // TILE), -(-shape[1] // TILE)
+
+
+def _tile_of(pixel: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[NDArray, NDArray]:
+    return pixel // shape[1] // TILE, pixel % shape[1] // TILE
+
+
+def _some(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.int64]:
+    """Numbers of a few pixels of each tile."""
+    corner = np.stack(np.meshgrid(*(TILE * np.arange(n) for n in _tiles(shape)), indexing="ij"), axis=-1)
+    at = corner.reshape(-1, 1, 2) + rng.integers(0, TILE, (corner[..., 0].size, TRIED, 2))
+    at = np.minimum(at, np.array(shape) - 1)
+    return (at[..., 0] * shape[1] + at[..., 1]).ravel()
+
+
+def _one_edge_each(edges: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
+    """One pixel at an edge of each tile that has any."""
+    pixel = rng.permutation(np.flatnonzero(edges))
+    down, across = _tile_of(pixel, edges.shape)
+    return pixel[np.unique(down * _tiles(edges.shape)[1] + across, return_index=True)[1]]
