@@ -48,6 +48,10 @@ class Conditions:
         Multiplication of an electron-multiplying register, dimensionless, at least 1.
     gain_control
         Control word of the tube's gain, counts.
+    luminous_gain
+        Luminous gain of the tube by its calibration, lm/lm.
+    luminous_gain_relative_sd
+        Relative standard uncertainty of that calibration, dimensionless; its error is common to all stacks.
     filter_density
         Optical density of the neutral filter in the beam, dimensionless, base 10; the illuminance is behind it.
     """
@@ -65,6 +69,8 @@ class Conditions:
     brightness_control: bool | None = None
     em_gain: float | None = None
     gain_control: float | None = None
+    luminous_gain: float | None = None
+    luminous_gain_relative_sd: float | None = None
     filter_density: float | None = None
 
     def __post_init__(self) -> None:

@@ -4,9 +4,11 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from labdata.adaptive import SaturationSearch, Until
+from labdata.border import from_toml
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.gain_table import GainTable
 from labdata.limits import Limits, Override
 from labdata.plan import Plan, Settle, Step, Wires
 from labdata.session import Kind
@@ -155,6 +157,8 @@ class PlanForm:
         Limits of the tube that are set aside, with reasons.
     settle
         How long to wait after a change.
+    gain_table
+        Calibration of the tube, by which steps may ask for a luminous gain, or the TOML file that holds it.
     step
         The stacks to take, in order.
     sweep
@@ -170,6 +174,7 @@ class PlanForm:
     limits: Limits = field(default_factory=Limits)
     override: tuple[Override, ...] = ()
     settle: Settle = field(default_factory=Settle)
+    gain_table: GainTable | str | None = None
     step: tuple[StepForm, ...] = ()
     sweep: tuple[SweepForm, ...] = ()
 
@@ -187,6 +192,7 @@ class PlanForm:
             limits=self.limits,
             overrides=self.override,
             settle=self.settle,
+            gain_table=_gain_table(self.gain_table),
             steps=(*(step.step() for step in self.step), *(step for sweep in self.sweep for step in sweep.steps())),
         )
 
@@ -203,8 +209,13 @@ class PlanForm:
             limits=plan.limits,
             override=plan.overrides,
             settle=plan.settle,
+            gain_table=plan.gain_table,
             step=tuple(_step_form(step) for step in plan.steps),
         )
+
+
+def _gain_table(given: GainTable | str | None) -> GainTable | None:
+    return from_toml(given, GainTable) if isinstance(given, str) else given
 
 
 def _step_form(step: Step) -> StepForm:

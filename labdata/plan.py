@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from labdata.adaptive import SaturationSearch, Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.gain_table import GainTable
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
 from labdata.session import Kind
 from labdata.target import Target
@@ -166,6 +167,8 @@ class Plan:
         Limits of the tube that are set aside, with reasons.
     settle
         How long to wait after a change.
+    gain_table
+        Calibration of the tube, by which steps may ask for a luminous gain; None: that of the sensor, if it has one.
     steps
         The stacks to take, in order.
     """
@@ -179,6 +182,7 @@ class Plan:
     limits: Limits = field(default_factory=Limits)
     overrides: tuple[Override, ...] = ()
     settle: Settle = field(default_factory=Settle)
+    gain_table: GainTable | None = None
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from labdata.description import (
     must_not_be_negative,
 )
 from labdata.errors import BadInput
+from labdata.gain_table import GainTable
 from labdata.limits import TubeLimits
 from labdata.parameter import Parameter
 
@@ -333,6 +334,7 @@ class Sensor(Description):
     ccd: Ccd
     video: Video
     limits: TubeLimits = field(default_factory=TubeLimits)
+    gain_table: GainTable | None = None  # calibration of this very tube, where there is one
     draws: Draws = field(default_factory=Draws)
     notes: tuple[str, ...] = ()
 
@@ -350,7 +352,8 @@ class Sensor(Description):
         G/(K_lm E_ph) / (S/e), so that G goes as K_lm E_ph of the screen: the plate makes up for a dimmer phosphor, its
         electron gain goes as one over the photons per electron, and its strip current limits it sooner. Only where
         the new screen's photons per electron were measured ("sheet" or "fitted") does the plate keep its electron gain
-        and G goes with them too. Blur, as part of the whole tube's, and the CCD's efficiency stay as described.
+        and G goes with them too. Blur, as part of the whole tube's, and the CCD's efficiency stay as described. A
+        calibration of its gain was of the old screen and is left out.
         """
         lumens = _lumens_per_photon(phosphor) / _lumens_per_photon(self.phosphor)
         brighter = float(phosphor.photons_per_electron) / float(self.phosphor.photons_per_electron)
@@ -363,7 +366,7 @@ class Sensor(Description):
         changed = self.with_parameters({path: known[path].scaled(factor, words) for path, factor in factors.items()})
         kept = "electron gain of the plate" if measured else "photons per photoelectron"
         note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
-        return replace(changed, phosphor=phosphor, draws=self.draws.rescreened(factors), notes=(*self.notes, note))
+        return replace(changed, phosphor=phosphor, gain_table=None, draws=self.draws.rescreened(factors), notes=(*self.notes, note))
 
     def draw(self, rng: np.random.Generator) -> "Sensor":
         """Return the sensor of one joint posterior draw; a sensor without draws is a BadInput."""

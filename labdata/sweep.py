@@ -17,7 +17,16 @@ from labdata.target import Target
 Order = Literal["as-written", "boustrophedon", "randomised"]
 Numbers = float | tuple[float, ...]
 
-AXES = ("target", "mcp_v", "gate_ns", "exposure_s", "camera_gain_db", "filter_density", "illuminance_lux")
+AXES = (
+    "target",
+    "mcp_v",
+    "luminous_gain",
+    "gate_ns",
+    "exposure_s",
+    "camera_gain_db",
+    "filter_density",
+    "illuminance_lux",
+)
 """What can be swept, the slowest and hardest on the tube outermost."""
 
 MOST_STEPS = 20_000
@@ -25,6 +34,7 @@ MOST_STEPS = 20_000
 
 _SHORT = {
     "mcp_v": "{:g}V",
+    "luminous_gain": "gain{:g}",
     "gate_ns": "{:g}ns",
     "exposure_s": "{:g}s",
     "camera_gain_db": "{:g}dB",
@@ -49,6 +59,8 @@ class SweepForm:
         The target, or several.
     mcp_v
         Voltage across the plate, V; one or several.
+    luminous_gain
+        Luminous gain, lm/lm, set as volts by the gain table of the plan or of its sensor; one or several.
     gate_ns
         Gate, ns; one or several.
     exposure_s
@@ -86,6 +98,7 @@ class SweepForm:
     label: str | None = None
     target: Target | tuple[Target, ...] = field(default_factory=Target)
     mcp_v: Numbers | None = None
+    luminous_gain: Numbers | None = None
     gate_ns: Numbers | None = None
     exposure_s: Numbers | None = None
     camera_gain_db: Numbers | None = None

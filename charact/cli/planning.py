@@ -13,6 +13,7 @@ from charact.cli.output import bad_input_ends
 
 if TYPE_CHECKING:
     from drivers.acquisition.forecast import Forecast, StepForecast
+    from labdata.gain_table import GainTable
     from labdata.plan import Plan
     from labdata.sensor import Sensor
     from labdata.tube_dose import Dose
@@ -51,10 +52,12 @@ def plan(
         from charact.cli.plan_files import load_plan
         from drivers.acquisition.forecast import forecast
         from drivers.acquisition.plan_check import check_plan
+        from labdata.calibrated_gain import in_volts
         from labdata.sensors import load_sensor
 
         asked = load_plan(plan)
         sensor = None if asked.sensor is None else load_sensor(asked.sensor)
+        asked = in_volts(asked, sensor)
         check_plan(asked, Path.cwd(), sensor)
         foreseen = forecast(asked, sensor)
         if as_json:
@@ -73,12 +76,13 @@ def _document(given: str, asked: "Plan", foreseen: "Forecast", sensor: "Sensor |
         "charact": __version__,
         "input": given,
         "name": asked.name,
-        "steps": [_step_document(one) for one in foreseen.steps],
+        "steps": [_step_document(one, foreseen.gain_table) for one in foreseen.steps],
+        "gain_table": None if foreseen.gain_table is None else foreseen.gain_table.provenance,
         "seconds": round(foreseen.seconds, 1),
         "bytes": foreseen.bytes,
         "dose": _dose_document(foreseen.dose),
         "dose_before": None if before is None else _dose_document(before),
-        "hottest": _step_document(foreseen.hottest),
+        "hottest": _step_document(foreseen.hottest, foreseen.gain_table),
         "limits": {name: getattr(foreseen.limits, name) for name in LIMITS},
         "overridden": list(foreseen.limits.overridden),
         "tube_known": foreseen.limits.known,
@@ -86,13 +90,17 @@ def _document(given: str, asked: "Plan", foreseen: "Forecast", sensor: "Sensor |
     }
 
 
-def _step_document(one: "StepForecast") -> dict[str, Any]:
-    asked = one.step.conditions
+def _step_document(one: "StepForecast", table: "GainTable | None") -> dict[str, Any]:
+    from labdata.calibrated_gain import by_calibration
+
+    asked, gain = one.step.conditions, by_calibration(table, one.step.conditions.mcp_v)
     return {
         "label": one.step.label,
         "kind": one.step.kind,
         "frames": one.step.most_frames,
         "mcp_v": asked.mcp_v,
+        "luminous_gain": gain.luminous_gain,
+        "luminous_gain_relative_sd": gain.luminous_gain_relative_sd,
         "gate_ns": asked.gate_ns,
         "exposure_s": asked.exposure_s,
         "illuminance_lux": one.step.brightest.conditions.illuminance_lux,
@@ -119,10 +127,12 @@ def _lines(asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None", *, ever
     hottest, before = foreseen.hottest, _before(asked)
     limit = foreseen.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")
     known = "" if foreseen.limits.known else "The tube is not described: cautious limits hold, its load is a guess."
+    table = foreseen.gain_table
+    gain, rest = "" if table is None else f" {'lm/lm':>9}", f"{'lux':>9} {'nA/cm2':>9} {'limit':>6}"
     return [
         f"{asked.name}: {len(foreseen.steps)} steps, nothing is switched on",
-        f"{'label':<32} {'kind':<6} {'frames':>6} {'V':>6} {'gate ms':>8} {'lux':>9} {'nA/cm2':>9} {'limit':>6}",
-        *(_line(one) for one in shown),
+        f"{'label':<32} {'kind':<6} {'frames':>6} {'V':>6}{gain} {'gate ms':>8} {rest}",
+        *(_line(one, table) for one in shown),
         *([f"... and {left} more; --all prints them"] if left else []),
         f"time: {duration(foreseen.seconds)}",
         f"disk: {foreseen.bytes / 1e6:.0f} MB" if sensor else "disk: unknown without a sensor",
@@ -131,16 +141,21 @@ def _lines(asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None", *, ever
         f"hottest: {hottest.step.label}, {hottest.anode_na_per_cm2:.3g} nA/cm2 asked of the plate, "
         f"{hottest.share_of_limit:.0%} of the {limit:g} allowed",
         *([known] if known else []),
+        *([table.provenance] if table else []),
         *foreseen.limits.overridden,
         *_warnings(foreseen, before, sensor),
     ]
 
 
-def _line(one: "StepForecast") -> str:
+def _line(one: "StepForecast", table: "GainTable | None") -> str:
+    from labdata.calibrated_gain import by_calibration
+
     asked = one.step.brightest.conditions
+    gain = by_calibration(table, asked.mcp_v).luminous_gain or 0.0
+    gain_words = "" if table is None else f" {gain:>9.4g}"
     return (
-        f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {asked.mcp_v or 0.0:>6g} "
-        f"{(asked.gate_ns or 0.0) * 1e-6:>8.4g} {asked.illuminance_lux or 0.0:>9.3g} "
+        f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {asked.mcp_v or 0.0:>6g}"
+        f"{gain_words} {(asked.gate_ns or 0.0) * 1e-6:>8.4g} {asked.illuminance_lux or 0.0:>9.3g} "
         f"{one.anode_na_per_cm2:>9.3g} {one.share_of_limit:>6.1%}"
     )
 

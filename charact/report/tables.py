@@ -154,6 +154,8 @@ def verdicts(result: Result) -> dict[str, int]:
 CONDITION_UNITS = {
     "exposure_s": ("Exposure", "s"),
     "mcp_v": ("Microchannel plate", "V"),
+    "luminous_gain": ("Luminous gain by calibration", "lm/lm"),
+    "luminous_gain_relative_sd": ("Relative uncertainty of the luminous gain", "1"),
     "gate_ns": ("Gate", "ns"),
     "illuminance_lux": ("Illuminance on the photocathode", "lux"),
     "illuminance_relative_sd": ("Relative uncertainty of the illuminance", "1"),

@@ -11,6 +11,7 @@ from drivers.acquisition.requests import Requests
 from drivers.acquisition.run import Run
 from drivers.acquisition.search import search
 from drivers.interface import Bench, Camera, Operator
+from labdata.calibrated_gain import gain_table_of, in_volts
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
 from labdata.plan import Judge, Plan
@@ -78,6 +79,7 @@ def acquire(
     """
     folder = Path(folder)
     sensor = None if plan.sensor is None else load_sensor(plan.sensor)
+    plan = in_volts(plan, sensor)
     check_plan(plan, folder, sensor)
     _require_judge(plan, judge)
     keep_plan(plan, folder, resume=resume)
@@ -110,6 +112,7 @@ def acquire(
             full_scale_dn=2.0 ** bit_depth(sensor, settings) - 1.0,
             judge=judge,
             settle=plan.settle,
+            gain_table=gain_table_of(plan, sensor),
             pace=pace,
             progress=progress,
             finished=finished,

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from drivers.acquisition.plan_check import bytes_of, gate_hz
 from drivers.acquisition.run import DISCARDED_FRAMES
+from labdata.calibrated_gain import gain_table_of
+from labdata.gain_table import GainTable
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
@@ -59,11 +61,14 @@ class Forecast:
         What its frames would take on the disk; 0 where no sensor tells the size of a frame.
     limits
         The limits in force.
+    gain_table
+        The calibration in force, or None.
     """
 
     steps: tuple[StepForecast, ...]
     bytes: int
     limits: LimitsInForce
+    gain_table: GainTable | None
 
     @property
     def seconds(self) -> float:
@@ -87,14 +92,15 @@ def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
     Parameters
     ----------
     plan
-        The plan, checked by `check_plan`.
+        The plan, in volts, checked by `check_plan`.
     sensor
         The camera it is for, or None.
     """
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     befores = (None, *plan.steps[:-1])
     steps = tuple(_step(plan, step, before, sensor, limits) for step, before in zip(plan.steps, befores, strict=True))
-    return Forecast(steps=steps, bytes=bytes_of(plan, sensor), limits=limits)
+    table = gain_table_of(plan, sensor)
+    return Forecast(steps=steps, bytes=bytes_of(plan, sensor), limits=limits, gain_table=table)
 
 
 def _step(plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, limits: LimitsInForce) -> StepForecast:

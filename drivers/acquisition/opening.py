@@ -4,6 +4,7 @@ from pathlib import Path
 
 from drivers.acquisition.plan_check import same_but_wires
 from labdata.border import from_toml, to_toml
+from labdata.calibrated_gain import gain_table_of
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.durable import write_durably
 from labdata.errors import BadInput
@@ -57,7 +58,11 @@ def session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: Ca
         sensor=_sensor_name(plan, folder, sensor),
         bit_depth=bit_depth(sensor, settings),
         interlaced=sensor.video.interlaced if sensor else _interlaced(settings),
-        notes=(*_notes_of(settings), *limits_in_force(plan.limits, sensor, plan.overrides).overridden),
+        notes=(
+            *_notes_of(settings),
+            *([] if (table := gain_table_of(plan, sensor)) is None else [table.provenance]),
+            *limits_in_force(plan.limits, sensor, plan.overrides).overridden,
+        ),
     )
 
 

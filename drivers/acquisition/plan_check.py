@@ -65,7 +65,7 @@ def same_but_wires(plan: Plan, other: Plan) -> str | None:
     for step in plan.steps:
         if steps.get(step.label) != step:
             return f"step {step.label!r}"
-    names = ("name", "sensor", "tube", "seed", "scene", "limits", "overrides", "settle")
+    names = ("name", "sensor", "tube", "seed", "scene", "limits", "overrides", "settle", "gain_table")
     return next((name for name in names if getattr(plan, name) != getattr(other, name)), "steps")
 
 

@@ -14,10 +14,12 @@ from drivers.acquisition.read_back import merged, require_same
 from drivers.acquisition.requests import Requests
 from drivers.errors import BenchError
 from drivers.interface import Bench, Camera, Operator
+from labdata.calibrated_gain import by_calibration
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
+from labdata.gain_table import GainTable
 from labdata.plan import Judge, Settle, Step, Watcher
 from labdata.session import open_session
 from labdata.store.storage import Storage, StoredStack
@@ -42,6 +44,7 @@ class Run:
         full_scale_dn: float,
         judge: Judge | None,
         settle: Settle,
+        gain_table: GainTable | None,
         pace: Pace,
         progress: Callable[[str, float], None],
         finished: Sequence[str],
@@ -52,7 +55,7 @@ class Run:
         self._camera, self._bench, self._operator = camera, bench, operator
         self._settings, self._full_scale_dn, self._judge = settings, full_scale_dn, judge
         self._pace, self._progress = pace, progress
-        self._settle, self._before = settle, None
+        self._settle, self._gain_table, self._before = settle, gain_table, None
         self.finished, self._partial, self._doubtful = finished, partial, doubtful
 
     def between_steps(self, requests: Requests) -> None:
@@ -136,7 +139,7 @@ class Run:
         self._wait(self._settle.wait_s(self._before, asked), clock)
         self._before = asked
         camera = Conditions(exposure_s=self._settings.exposure_s, camera_gain_db=self._settings.gain_db)
-        return merged(asked, tube, light, camera)
+        return merged(asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera)
 
     def _wait(self, seconds: float, clock: StepClock) -> None:
         """Let gain and light settle, with an eye on the bench."""

@@ -8,6 +8,7 @@ from labdata.gain_table import GainTable
 # A plate whose gain goes as the fifteenth power of its voltage.
 VOLTS = (600.0, 700.0, 800.0, 900.0)
 TABLE = GainTable(
+    source="integrating sphere",
     mcp_v=VOLTS,
     luminous_gain=tuple(1e4 * (volts / 800.0) ** 15 for volts in VOLTS),
     relative_sd=(0.05, 0.04, 0.03, 0.03),
@@ -31,7 +32,7 @@ def test_gain_rises_with_voltage():
 
 
 def test_where_the_power_changes_the_gain_between_points_is_less_certain():
-    bent = GainTable(mcp_v=VOLTS, luminous_gain=(1e3, 1e4, 2e4, 3e4), relative_sd=(0.01,) * 4)
+    bent = GainTable(source="x", mcp_v=VOLTS, luminous_gain=(1e3, 1e4, 2e4, 3e4), relative_sd=(0.01,) * 4)
     assert bent.gain_at(700.0)[1] == pytest.approx(0.01)
     assert bent.gain_at(750.0)[1] > 0.1
 
@@ -50,4 +51,4 @@ def test_a_gain_that_was_not_calibrated_has_no_voltage():
 @pytest.mark.parametrize("gains", [(1.0, 3.0, 2.0, 4.0), (0.0, 1.0, 2.0, 3.0), (1.0, 1.0, 2.0, 3.0), (1.0, 2.0)])
 def test_a_table_that_does_not_rise_is_none(gains):
     with pytest.raises(BadInput):
-        GainTable(mcp_v=VOLTS, luminous_gain=gains, relative_sd=(0.01,) * len(gains))
+        GainTable(source="x", mcp_v=VOLTS, luminous_gain=gains, relative_sd=(0.01,) * len(gains))
