@@ -123,6 +123,8 @@ class NoOperator:
     def darken(self) -> None:
         """Nothing shines."""
 
-    def place(self, *, kind: Kind, target: Target, illuminance_lux: float) -> Conditions:
+    def place(
+        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+    ) -> Conditions:
         """Read back what was asked."""
         return Conditions(illuminance_lux=illuminance_lux)

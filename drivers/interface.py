@@ -67,7 +67,10 @@ class Bench(Protocol):
         ...
 
     def guard(self, operator: "Operator") -> "Operator":
-        """Put whoever places targets and light behind the bench's interlock; only what is returned may be used."""
+        """Put the bench's lamp, and whoever places targets and light, behind the interlock.
+
+        Only what is returned may be used.
+        """
         ...
 
     @property
@@ -95,8 +98,19 @@ class Operator(Protocol):
         """Block the light, waiting for nobody."""
         ...
 
-    def place(self, *, kind: Kind, target: Target, illuminance_lux: float) -> Conditions:
+    def place(
+        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+    ) -> Conditions:
         """Put a target before the camera, set the light (0: dark), and return what the light meter reads.
+
+        Parameters
+        ----------
+        kind, target
+            What the frames will show.
+        illuminance_lux
+            On the photocathode, behind the filter, lux.
+        filter_density
+            Optical density of the neutral filter in the light; None: whichever suits.
 
         Returns
         -------

@@ -48,6 +48,8 @@ class Conditions:
         Multiplication of an electron-multiplying register, dimensionless, at least 1.
     gain_control
         Control word of the tube's gain, counts.
+    lamp_a
+        Current through the lamp of the bench, A.
     luminous_gain
         Luminous gain of the tube by its calibration, lm/lm.
     luminous_gain_relative_sd
@@ -69,6 +71,7 @@ class Conditions:
     brightness_control: bool | None = None
     em_gain: float | None = None
     gain_control: float | None = None
+    lamp_a: float | None = None
     luminous_gain: float | None = None
     luminous_gain_relative_sd: float | None = None
     filter_density: float | None = None

@@ -1,7 +1,7 @@
 """How sessions and plans are written in a file: conditions lie flat in the table of their stack or step."""
 
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, TypeVar
 
 from labdata.adaptive import SaturationSearch, Until
 from labdata.border import from_toml
@@ -9,11 +9,14 @@ from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gain_table import GainTable
+from labdata.lamp import Lamp
 from labdata.limits import Limits, Override
 from labdata.plan import Plan, Settle, Step, Wires
 from labdata.session import Kind
 from labdata.sweep import MOST_STEPS, SweepForm
 from labdata.target import Target
+
+T = TypeVar("T")
 
 
 def conditions_of(form: Conditions) -> Conditions:
@@ -159,6 +162,8 @@ class PlanForm:
         How long to wait after a change.
     gain_table
         Calibration of the tube, by which steps may ask for a luminous gain, or the TOML file that holds it.
+    lamp
+        Calibration of the light source and of the filters before it, or the TOML file that holds it.
     step
         The stacks to take, in order.
     sweep
@@ -175,6 +180,7 @@ class PlanForm:
     override: tuple[Override, ...] = ()
     settle: Settle = field(default_factory=Settle)
     gain_table: GainTable | str | None = None
+    lamp: Lamp | str | None = None
     step: tuple[StepForm, ...] = ()
     sweep: tuple[SweepForm, ...] = ()
 
@@ -192,7 +198,8 @@ class PlanForm:
             limits=self.limits,
             overrides=self.override,
             settle=self.settle,
-            gain_table=_gain_table(self.gain_table),
+            gain_table=_read(self.gain_table, GainTable),
+            lamp=_read(self.lamp, Lamp),
             steps=(*(step.step() for step in self.step), *(step for sweep in self.sweep for step in sweep.steps())),
         )
 
@@ -210,12 +217,14 @@ class PlanForm:
             override=plan.overrides,
             settle=plan.settle,
             gain_table=plan.gain_table,
+            lamp=plan.lamp,
             step=tuple(_step_form(step) for step in plan.steps),
         )
 
 
-def _gain_table(given: GainTable | str | None) -> GainTable | None:
-    return from_toml(given, GainTable) if isinstance(given, str) else given
+def _read(given: T | str | None, type_: type[T]) -> T | None:
+    """Return a calibration that stands in the plan, or read the file that it names."""
+    return from_toml(given, type_) if isinstance(given, str) else given
 
 
 def _step_form(step: Step) -> StepForm:

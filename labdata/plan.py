@@ -1,5 +1,6 @@
 """An acquisition plan: which stacks to take, at which settings, within which limits."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
@@ -9,12 +10,39 @@ from labdata.adaptive import SaturationSearch, Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gain_table import GainTable
+from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
 from labdata.session import Kind
 from labdata.target import Target
 
 LONGEST_SETTLE_S = 86400.0
 """A wait longer than a day is a slip of the pen, s."""
+
+
+Role = Literal["gate", "supply", "light-source", "filter-wheel", "light-meter", "thermometer"]
+"""What an instrument is for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reached:
+    """One serial instrument of the bench and how it is reached.
+
+    Parameters
+    ----------
+    role
+        What it is for.
+    model
+        Name of its model.
+    port
+        Serial port of it or of the adapter before it; None: not known.
+    address
+        GPIB address, where it stands behind an adapter.
+    """
+
+    role: Role
+    model: str
+    port: str | None
+    address: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,11 +53,17 @@ class Wires:
     ----------
     bench
         "virtual": the virtual bench's own processes on real wires. "in-process": its camera and serial lines inside
-        this process, where Aravis cannot be had. "real": the ports below.
+        this process, where Aravis cannot be had. "real": the ports below. On a virtual bench an instrument whose port
+        is named, or a camera that is named, is a real one among virtual ones.
     gate, supply
         Models of the gate generator and of the high-voltage supply; other packages may bring further ones.
     gate_port, supply_port
         Serial ports of gate and supply, or of the adapters before them.
+    light, wheel, light_meter, thermometer
+        Models of the light source and of the filter wheel before it, of the light meter and of the thermometer; None:
+        there is none, and a person sets the light.
+    light_port, wheel_port, light_meter_port, thermometer_port
+        Their serial ports.
     gate_address, supply_address
         GPIB addresses of those behind an adapter.
     camera
@@ -45,7 +79,49 @@ class Wires:
     supply_port: str | None = None
     gate_address: int = 15
     supply_address: int = 14
+    light: str | None = None
+    light_port: str | None = None
+    wheel: str | None = None
+    wheel_port: str | None = None
+    light_meter: str | None = None
+    light_meter_port: str | None = None
+    thermometer: str | None = None
+    thermometer_port: str | None = None
     camera: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.wheel is not None and self.light is None:
+            raise BadInput(f"a filter wheel must stand before a light source, got the wheel {self.wheel!r} alone")
+
+    @property
+    def instruments(self) -> tuple[Reached, ...]:
+        """Every serial instrument that stands at the bench; gate and supply always do."""
+        optional = {
+            "light-source": (self.light, self.light_port),
+            "filter-wheel": (self.wheel, self.wheel_port),
+            "light-meter": (self.light_meter, self.light_meter_port),
+            "thermometer": (self.thermometer, self.thermometer_port),
+        }
+        return (
+            Reached(role="gate", model=self.gate, port=self.gate_port, address=self.gate_address),
+            Reached(role="supply", model=self.supply, port=self.supply_port, address=self.supply_address),
+            *(Reached(role=role, model=model, port=port) for role, (model, port) in optional.items() if model),
+        )
+
+    def with_ports(self, ports: Mapping[Role, str | None]) -> "Wires":
+        """Return the same wires with instruments at other ports, by their role."""
+        return replace(self, **{PORT_KEYS[role]: port for role, port in ports.items()})
+
+
+PORT_KEYS: dict[Role, str] = {
+    "gate": "gate_port",
+    "supply": "supply_port",
+    "light-source": "light_port",
+    "filter-wheel": "wheel_port",
+    "light-meter": "light_meter_port",
+    "thermometer": "thermometer_port",
+}
+"""Keys of the ports, by role."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,6 +245,8 @@ class Plan:
         How long to wait after a change.
     gain_table
         Calibration of the tube, by which steps may ask for a luminous gain; None: that of the sensor, if it has one.
+    lamp
+        Calibration of the light source and of the filters before it; a plan whose wires name a light source has one.
     steps
         The stacks to take, in order.
     """
@@ -183,12 +261,16 @@ class Plan:
     overrides: tuple[Override, ...] = ()
     settle: Settle = field(default_factory=Settle)
     gain_table: GainTable | None = None
+    lamp: Lamp | None = None
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
         labels = [step.label for step in self.steps]
         if not labels:
             raise BadInput("a plan must have at least one step, got none")
+        if (self.lamp is None) != (self.wires.light is None):
+            there = "none" if self.lamp is None else "one"
+            raise BadInput(f"a plan must have a lamp where its wires name a light, got {there} for {self.wires.light}")
         if len(set(labels)) != len(labels):
             raise BadInput(f"every step's label must be its own, got {labels}")
         # Where a sensor is named, its own limits are known to whoever has read it; see drivers.acquisition.plan_check.

@@ -366,7 +366,8 @@ class Sensor(Description):
         changed = self.with_parameters({path: known[path].scaled(factor, words) for path, factor in factors.items()})
         kept = "electron gain of the plate" if measured else "photons per photoelectron"
         note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
-        return replace(changed, phosphor=phosphor, gain_table=None, draws=self.draws.rescreened(factors), notes=(*self.notes, note))
+        draws, notes = self.draws.rescreened(factors), (*self.notes, note)
+        return replace(changed, phosphor=phosphor, gain_table=None, draws=draws, notes=notes)
 
     def draw(self, rng: np.random.Generator) -> "Sensor":
         """Return the sensor of one joint posterior draw; a sensor without draws is a BadInput."""

@@ -63,26 +63,18 @@ def _on_virtual_bench(
     from charact.cli.judge import SaturationJudge
     from drivers.acquisition.acquire import acquire
     from drivers.acquisition.requests import Requests
-    from drivers.instruments.models import model
+    from drivers.instruments.models import lines_on
     from drivers.tube.bench import Bench
     from labdata.sensors import load_sensor
     from simulate.rig.bench import VirtualBench
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
-    sensor, kind = load_sensor(plan.sensor), plan.wires.bench
-    gate, supply = model(plan.wires.gate, "gate"), model(plan.wires.supply, "supply")
-    virtual_bench = VirtualBench(
-        bench_folder(session), sensor, plan.seed, wires=kind, gate=gate.name, supply=supply.name, say=tell
-    )
+    sensor = load_sensor(plan.sensor)
+    virtual_bench = VirtualBench(bench_folder(session), sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
     with virtual_bench as virtual:
         session.parent.mkdir(parents=True, exist_ok=True)
-        wires, lines = virtual.wires, None
-        if (inside := virtual.inside) is not None:
-            lines = (
-                gate.line(inside.gate_port, wires.gate_address),
-                supply.line(inside.supply_port, wires.supply_address),
-            )
+        wires, inside = virtual.wires, virtual.inside
         return acquire(
             plan,
             session,
@@ -91,7 +83,8 @@ def _on_virtual_bench(
                 wires,
                 limits_in_force(plan.limits, sensor, plan.overrides),
                 log=bench_folder(session) / WATCHDOG_LOG,
-                lines=lines,
+                lines=None if inside is None else lines_on(inside.ports, wires),
+                lamp=plan.lamp,
                 gate_hz=float(sensor.video.field_rate_hz),
                 dose=_ledger(plan, session),
                 session=str(session),
@@ -119,7 +112,7 @@ def _on_real_bench(
     plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
 ) -> Session:
     from charact.cli.judge import SaturationJudge
-    from charact.cli.prompting import PromptingOperator
+    from charact.cli.prompting import PromptingOperator, TargetPlacer
     from drivers.acquisition.acquire import acquire
     from drivers.acquisition.plan_check import gate_hz
     from drivers.acquisition.requests import Requests
@@ -135,11 +128,12 @@ def _on_real_bench(
             plan.wires,
             limits_in_force(plan.limits, sensor, plan.overrides),
             log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"),
+            lamp=plan.lamp,
             gate_hz=gate_hz(sensor),
             dose=_ledger(plan, session),
             session=str(session),
         ),
-        operator=PromptingOperator(),
+        operator=PromptingOperator() if plan.lamp is None else TargetPlacer(),
         judge=SaturationJudge(),
         resume=resume,
         progress=progress,

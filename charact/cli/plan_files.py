@@ -18,7 +18,7 @@ def shipped_plans() -> tuple[str, ...]:
 
 
 def load_plan(path: Path) -> Plan:
-    """Read a plan from a file, or a shipped one by its name; a sensor file or gain table is found beside it.
+    """Read a plan from a file, or a shipped one by its name; sensor and calibrations are found beside it.
 
     Raises
     ------
@@ -30,13 +30,13 @@ def load_plan(path: Path) -> Plan:
             return from_toml(shipped, Plan)
     if not os.path.exists(path):
         raise BadInput(f"a plan must be a file or one of {', '.join(shipped_plans())}, got {path}")
-    plan = from_mapping(_gain_table_beside(path), Plan, where=path.name)
+    plan = from_mapping(_calibrations_beside(path), Plan, where=path.name)
     beside = path.parent / (plan.sensor or "")
     return replace(plan, sensor=str(beside.resolve())) if plan.sensor is not None and os.path.isfile(beside) else plan
 
 
-def _gain_table_beside(path: Path) -> dict[str, Any]:
-    """Read a plan's file; the file of its gain table, where it names one, is meant relative to the plan."""
+def _calibrations_beside(path: Path) -> dict[str, Any]:
+    """Read a plan's file; the files of its calibrations, where it names any, are meant relative to the plan."""
     written = read_toml(path)
-    named = written.get("gain_table")
-    return {**written, "gain_table": str(path.parent / named)} if isinstance(named, str) else written
+    named = {key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)}
+    return {**written, **{key: str(path.parent / name) for key, name in named.items()}}

@@ -13,6 +13,7 @@ from charact.cli.output import bad_input_ends
 
 if TYPE_CHECKING:
     from drivers.acquisition.forecast import Forecast, StepForecast
+    from labdata.conditions import Conditions
     from labdata.gain_table import GainTable
     from labdata.plan import Plan
     from labdata.sensor import Sensor
@@ -76,13 +77,14 @@ def _document(given: str, asked: "Plan", foreseen: "Forecast", sensor: "Sensor |
         "charact": __version__,
         "input": given,
         "name": asked.name,
-        "steps": [_step_document(one, foreseen.gain_table) for one in foreseen.steps],
+        "steps": [_step_document(one, asked, foreseen.gain_table) for one in foreseen.steps],
         "gain_table": None if foreseen.gain_table is None else foreseen.gain_table.provenance,
         "seconds": round(foreseen.seconds, 1),
         "bytes": foreseen.bytes,
         "dose": _dose_document(foreseen.dose),
         "dose_before": None if before is None else _dose_document(before),
-        "hottest": _step_document(foreseen.hottest, foreseen.gain_table),
+        "lamp": None if asked.lamp is None else asked.lamp.provenance,
+        "hottest": _step_document(foreseen.hottest, asked, foreseen.gain_table),
         "limits": {name: getattr(foreseen.limits, name) for name in LIMITS},
         "overridden": list(foreseen.limits.overridden),
         "tube_known": foreseen.limits.known,
@@ -90,10 +92,11 @@ def _document(given: str, asked: "Plan", foreseen: "Forecast", sensor: "Sensor |
     }
 
 
-def _step_document(one: "StepForecast", table: "GainTable | None") -> dict[str, Any]:
+def _step_document(one: "StepForecast", plan: "Plan", table: "GainTable | None") -> dict[str, Any]:
     from labdata.calibrated_gain import by_calibration
 
     asked, gain = one.step.conditions, by_calibration(table, one.step.conditions.mcp_v)
+    lit = _lit(one, plan)
     return {
         "label": one.step.label,
         "kind": one.step.kind,
@@ -104,10 +107,20 @@ def _step_document(one: "StepForecast", table: "GainTable | None") -> dict[str, 
         "gate_ns": asked.gate_ns,
         "exposure_s": asked.exposure_s,
         "illuminance_lux": one.step.brightest.conditions.illuminance_lux,
+        "filter_density": asked.filter_density if lit is None else lit.filter_density,
+        "lamp_a": None if lit is None else lit.lamp_a,
         "seconds": round(one.seconds, 3),
         "anode_na_per_cm2": one.anode_na_per_cm2,
         "share_of_limit": one.share_of_limit,
     }
+
+
+def _lit(one: "StepForecast", plan: "Plan") -> "Conditions | None":
+    """How the lamp of the bench makes a step's light: filter and current; None in the dark or by a person's hand."""
+    asked = one.step.brightest.conditions
+    if plan.lamp is None or not asked.illuminance_lux:
+        return None
+    return plan.lamp.setting(asked.illuminance_lux, asked.filter_density).read
 
 
 def _dose_document(dose: "Dose") -> dict[str, float]:
@@ -128,11 +141,13 @@ def _lines(asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None", *, ever
     limit = foreseen.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")
     known = "" if foreseen.limits.known else "The tube is not described: cautious limits hold, its load is a guess."
     table = foreseen.gain_table
-    gain, rest = "" if table is None else f" {'lm/lm':>9}", f"{'lux':>9} {'nA/cm2':>9} {'limit':>6}"
+    gain = "" if table is None else f" {'lm/lm':>9}"
+    lamp = "" if asked.lamp is None else f" {'lamp mA':>8} {'filter':>6}"
+    rest = f"{'lux':>9}{lamp} {'nA/cm2':>9} {'limit':>6}"
     return [
         f"{asked.name}: {len(foreseen.steps)} steps, nothing is switched on",
         f"{'label':<32} {'kind':<6} {'frames':>6} {'V':>6}{gain} {'gate ms':>8} {rest}",
-        *(_line(one, table) for one in shown),
+        *(_line(one, asked, table) for one in shown),
         *([f"... and {left} more; --all prints them"] if left else []),
         f"time: {duration(foreseen.seconds)}",
         f"disk: {foreseen.bytes / 1e6:.0f} MB" if sensor else "disk: unknown without a sensor",
@@ -142,12 +157,13 @@ def _lines(asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None", *, ever
         f"{hottest.share_of_limit:.0%} of the {limit:g} allowed",
         *([known] if known else []),
         *([table.provenance] if table else []),
+        *([asked.lamp.provenance] if asked.lamp else []),
         *foreseen.limits.overridden,
         *_warnings(foreseen, before, sensor),
     ]
 
 
-def _line(one: "StepForecast", table: "GainTable | None") -> str:
+def _line(one: "StepForecast", plan: "Plan", table: "GainTable | None") -> str:
     from labdata.calibrated_gain import by_calibration
 
     asked = one.step.brightest.conditions
@@ -155,9 +171,16 @@ def _line(one: "StepForecast", table: "GainTable | None") -> str:
     gain_words = "" if table is None else f" {gain:>9.4g}"
     return (
         f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {asked.mcp_v or 0.0:>6g}"
-        f"{gain_words} {(asked.gate_ns or 0.0) * 1e-6:>8.4g} {asked.illuminance_lux or 0.0:>9.3g} "
-        f"{one.anode_na_per_cm2:>9.3g} {one.share_of_limit:>6.1%}"
+        f"{gain_words} {(asked.gate_ns or 0.0) * 1e-6:>8.4g} {asked.illuminance_lux or 0.0:>9.3g}"
+        f"{_lamp_words(one, plan)} {one.anode_na_per_cm2:>9.3g} {one.share_of_limit:>6.1%}"
     )
+
+
+def _lamp_words(one: "StepForecast", plan: "Plan") -> str:
+    if plan.lamp is None:
+        return ""
+    lit = _lit(one, plan)
+    return f" {'out':>8} {'':>6}" if lit is None else f" {1e3 * (lit.lamp_a or 0.0):>8g} {lit.filter_density:>6g}"
 
 
 def _dose_words(dose: "Dose") -> str:

@@ -158,6 +158,8 @@ CONDITION_UNITS = {
     "luminous_gain_relative_sd": ("Relative uncertainty of the luminous gain", "1"),
     "gate_ns": ("Gate", "ns"),
     "illuminance_lux": ("Illuminance on the photocathode", "lux"),
+    "filter_density": ("Optical density of the filter", "1"),
+    "lamp_a": ("Current through the lamp", "A"),
     "illuminance_relative_sd": ("Relative uncertainty of the illuminance", "1"),
     "photons_per_px": ("Photons per pixel", "1"),
     "camera_gain_db": ("Camera gain", "dB"),

@@ -61,6 +61,7 @@ def session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: Ca
         notes=(
             *_notes_of(settings),
             *([] if (table := gain_table_of(plan, sensor)) is None else [table.provenance]),
+            *([] if plan.lamp is None else [plan.lamp.provenance]),
             *limits_in_force(plan.limits, sensor, plan.overrides).overridden,
         ),
     )

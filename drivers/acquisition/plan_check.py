@@ -1,13 +1,14 @@
 """What is checked of a plan before anything is switched on."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import fields
 from pathlib import Path
 
 from drivers.tube.bench import FIELD_RATE_HZ
 from drivers.tube.interlock import Interlock
 from drivers.tube.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
 from labdata.errors import BadInput
+from labdata.lamp import Lamp
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
@@ -15,7 +16,7 @@ from labdata.sensor import Sensor
 _NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
 _SPARE_BYTES = 64 << 20
 # Conditions that no driver sets or reads back: the record would repeat what was asked as if it had been in force.
-_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "filter_density", "gain_control")
+_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control", "lamp_a")
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
@@ -40,6 +41,7 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     for step in plan.steps:
         _check_step(step, sensor)
+        _check_light(step, plan.lamp)
         _check_rules(step.brightest, limits, gate_hz(sensor))
     _check_disk(plan, folder, sensor)
 
@@ -59,14 +61,14 @@ def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
 
 def same_but_wires(plan: Plan, other: Plan) -> str | None:
     """Return what differs between two plans besides their wires, in words; None if nothing does."""
-    if replace(plan, wires=other.wires) == other:
-        return None
+    names = tuple(item.name for item in fields(Plan) if item.name not in ("wires", "steps"))
+    if plan.steps == other.steps:
+        return next((name for name in names if getattr(plan, name) != getattr(other, name)), None)
     steps = {step.label: step for step in other.steps}
     for step in plan.steps:
         if steps.get(step.label) != step:
             return f"step {step.label!r}"
-    names = ("name", "sensor", "tube", "seed", "scene", "limits", "overrides", "settle", "gain_table")
-    return next((name for name in names if getattr(plan, name) != getattr(other, name)), "steps")
+    return "steps"
 
 
 def _check_step(step: Step, sensor: Sensor | None) -> None:
@@ -85,6 +87,16 @@ def _check_step(step: Step, sensor: Sensor | None) -> None:
         raise BadInput(
             f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got {asked.gate_ns:g} in {step.label!r}"
         )
+
+
+def _check_light(step: Step, lamp: Lamp | None) -> None:
+    """Refuse a light that the lamp cannot make; a person at the bench is believed to find a way."""
+    for lux in {step.conditions.illuminance_lux, step.brightest.conditions.illuminance_lux}:
+        if lamp is not None and lux:
+            try:
+                lamp.setting(lux, step.conditions.filter_density)
+            except BadInput as error:
+                raise BadInput(f"{error}, in step {step.label!r}") from None
 
 
 def _check_rules(step: Step, limits: LimitsInForce, rate_hz: float) -> None:

@@ -135,7 +135,12 @@ class Run:
             tube = self._bench.set_conditions(asked)
             if asked.illuminance_lux:
                 self._look_for_light()
-                light = self._operator.place(kind=step.kind, target=step.target, illuminance_lux=asked.illuminance_lux)
+                light = self._operator.place(
+                    kind=step.kind,
+                    target=step.target,
+                    illuminance_lux=asked.illuminance_lux,
+                    filter_density=asked.filter_density,
+                )
         self._wait(self._settle.wait_s(self._before, asked), clock)
         self._before = asked
         camera = Conditions(exposure_s=self._settings.exposure_s, camera_gain_db=self._settings.gain_db)

@@ -22,6 +22,7 @@ class FilterWheel:
 
     def __init__(self, line: Line) -> None:
         self.line = line
+        self._seen: int | None = None
 
     def identify(self) -> str:
         """Return the identity, and have the wheel's own lamps out; another instrument is InstrumentConfused."""
@@ -33,8 +34,11 @@ class FilterWheel:
         return identity
 
     def look(self) -> None:
-        """Ask for a sign of life."""
-        self.position()
+        """Ask where the wheel stands; if somebody has turned it since the first look, that is InstrumentRefused."""
+        now = self.position()
+        if self._seen not in (None, now):
+            raise refused(self.line, f"stay at {self._seen}", f"{now}: somebody turned it")
+        self._seen = now
 
     @property
     def positions(self) -> int:
@@ -61,4 +65,5 @@ class FilterWheel:
         self.line.write(f"pos={position}")
         if (reached := self.position()) != position:
             raise refused(self.line, f"turn to {position}", f"{reached}")
+        self._seen = reached
         return reached

@@ -6,10 +6,10 @@ A package brings one with a Python entry point of the group `charact.instruments
     my-supply = "my_package:MY_SUPPLY"
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import Any, Literal
+from typing import Any
 
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.dg535 import Dg535
@@ -32,9 +32,9 @@ from drivers.wire.lines import (
 )
 from drivers.wire.port import Port, SerialPort
 from labdata.errors import BadInput
+from labdata.plan import Reached, Role, Wires
 
 GROUP = "charact.instruments"
-Role = Literal["gate", "supply", "filter-wheel", "light-source"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +138,16 @@ def model(name: str, role: Role) -> Model:
         names = sorted(each.name for each in known.values() if each.role == role)
         raise BadInput(f"the {role} must be one of {', '.join(names)}, got {name!r}")
     return found
+
+
+def model_of(reached: Reached) -> Model:
+    """Return the model of an instrument of the bench; one that is unknown, or has another role, is BadInput."""
+    return model(reached.model, reached.role)
+
+
+def lines_on(ports: Mapping[Role, Port], wires: Wires) -> dict[Role, OwnedLine]:
+    """Return lines to the instruments of a bench whose ports are open already, by their role."""
+    return {one.role: model_of(one).line(ports[one.role], one.address) for one in wires.instruments}
 
 
 def _brought(point: Any, known: dict[str, Model]) -> Model:

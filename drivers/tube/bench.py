@@ -1,4 +1,4 @@
-"""The bench: gate and gain set in the order that spares the tube, and made safe by leaving through any door."""
+"""The bench: gate, gain and light set in the order that spares the tube, made safe by leaving through any door."""
 
 import contextlib
 import json
@@ -6,31 +6,33 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType, TracebackType
+from typing import Any
 
 from numpy.typing import NDArray
 
 from drivers.errors import BenchError, WatchdogLost
-from drivers.instruments.models import model
+from drivers.instruments.models import Model, model_of
 from drivers.interface import Operator
-from drivers.roles import Gate, Supply
 from drivers.tube.dark_check import must_be_dark
 from drivers.tube.dose_meter import DoseMeter
 from drivers.tube.guarded_light import GuardedLight
 from drivers.tube.guarded_tube import GuardedTube
 from drivers.tube.interlock import Interlock
+from drivers.tube.lamp_light import LampLight
 from drivers.tube.safe import Safety, make_safe
-from drivers.tube.state import DarkSeen, Failed, GainRead, GateRead, Heard, LightRead, SafeOrdered
+from drivers.tube.state import DarkSeen, Failed, FilterMoved, GainRead, GateRead, Heard, LightRead, SafeOrdered
 from drivers.tube.watched import Guard
 from drivers.wire.line import Line
 from labdata.conditions import Conditions
 from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
+from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, limits_in_force
-from labdata.plan import Wires
+from labdata.plan import PORT_KEYS, Reached, Role, Wires
 
 FIELD_RATE_HZ = 60.0 / 1.001
 """Fields a second of 525-line video, Hz: the gate opens once in each."""
@@ -49,15 +51,17 @@ class Bench:
     Parameters
     ----------
     wires
-        Models and serial ports of the gate and of the supply.
+        Models and serial ports of the instruments.
     limits
         What may never be exceeded; the voltage is also set in the supply itself. A plan's bare limits are completed
         by those of a tube that nobody described.
     log
         File to which every safety step is appended as a line of JSON.
     lines
-        Lines to gate and supply that are ready-made, where there are no serial ports; then no watchdog
-        guards the bench, and `wires_left_out` says so.
+        Lines to the instruments by their role, ready-made, where there are no serial ports; then no watchdog guards
+        the bench, and `wires_left_out` says so.
+    lamp
+        Calibration of the light source that the wires name; None: there is none, and a person sets the light.
     gate_hz
         Openings of the gate a second, Hz: one for each exposure of the camera.
     dose
@@ -79,18 +83,19 @@ class Bench:
         limits: Limits | LimitsInForce,
         *,
         log: Path,
-        lines: tuple[Line, Line] | None = None,
+        lines: Mapping[Role, Line] | None = None,
+        lamp: Lamp | None = None,
         gate_hz: float = FIELD_RATE_HZ,
         dose: DoseLedger | None = None,
         session: str = "",
     ) -> None:
-        if lines is None and not (wires.gate_port and wires.supply_port):
-            raise BadInput(
-                f"gate_port and supply_port must name serial ports, got {wires.gate_port!r} and {wires.supply_port!r}"
-            )
+        if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
+            raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")
+        if (lamp is None) != (wires.light is None):
+            raise BadInput(f"a light source must have its calibration, got {lamp} for {wires.light}")
         self._wires, self._log, self._lines = wires, Path(log), lines
-        self._gate_hz = gate_hz
-        self._gate_model, self._supply_model = model(wires.gate, "gate"), model(wires.supply, "supply")
+        self._gate_hz, self._calibration = gate_hz, lamp
+        self._models: dict[Role, Model] = {one.role: model_of(one) for one in wires.instruments}
         self.interlock = Interlock(limits if isinstance(limits, LimitsInForce) else limits_in_force(limits))
         self._dose = None if dose is None else DoseMeter(dose, self.interlock.limits, session=session)
         if self._dose is not None:
@@ -98,7 +103,8 @@ class Bench:
         self._guard: Guard | None = None
         self._taking_over = threading.Lock()
         self._taken_over: Safety | None = None
-        self._light: Operator | None = None
+        self._light: GuardedLight | None = None
+        self._lamp: LampLight | None = None
         self._before: dict[signal.Signals, Callable | int | None] = {}
 
     @property
@@ -113,22 +119,23 @@ class Bench:
         try:
             if self._lines is None:
                 self._guard = self._started_guard()
-            self._gate, self._supply = self._drivers()
+            drivers = self._drivers()
+            self._gate, self._supply = drivers["gate"], drivers["supply"]
             self._gate.identify()
             self._gate.shut()
             self._supply.identify()
             self._supply.prepare(limit_v=self.interlock.limits.mcp_v)
-            if self._guard is not None:
-                self._guard.gate.watch(True)
+            self._watch("gate", True)
             self._tube = GuardedTube(
                 gate=self._gate,
                 supply=self._supply,
                 interlock=self.interlock,
                 gate_hz=self._gate_hz,
                 check=self.check,
-                watch_supply=self._watch_supply,
+                watch_supply=lambda on: self._watch("supply", on),
             )
             self._tube.read_anew()
+            self._lamp = self._prepared_lamp(drivers)
             # Until `guard` is called there is no light that anybody here could switch on.
             self.interlock.tell(LightRead(illuminance_lux=0.0))
         except BaseException as error:
@@ -164,9 +171,9 @@ class Bench:
         return replace(conditions, mcp_v=read_v, gate_ns=read_ns)
 
     def guard(self, operator: Operator) -> Operator:
-        """Put whoever places targets and light behind the interlock; use only what is returned from then on."""
+        """Put the lamp, and whoever places targets and light, behind the interlock; use only what is returned."""
         self.interlock.tell(LightRead(illuminance_lux=math.inf))
-        self._light = GuardedLight(operator, interlock=self.interlock, check=self.check)
+        self._light = GuardedLight(operator, lamp=self._lamp, interlock=self.interlock, check=self.check)
         return self._light
 
     @property
@@ -206,28 +213,45 @@ class Bench:
     def safe(self) -> None:
         """Shut the gate, switch the high voltage off and block the light now; a BenchError if that is not verified."""
         self.interlock.tell(SafeOrdered())
-        if self._guard is not None:
-            safety = self._guard.safe()
-        else:
-            safety = make_safe(gate=self._gate, supply=self._supply, record=self._record)
+        safety = self._guard.safe() if self._guard is not None else self._made_safe_here()
         self._supply.is_on = False
         if self._light is not None:
-            self._light.darken()
+            self._light.block_by_hand()
         _raise_unless_whole(safety)
+        self.interlock.tell(LightRead(illuminance_lux=0.0))
         self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
         self.interlock.tell(GainRead(mcp_v=0.0))
 
-    def _watch_supply(self, on: bool) -> None:
+    def _watch(self, role: Role, on: bool) -> None:
+        """Have the watchdog look after an instrument, or leave it alone."""
         if self._guard is not None:
-            self._guard.supply.watch(on)
+            self._guard.lines[role].watch(on)
 
-    def _drivers(self) -> tuple[Gate, Supply]:
-        if self._guard is not None:
-            gate, supply = self._guard.gate, self._guard.supply
-        else:
-            assert self._lines is not None
-            gate, supply = self._lines
-        return self._gate_model.driver(gate), self._supply_model.driver(supply)
+    def _drivers(self) -> dict[Role, Any]:
+        """A driver for each instrument, on its line through the watchdog or on the one that is ready-made."""
+        lines = self._guard.lines if self._guard is not None else self._lines or {}
+        return {role: kind.driver(lines[role]) for role, kind in self._models.items()}
+
+    def _prepared_lamp(self, drivers: dict[Role, Any]) -> LampLight | None:
+        if self._calibration is None:
+            return None
+        if "filter-wheel" in drivers:
+            self.interlock.tell(FilterMoved())
+        lamp = LampLight(
+            drivers["light-source"],
+            drivers.get("filter-wheel"),
+            self._calibration,
+            interlock=self.interlock,
+            watch=self._watch,
+        )
+        lamp.prepare()
+        return lamp
+
+    def _made_safe_here(self) -> Safety:
+        """Make safe over lines of this process."""
+        drivers = self._drivers()
+        lamps = [drivers["light-source"]] if "light-source" in drivers else []
+        return make_safe(gate=drivers["gate"], supply=drivers["supply"], lamps=lamps, record=self._record)
 
     def _started_guard(self) -> Guard:
         _check_writable(self._log)
@@ -265,8 +289,7 @@ class Bench:
 
     def _left_safe(self) -> Safety | None:
         if self._lines is not None:
-            gate, supply = self._drivers()
-            return make_safe(gate=gate, supply=supply, record=self._record)
+            return self._made_safe_here()
         if self._guard is None:
             return None
         guard, self._guard = self._guard, None
@@ -285,18 +308,19 @@ class Bench:
     def _ports_taken(self) -> Safety:
         """Take the ports, which are free now, and make safe."""
         self._record("the watchdog is gone; its client makes the bench safe")
-        gate = _opened(lambda: self._gate_model.open_line(str(self._wires.gate_port), self._wires.gate_address))
-        supply = _opened(lambda: self._supply_model.open_line(str(self._wires.supply_port), self._wires.supply_address))
+        needed = [one for one in self._wires.instruments if one.role in ("gate", "supply", "light-source")]
+        lines = {one.role: line for one in needed if (line := self._opened(one)) is not None}
+        drivers = {role: self._models[role].driver(line) for role, line in lines.items()}
+        lamps = [] if self._calibration is None else [drivers.get("light-source")]
         try:
-            return make_safe(
-                gate=None if gate is None else self._gate_model.driver(gate),
-                supply=None if supply is None else self._supply_model.driver(supply),
-                record=self._record,
-            )
+            return make_safe(gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=self._record)
         finally:
-            for line in (gate, supply):
-                if line is not None:
-                    line.close()
+            for line in lines.values():
+                line.close()
+
+    def _opened(self, reached: Reached) -> Line | None:
+        with contextlib.suppress(BenchError):
+            return self._models[reached.role].open_line(str(reached.port), reached.address)
 
     def _record(self, event: str, **details: object) -> None:
         now = time.time()
@@ -327,11 +351,6 @@ def _check_writable(log: Path) -> None:
         raise BadInput(f"the log of the safety steps must be a file that can be written, got: {error}") from None
 
 
-def _opened(opener: Callable[[], Line]) -> Line | None:
-    with contextlib.suppress(BenchError):
-        return opener()
-
-
 def _raise_unless_whole(safety: Safety) -> None:
     if not safety.whole:
         raise BenchError(_left_unsafe(safety))
@@ -339,4 +358,4 @@ def _raise_unless_whole(safety: Safety) -> None:
 
 def _left_unsafe(safety: Safety) -> str:
     why = f" ({safety.failures[0]})" if safety.failures else ""
-    return f"the bench must be left with gate shut and high voltage off, got: {safety.sentence()}{why}"
+    return f"the bench must be left with gate shut, high voltage off and light out, got: {safety.sentence()}{why}"

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from drivers.interface import Operator
 from drivers.tube.interlock import Interlock
+from drivers.tube.lamp_light import LampLight
 from drivers.tube.state import LightRead, SetLight
 from labdata.conditions import Conditions
 from labdata.session import Kind
@@ -14,28 +15,41 @@ METER_ZERO = 1e-3
 
 
 class GuardedLight:
-    """An operator whose hands the interlock holds.
+    """An operator whose hands the interlock holds, and the lamp of the bench, if it has one.
 
     Parameters
     ----------
     operator
-        Places targets and sets the light.
+        Places targets; sets the light where there is no lamp.
+    lamp
+        The lamp; None: the operator sets the light.
     interlock
         Asked before each placement, told what the meter reads after it.
     check
         Raises what went wrong at the bench; called before and after each placement.
     """
 
-    def __init__(self, operator: Operator, *, interlock: Interlock, check: Callable[[], None]) -> None:
-        self._operator, self._interlock, self._check = operator, interlock, check
+    def __init__(
+        self, operator: Operator, *, lamp: LampLight | None, interlock: Interlock, check: Callable[[], None]
+    ) -> None:
+        self._operator, self._lamp = operator, lamp
+        self._interlock, self._check = interlock, check
 
     def darken(self) -> None:
         """Block the light, which needs no leave."""
         self._operator.darken()
+        if self._lamp is not None:
+            self._lamp.darken()
         self._interlock.tell(LightRead(illuminance_lux=0.0))
 
-    def place(self, *, kind: Kind, target: Target, illuminance_lux: float) -> Conditions:
-        """Put a target before the camera and set the light, if no rule forbids it; return what the meter reads.
+    def block_by_hand(self) -> None:
+        """Ask the operator to block the light, with the lamp seen to by others."""
+        self._operator.darken()
+
+    def place(
+        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+    ) -> Conditions:
+        """Put a target before the camera and set the light, if no rule forbids it; return what is read.
 
         Raises
         ------
@@ -45,10 +59,35 @@ class GuardedLight:
             If the meter reads a light that the tube must be saved from.
         """
         self._check()
-        self._interlock.permit(SetLight(illuminance_lux=illuminance_lux, point=kind == "point", target=target))
-        read = self._operator.place(kind=kind, target=target, illuminance_lux=illuminance_lux)
-        self._interlock.tell(LightRead(illuminance_lux=self._known_lux(read, illuminance_lux, kind)))
+        if self._lamp is None:
+            read = self._placed(kind, target, illuminance_lux, filter_density)
+        elif illuminance_lux == 0.0:
+            self._lamp.darken()
+            self._placed(kind, target, 0.0, None)
+            read = Conditions(illuminance_lux=0.0, lamp_a=0.0)
+        else:
+            read = self._lit(self._lamp, kind, target, illuminance_lux, filter_density)
         self._check()
+        return read
+
+    def _placed(self, kind: Kind, target: Target, lux: float, filter_density: float | None) -> Conditions:
+        """Have the operator do all of it."""
+        self._interlock.permit(SetLight(illuminance_lux=lux, point=kind == "point", target=target))
+        read = self._operator.place(kind=kind, target=target, illuminance_lux=lux, filter_density=filter_density)
+        self._interlock.tell(LightRead(illuminance_lux=self._known_lux(read, lux, kind)))
+        return read
+
+    def _lit(self, lamp: LampLight, kind: Kind, target: Target, lux: float, density: float | None) -> Conditions:
+        """Turn the filter in the dark, then light the lamp; the target stands where it was placed in the dark."""
+        setting = lamp.setting(lux, density)
+        lamp.darken()
+        self._interlock.tell(LightRead(illuminance_lux=0.0))
+        lamp.turn(setting.position)
+        self._check()  # a wheel takes its time
+        ordered_lux = setting.read.illuminance_lux or 0.0
+        self._interlock.permit(SetLight(illuminance_lux=ordered_lux, point=kind == "point", target=target))
+        read = lamp.shine(setting.current_a)
+        self._interlock.tell(LightRead(illuminance_lux=read.illuminance_lux or ordered_lux))
         return read
 
     def _known_lux(self, read: Conditions, asked_lux: float, kind: Kind) -> float:

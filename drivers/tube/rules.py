@@ -3,7 +3,16 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.tube.state import Command, InterlockRefused, LowerGain, OpenGate, RaiseGain, SetLight, TubeState
+from drivers.tube.state import (
+    Command,
+    InterlockRefused,
+    LowerGain,
+    OpenGate,
+    RaiseGain,
+    SetLight,
+    TubeState,
+    TurnFilter,
+)
 from labdata.limits import LimitsInForce
 
 SILENCE_S = 0.6
@@ -119,6 +128,16 @@ def _dark_first(state: TubeState, command: Command, limits: LimitsInForce, now_s
         )
 
 
+def _filter_turns_dark(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+    if isinstance(command, TurnFilter) and not state.dark:
+        return f"the light must be out while a filter turns, got up to {state.light_lux:g} lux"
+
+
+def _filter_known(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+    if isinstance(command, SetLight) and command.illuminance_lux > 0.0 and not state.filter_known:
+        return f"the filter must be read before there is light, got none read before {command.illuminance_lux:g} lux"
+
+
 def _guarded(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
     if _heats(command) and not now_s - state.heard_s <= SILENCE_S:
         return f"the bench must have shown life within {SILENCE_S:g} s, got {now_s - state.heard_s:.3g} s of silence"
@@ -130,7 +149,7 @@ def _unharmed(state: TubeState, command: Command, limits: LimitsInForce, now_s: 
 
 
 def _heats(command: Command) -> bool:
-    return not (isinstance(command, SetLight) and command.illuminance_lux == 0.0)
+    return not (isinstance(command, TurnFilter) or (isinstance(command, SetLight) and command.illuminance_lux == 0.0))
 
 
 RULES = (
@@ -144,6 +163,8 @@ RULES = (
     Rule(name="light down before gain up", breach=_gain_up_dark),
     Rule(name="gain moves behind a shut gate", breach=_gain_moves_shut),
     Rule(name="target moves before a shut gate", breach=_target_moves_shut),
+    Rule(name="filter turns in the dark", breach=_filter_turns_dark),
+    Rule(name="filter is known before light", breach=_filter_known),
     Rule(name="light at this gain", breach=_light_at_gain),
     Rule(name="guarded", breach=_guarded),
     Rule(name="nothing after a failure", breach=_unharmed),

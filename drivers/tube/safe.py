@@ -1,13 +1,13 @@
-"""Making the tube safe: gate shut and high voltage off at once, every step tried and recorded, the decay followed."""
+"""Making the tube safe: gate shut, high voltage off, lamp out at once, every step recorded, the decay followed."""
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from drivers.errors import InstrumentLost
 from drivers.instruments.voltage import DISCHARGED_V, FALL_S
-from drivers.roles import Gate, Supply
+from drivers.roles import Gate, LightSource, Supply
 
 Record = Callable[..., None]
 """Called as record(step, **details) for each thing that was done."""
@@ -29,6 +29,8 @@ class Safety:
         The order to switch the high voltage off went out.
     residual_v
         Last voltage measured at the output, V; None if none could be measured.
+    light_dark
+        Whether every lamp of the bench read back that it is out; a bench without one has none that burns.
     failures
         One sentence for each step that failed.
     """
@@ -36,12 +38,14 @@ class Safety:
     gate_shut: bool
     off_ordered: bool
     residual_v: float | None
+    light_dark: bool = True
     failures: tuple[str, ...] = ()
 
     @property
     def whole(self) -> bool:
-        """Whether everything was verified: gate shut, output discharged."""
-        return self.gate_shut and self.residual_v is not None and self.residual_v <= DISCHARGED_V
+        """Whether everything was verified: gate shut, output discharged, lamp out."""
+        discharged = self.residual_v is not None and self.residual_v <= DISCHARGED_V
+        return self.gate_shut and discharged and self.light_dark
 
     def sentence(self) -> str:
         """One sentence on the state the tube was left in."""
@@ -52,18 +56,22 @@ class Safety:
             gain = f"{self.residual_v:g} V were last measured at the output"
         else:
             gain = "the high voltage was ordered off but not verified" if self.off_ordered else "the high voltage is on"
-        return f"{gate}, {gain}"
+        return f"{gate}, {gain}" if self.light_dark else f"{gate}, {gain}, the lamp may burn"
 
 
-def make_safe(*, gate: Gate | None, supply: Supply | None, record: Record) -> Safety:
-    """Shut the gate and order the high voltage off, both at once, then follow the decay of the output.
+def make_safe(
+    *, gate: Gate | None, supply: Supply | None, lamps: Sequence[LightSource | None] = (), record: Record
+) -> Safety:
+    """Shut the gate, order the high voltage off and the lamps out, all at once, then follow the decay of the output.
 
-    Neither waits for the other, so that a silent line does not hold up the safe action of the other one.
+    None waits for another, so that a silent line does not hold up the safe action of the other ones.
 
     Parameters
     ----------
     gate, supply
         Gate and supply of the tube; None if the line to one could not be opened.
+    lamps
+        Light sources of the bench, if it has any; None as above.
     record
         Told each step.
 
@@ -72,8 +80,8 @@ def make_safe(*, gate: Gate | None, supply: Supply | None, record: Record) -> Sa
     Safety
         What was achieved; this function raises nothing, because the next step must be tried all the same.
     """
-    shut, fall = _Shutting(gate, record), _Falling(supply, record)
-    helpers = [threading.Thread(target=task.run, daemon=True) for task in (shut, fall)]
+    shut, fall, dark = _Shutting(gate, record), _Falling(supply, record), [_Darkening(one, record) for one in lamps]
+    helpers = [threading.Thread(target=task.run, daemon=True) for task in (shut, fall, *dark)]
     for helper in helpers:
         helper.start()
     for helper in helpers:
@@ -82,7 +90,8 @@ def make_safe(*, gate: Gate | None, supply: Supply | None, record: Record) -> Sa
         gate_shut=shut.verified,
         off_ordered=fall.ordered,
         residual_v=fall.residual_v,
-        failures=(*shut.failures, *fall.failures),
+        light_dark=all(one.verified for one in dark),
+        failures=(*shut.failures, *fall.failures, *(failure for one in dark for failure in one.failures)),
     )
 
 
@@ -120,6 +129,24 @@ class _Shutting(_Task):
         for command in gate.shut_commands:
             self.attempt(f"gate: {command}", lambda command=command: gate.line.order(command))
         self.verified = self.attempt("gate: shut and read back", gate.shut)[0]
+
+
+class _Darkening(_Task):
+    """A lamp's part."""
+
+    verified = False
+
+    def __init__(self, lamp: LightSource | None, record: Record) -> None:
+        super().__init__(record)
+        self._lamp = lamp
+
+    def run(self) -> None:
+        if (lamp := self._lamp) is None:
+            self.failures.append("the light source could not be reached")
+            return
+        for command in lamp.dark_commands:
+            self.attempt(f"light: {command}", lambda command=command: lamp.line.order(command))
+        self.verified = self.attempt("light: out and read back", lamp.darken)[0]
 
 
 class _Falling(_Task):

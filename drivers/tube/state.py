@@ -35,6 +35,8 @@ class TubeState:
         Whether that light is inside a pinhole's image only.
     target
         The target before the camera.
+    filter_known
+        Whether it is known which filter stands in the light; a bench without a wheel has one for good.
     dark_seen
         Whether a frame taken through the open gate at gain, with the light out, was dark.
     surely_open
@@ -52,6 +54,7 @@ class TubeState:
     light_lux: float = math.inf
     point: bool = False
     target: Target | None = None
+    filter_known: bool = True
     dark_seen: bool = False
     surely_open: bool = False
     surely_v: float = 0.0
@@ -128,7 +131,18 @@ class SetLight:
         )
 
 
-Command = OpenGate | RaiseGain | LowerGain | SetLight
+@dataclass(frozen=True, kw_only=True)
+class TurnFilter:
+    """Turn the filter wheel to `position`; on the way any filter, and none, passes through the light."""
+
+    position: int
+
+    def ordered(self, state: TubeState) -> TubeState:
+        """State once the order is out: which filter it will be is not known before it is read."""
+        return replace(state, filter_known=False)
+
+
+Command = OpenGate | RaiseGain | LowerGain | SetLight | TurnFilter
 
 
 # Events: what was read, seen or heard.
@@ -179,6 +193,26 @@ class LightRead:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FilterMoved:
+    """There is a filter wheel, and where it stands is not known."""
+
+    def seen(self, state: TubeState) -> TubeState:
+        """State once this is known."""
+        return replace(state, filter_known=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterRead:
+    """The filter wheel was read to stand at `position`."""
+
+    position: int
+
+    def seen(self, state: TubeState) -> TubeState:
+        """State once this is known."""
+        return replace(state, filter_known=True)
+
+
+@dataclass(frozen=True, kw_only=True)
 class DarkSeen:
     """A frame was dark, taken now; it counts only through an open gate, at gain and without light."""
 
@@ -210,4 +244,4 @@ class Failed:
         return replace(state, fault=state.fault or self.sentence)
 
 
-Event = SafeOrdered | GateRead | GainRead | LightRead | DarkSeen | Heard | Failed
+Event = SafeOrdered | GateRead | GainRead | LightRead | FilterMoved | FilterRead | DarkSeen | Heard | Failed

@@ -18,10 +18,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.errors import BenchError, WatchdogLost
-from drivers.instruments.models import Model, Role, model
+from drivers.instruments.models import Model, model_of
 from drivers.tube.safe import Safety, make_safe
 from drivers.wire.line import OwnedLine
 from drivers.wire.line_worker import LineWorker, described
+from labdata.plan import Reached, Role
 
 HEARTBEAT_S = 0.5
 """Longest time between two signs of life of the client, s."""
@@ -29,8 +30,11 @@ HEARTBEAT_S = 0.5
 TICK_S = 0.02
 MONITOR_S = 0.15
 IDLE_S = 0.5
-GATE: Role = "gate"
-SUPPLY: Role = "supply"
+SPARE: tuple[Role, ...] = ("light-meter", "thermometer")
+"""What the tube does without: its failure is told, and the bench goes on."""
+
+Openers = dict[Role, tuple[Model, Callable[[], OwnedLine]]]
+"""Each instrument's model, and what opens its line."""
 
 
 class Log:
@@ -94,7 +98,8 @@ class Watchdog:
 
     def __init__(self, *, client: Client, log: Log) -> None:
         self._client, self._log = client, log
-        self._workers: dict[str, LineWorker] = {}
+        self._workers: dict[Role, LineWorker] = {}
+        self._unopened: dict[Role, BenchError] = {}
         self._fault: BenchError | None = None
         self._safety: Safety | None = None
         self._stop_signal: int | None = None
@@ -104,9 +109,10 @@ class Watchdog:
         """Signal handler: end soon, safely."""
         self._stop_signal = number
 
-    def serve(self, openers: dict[str, tuple[Model, Callable[[], OwnedLine]]]) -> None:
+    def serve(self, openers: Openers) -> None:
         """Open the lines and serve the client until it leaves or is lost; in the end the bench is safe."""
         self._log("start", pid=os.getpid())
+        self._has_lamp = "light-source" in openers
         self._open(openers)
         self._client.send({"ready": self._fault is None, "error": described(self._fault)})
         reason, leaving = self._guarded() if self._fault is None else (str(self._fault), None)
@@ -117,14 +123,19 @@ class Watchdog:
             worker.close()
         self._log("end", reason=reason, longest_silence_s=round(self._client.longest_silence_s, 3))
 
-    def _open(self, openers: dict[str, tuple[Model, Callable[[], OwnedLine]]]) -> None:
+    def _open(self, openers: Openers) -> None:
         for name, (kind, opener) in openers.items():
             try:
-                self._workers[name] = LineWorker(opener(), model=kind, reply=self._client.send)
-                self._log("port opened", line=name)
+                line = opener()
             except BenchError as error:
                 self._log("port not opened", line=name, error=str(error))
-                self._fault = self._fault or error
+                if name in SPARE:
+                    self._unopened[name] = error
+                else:
+                    self._fault = self._fault or error
+                continue
+            self._workers[name] = LineWorker(line, model=kind, reply=self._client.send, spare=name in SPARE)
+            self._log("port opened", line=name)
 
     def _guarded(self) -> tuple[str, int | None]:
         try:
@@ -159,6 +170,8 @@ class Watchdog:
                 self._make_safe("the client asks for it")
             self._answer_safety(message["id"])
             self._client.heard_s = time.monotonic()
+        elif "line" in message and message["line"] in self._unopened:
+            self._client.send({"id": message["id"], "error": described(self._unopened[message["line"]])})
         elif "line" in message:
             self._workers[message["line"]].put(message)
 
@@ -182,7 +195,8 @@ class Watchdog:
             worker.pause()
         held = {name: worker.wait_idle(IDLE_S) for name, worker in self._workers.items()}
         drivers = {name: worker.driver for name, worker in self._workers.items()}
-        self._safety = make_safe(gate=drivers.get(GATE), supply=drivers.get(SUPPLY), record=self._log)
+        lamps = [drivers.get("light-source")] if self._has_lamp else []
+        self._safety = make_safe(gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=self._log)
         self._log("made safe", whole=self._safety.whole, sentence=self._safety.sentence(), **vars(self._safety))
         for name, worker in self._workers.items():
             worker.resume(held[name], fault=self._fault)
@@ -192,17 +206,17 @@ class Watchdog:
             self._client.send({"id": request, "safety": vars(self._safety)})
 
 
-def _opener(role: Role, name: str, port: str, address: str) -> tuple[Model, Callable[[], OwnedLine]]:
-    kind = model(name, role)
-    return kind, lambda: kind.open_line(port, int(address))
+def _opener(reached: Reached) -> tuple[Model, Callable[[], OwnedLine]]:
+    kind = model_of(reached)
+    return kind, lambda: kind.open_line(str(reached.port), reached.address)
 
 
 def main() -> None:
-    """Guard a bench: `python -m drivers.tube.watchdog --socket FD --gate MODEL PORT ADDRESS --supply ... --log F`."""
+    """Guard a bench: `python -m drivers.tube.watchdog --socket FD --instrument ROLE MODEL PORT ADDRESS ... --log F`."""
     parser = argparse.ArgumentParser(description="Guard a bench; started by its client.")
     parser.add_argument("--socket", type=int, required=True, help="inherited end of the client's socket pair")
-    for role in (GATE, SUPPLY):
-        parser.add_argument(f"--{role}", nargs=3, required=True, metavar=("MODEL", "PORT", "ADDRESS"))
+    columns = ("ROLE", "MODEL", "PORT", "ADDRESS")
+    parser.add_argument("--instrument", nargs=4, action="append", required=True, metavar=columns)
     parser.add_argument("--log", type=Path, required=True)
     asked = parser.parse_args()
     log = Log(asked.log)
@@ -210,7 +224,10 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, watchdog.stop)
     try:
-        watchdog.serve({GATE: _opener(GATE, *asked.gate), SUPPLY: _opener(SUPPLY, *asked.supply)})
+        there = [
+            Reached(role=role, model=name, port=port, address=int(at)) for role, name, port, at in asked.instrument
+        ]
+        watchdog.serve({reached.role: _opener(reached) for reached in there})
     finally:
         log.close()
 

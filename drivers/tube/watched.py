@@ -13,10 +13,10 @@ from pathlib import Path
 
 from drivers import errors
 from drivers.errors import BenchError, WatchdogLost
-from drivers.instruments.models import model
+from drivers.instruments.models import model_of
 from drivers.instruments.voltage import FALL_S
 from drivers.tube.safe import Safety
-from labdata.plan import Wires
+from labdata.plan import Role, Wires
 
 BEAT_S = 0.1
 START_S = 15.0
@@ -57,7 +57,7 @@ class Guard:
     Parameters
     ----------
     wires
-        Models and serial ports of gate and supply, and their addresses on a bus.
+        Models, serial ports and addresses of the instruments.
     log
         File to which the watchdog appends its JSON lines.
     on_lost
@@ -81,8 +81,8 @@ class Guard:
         self._over = threading.Event()
         ours, theirs = socket.socketpair()
         command = [sys.executable, "-m", "drivers.tube.watchdog", "--socket", str(theirs.fileno())]
-        command += ["--gate", wires.gate, str(wires.gate_port), str(wires.gate_address)]
-        command += ["--supply", wires.supply, str(wires.supply_port), str(wires.supply_address)]
+        for one in wires.instruments:
+            command += ["--instrument", one.role, one.model, str(one.port), str(one.address)]
         with theirs:
             self.process = subprocess.Popen(
                 [*command, "--log", str(Path(log).absolute())],
@@ -96,8 +96,10 @@ class Guard:
         self._threads = [threading.Thread(target=task, daemon=True) for task in (self._listen, self._beat)]
         for thread in self._threads:
             thread.start()
-        self.gate = WatchedLine(self, line="gate", name=model(wires.gate, "gate").title)
-        self.supply = WatchedLine(self, line="supply", name=model(wires.supply, "supply").title)
+        self.lines: dict[Role, WatchedLine] = {
+            one.role: WatchedLine(self, line=one.role, name=model_of(one).title) for one in wires.instruments
+        }
+        """Lines to the instruments, by role."""
         try:
             self._await_ready()
         except BaseException:

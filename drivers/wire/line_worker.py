@@ -22,10 +22,13 @@ class LineWorker:
         What is at its other end.
     reply
         Called with the answer to each request.
+    spare
+        Whether the bench does without it: an error ends nothing but the request.
     """
 
-    def __init__(self, line: OwnedLine, *, model: Model, reply: Callable[[dict], None]) -> None:
+    def __init__(self, line: OwnedLine, *, model: Model, reply: Callable[[dict], None], spare: bool = False) -> None:
         self.line, self.driver = line, model.driver(line)
+        self._model, self._spare = model, spare
         self.failure: BenchError | None = None
         """The first error of the line, which ends its use."""
         self._reply = reply
@@ -81,7 +84,7 @@ class LineWorker:
         except Exception as caught:
             error = caught if isinstance(caught, BenchError) else BenchError(f"the {self.line.name} failed: {caught!r}")
             answer["error"] = described(error)
-            if not self.line.hurry.is_set():
+            if not (self.line.hurry.is_set() or self._spare):
                 self.failure = self.failure or error
         if "id" in request:
             self._reply(answer)
@@ -92,7 +95,8 @@ class LineWorker:
         if request["do"] == "write":
             self.line.write(request["text"])
         elif request["do"] == "watch":
-            self._watching = request["on"]
+            # A driver that has seen nothing yet: what it finds at its first look is how things should stay.
+            self.driver, self._watching = self._model.driver(self.line), request["on"]
         elif self._watching:
             self.driver.look()
         return None

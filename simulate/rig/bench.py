@@ -2,17 +2,20 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 from labdata.errors import BadInput
-from labdata.plan import Wires
+from labdata.lamp import Lamp
+from labdata.plan import Reached, Wires
 from labdata.sensor import Sensor
 from simulate.rig import aravis_library
 from simulate.rig.camera_process import CameraProcess
 from simulate.rig.in_process import InProcessInstruments
 from simulate.rig.in_process_camera import InProcessCamera
+from simulate.rig.models import virtual_model
 from simulate.rig.operator import VirtualOperator
 from simulate.rig.outputs import Outputs, read_outputs
 from simulate.rig.process import VirtualInstruments
@@ -33,12 +36,13 @@ class VirtualBench:
     seed
         Seed of the specimen and of every frame.
     wires
-        "virtual": camera and instruments are processes on real wires; where Aravis cannot be had, the camera's wire
-        is left out and said to be. "in-process": everything inside this process; `inside` then holds the instruments.
-    gate, supply
-        Models of gate generator and high-voltage supply.
+        Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes on
+        real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire is
+        left out and said to be. "in-process": everything inside this process; `inside` then holds the instruments.
+    lamp
+        Calibration of the light source that the wires name; what the lamp truly makes is drawn within it.
     time_scale
-        How much faster than life the high voltage moves, dimensionless.
+        How much faster than life high voltage and filter wheel move, dimensionless.
     say
         Told in a sentence what was left out or is waited for.
 
@@ -57,29 +61,32 @@ class VirtualBench:
         sensor: Sensor,
         seed: int,
         *,
-        wires: Literal["virtual", "in-process", "real"] = "virtual",
-        gate: str = "dg645",
-        supply: str = "ps350",
+        wires: Wires | None = None,
+        lamp: Lamp | None = None,
         time_scale: float = 1.0,
         say: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         self.folder = Path(folder).resolve()
         self.truth_folder = self.folder / TRUTH
         self._wires_folder = _unused(self.folder)
-        if wires == "real":
+        wires = Wires() if wires is None else wires
+        if wires.bench == "real":
             raise BadInput("a virtual bench must be virtual or in-process, got the wires of a real one")
-        self._time_scale, self._models = time_scale, (gate, supply)
+        named = [one for one in wires.instruments if one.port]
+        if wires.bench == "in-process" and named:
+            raise BadInput(f"a bench inside a process must have no serial ports, got {named[0].port} for a real one")
+        self._time_scale, self._asked, self._lamp = time_scale, wires, lamp
         self._sensor, self._seed, self._say = sensor, seed, say
-        self._kind: Literal["virtual", "in-process"] = wires
         self.operator = VirtualOperator(self.folder)
         self.left_out: tuple[str, ...] = ()
+        self.real: tuple[str, ...] = ()
         self.inside: InProcessInstruments | None = None
         self._instruments: VirtualInstruments | None = None
         self.camera: CameraProcess | None = None
 
     def __enter__(self) -> Self:
         self._wires_folder.mkdir(parents=True, exist_ok=True)
-        make_truth(self.truth_folder, self._sensor, self._seed)
+        make_truth(self.truth_folder, self._sensor, self._seed, self._lamp)
         self.operator.darken()
         with ExitStack() as running:
             self._start_instruments(running)
@@ -96,14 +103,9 @@ class VirtualBench:
     @property
     def wires(self) -> Wires:
         """How the instruments are reached."""
-        return Wires(
-            bench=self._kind,
-            gate=self._models[0],
-            supply=self._models[1],
-            gate_port=self._instruments.gate_port if self._instruments else None,
-            supply_port=self._instruments.supply_port if self._instruments else None,
-            camera=self.camera.identifier if self.camera else None,
-        )
+        ports = {one.role: self._port(one) for one in self._asked.instruments}
+        reached = self._asked.with_ports(ports)
+        return replace(reached, camera=self.camera.identifier) if self.camera else reached
 
     @property
     def instruments(self) -> VirtualInstruments:
@@ -130,15 +132,30 @@ class VirtualBench:
         return read_truth(self.truth_folder)
 
     def _start_instruments(self, running: ExitStack) -> None:
-        if self._kind == "in-process":
-            gate, supply = self._models
-            self.inside = InProcessInstruments(gate=gate, supply=supply, time_scale=self._time_scale)
-        else:
-            instruments = VirtualInstruments(self._wires_folder, models=self._models, time_scale=self._time_scale)
-            self._instruments = running.enter_context(instruments)
+        if self._asked.bench == "in-process":
+            self.inside = InProcessInstruments(self._asked, time_scale=self._time_scale)
+            return
+        real = [one for one in self._asked.instruments if one.port]
+        self.real = tuple(f"the {one.role} is a real {one.model} at {one.port}" for one in real)
+        for sentence in self.real:
+            self._say(f"Of this virtual bench {sentence}; the virtual tube feels nothing of what it does.")
+        instruments = VirtualInstruments(
+            self._wires_folder,
+            models=tuple(one.model for one in self._asked.instruments if not one.port),
+            gate_address=self._asked.gate_address,
+            supply_address=self._asked.supply_address,
+            time_scale=self._time_scale,
+        )
+        self._instruments = running.enter_context(instruments)
+
+    def _port(self, one: Reached) -> str | None:
+        """Port of a real instrument, or of one that stands at this bench; none inside a process."""
+        if one.port or self._instruments is None:
+            return one.port
+        return self._instruments.port(virtual_model(one.model).place)
 
     def _camera_has_a_wire(self) -> bool:
-        if self._kind == "in-process":
+        if self._asked.bench == "in-process":
             self.left_out = (
                 "All wires were left out, as asked: camera and instruments live inside this process, "
                 "and no watchdog guards them.",

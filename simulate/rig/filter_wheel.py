@@ -1,6 +1,7 @@
 """A virtual Thorlabs FW102C filter wheel: echo, prompt, and a wheel that takes its time."""
 
 import json
+import time
 from pathlib import Path
 
 from simulate.rig.faults import Faults
@@ -31,6 +32,7 @@ class FilterWheel:
         self._saved = dict(_NEW)
         self._settings = dict(_NEW)
         self._position, self._line = 1, b""
+        self._turns_until_s = 0.0
         self._published: dict | None = None
 
     def power_cycle(self) -> None:
@@ -80,14 +82,21 @@ class FilterWheel:
         around = abs(value - self._position)
         steps = min(around, self._settings["pcount"] - around)
         self._position = value
-        return steps * STEP_S[self._settings["speed"]] / self._time_scale, ""
+        turning_s = steps * STEP_S[self._settings["speed"]] / self._time_scale
+        self._turns_until_s = time.monotonic() + turning_s
+        return turning_s, ""
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Nothing goes on by itself."""
+        """The wheel turns on by itself, see `position`."""
+
+    @property
+    def position(self) -> int | None:
+        """Where the wheel stands, counted from 1; None while it turns and nothing but its body is in the light."""
+        return self._position if time.monotonic() >= self._turns_until_s else None
 
     def publish(self, folder: Path) -> None:
         """Put the position, and whether its own lamps burn, where the light passes."""
-        now = {"position": self._position, "sensors_lit": bool(self._settings["sensors"])}
+        now = {"position": self.position, "sensors_lit": bool(self._settings["sensors"])}
         if now != self._published:
             replace_file(folder / OUTPUT, json.dumps(now))
             self._published = now

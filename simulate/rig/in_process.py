@@ -4,15 +4,19 @@ import threading
 import time
 from typing import Any
 
+from labdata.plan import Role, Wires
 from simulate.rig.faults import Faults
 from simulate.rig.models import virtual_model
 from simulate.rig.outputs import GateOutput, Outputs
 from simulate.rig.prologix import PrologixAdapter
 from simulate.rig.pseudo_terminal import Instrument
 
+AT_ONCE_S = 2.5e-3
+"""What an instrument does within this time is done at once, s."""
+
 
 class InProcessPort:
-    """A port whose far end is an instrument in this process; it answers at once.
+    """A port whose far end is an instrument in this process; it answers at once what takes no time to do.
 
     Parameters
     ----------
@@ -22,6 +26,7 @@ class InProcessPort:
 
     def __init__(self, instrument: Instrument) -> None:
         self._instrument, self._answers = instrument, b""
+        self._ready_s = 0.0
         self._turn = threading.RLock()
         self._power_cycles = 0
         self.faults = Faults()
@@ -33,9 +38,16 @@ class InProcessPort:
             self.advance()
             answers = [] if self.faults.silent else self._instrument.receive(data)
             self._answers += b"".join(self.faults.arrives(answer) for _, answer in answers)
+            making_s = max((seconds for seconds, _ in answers), default=0.0)
+            if making_s > AT_ONCE_S:
+                self._ready_s = time.monotonic() + making_s
 
     def receive(self, timeout_s: float) -> bytes:
         """Bytes that came; where none did, the wait takes its time."""
+        if (left_s := self._ready_s - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, timeout_s))
+            if left_s > timeout_s:
+                return b""
         with self._turn:
             answers, self._answers = self._answers, b""
         if not answers:
@@ -52,45 +64,58 @@ class InProcessPort:
 
     def volts(self) -> float:
         """Voltage that a supply at the far end puts out now, V."""
-        self.advance()
-        return _behind_adapter(self._instrument).output_v
+        return self.far_end().output_v
 
     def gate(self) -> GateOutput:
         """What a gate generator at the far end does to the gate unit now."""
-        return _behind_adapter(self._instrument).gate()
+        return self.far_end().gate()
+
+    def far_end(self) -> Any:
+        """The instrument at the far end as it is now, whatever adapter stands before it."""
+        self.advance()
+        return _behind_adapter(self._instrument)
 
     def close(self) -> None:
         """Nothing to let go of."""
 
 
 class InProcessInstruments:
-    """Gate and high-voltage supply in this process.
+    """The serial instruments of a bench in this process.
 
     Parameters
     ----------
-    gate, supply
-        Models of the two.
-    gate_address, supply_address
-        GPIB addresses of those behind an adapter.
+    wires
+        Which instruments there are; by default gate and supply.
     time_scale
-        How much faster than life the supply's output moves, dimensionless.
+        How much faster than life they move, dimensionless.
     """
 
-    def __init__(
-        self,
-        *,
-        gate: str = "dg645",
-        supply: str = "ps350",
-        gate_address: int = 15,
-        supply_address: int = 14,
-        time_scale: float = 1.0,
-    ) -> None:
-        self.gate_port = InProcessPort(virtual_model(gate).make(gate_address, time_scale))
-        self.supply_port = InProcessPort(virtual_model(supply).make(supply_address, time_scale))
+    def __init__(self, wires: Wires | None = None, *, time_scale: float = 1.0) -> None:
+        there = (wires or Wires()).instruments
+        self.ports: dict[Role, InProcessPort] = {
+            one.role: InProcessPort(virtual_model(one.model).make(one.address, time_scale)) for one in there
+        }
+
+    @property
+    def gate_port(self) -> InProcessPort:
+        """Port of the gate generator."""
+        return self.ports["gate"]
+
+    @property
+    def supply_port(self) -> InProcessPort:
+        """Port of the supply, or of the adapter before it."""
+        return self.ports["supply"]
 
     def outputs(self) -> Outputs:
         """What reaches the tube at this moment."""
-        return Outputs(mcp_v=self.supply_port.volts(), **vars(self.gate_port.gate()))
+        light, wheel = self.ports.get("light-source"), self.ports.get("filter-wheel")
+        return Outputs(
+            mcp_v=self.supply_port.volts(),
+            **vars(self.gate_port.gate()),
+            lamp_a=None if light is None else light.far_end().current_a,
+            filter_position=None if wheel is None else wheel.far_end().position,
+            has_wheel=wheel is not None,
+        )
 
 
 def _behind_adapter(instrument: Any) -> Any:

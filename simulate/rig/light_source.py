@@ -95,9 +95,14 @@ class LightSource:
         self._open = faults.tripped
         self._on = self._on and not self._open
 
+    @property
+    def current_a(self) -> float:
+        """Current through the diode, A."""
+        return self._current_ma * 1e-3 if self._on and self._mode == 0 else 0.0
+
     def publish(self, folder: Path) -> None:
         """Put the current through the diode where the light is made."""
-        now = {"current_a": self._current_ma * 1e-3 if self._on and self._mode == 0 else 0.0}
+        now = {"current_a": self.current_a}
         if now != self._published:
             replace_file(folder / OUTPUT, json.dumps(now))
             self._published = now

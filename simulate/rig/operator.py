@@ -47,13 +47,17 @@ class VirtualOperator:
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
 
-    def place(self, *, kind: Kind, target: Target, illuminance_lux: float) -> Conditions:
+    def place(
+        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+    ) -> Conditions:
         """Put a target before the camera, set the light until the meter reads what is asked, and return its reading."""
         placement = Placement(
             number=read_placement(self._folder).number + 1, kind=kind, target=target, illuminance_lux=illuminance_lux
         )
         replace_file(self._folder / _FILE, json.dumps(asdict(placement)))
-        return Conditions(illuminance_lux=illuminance_lux, illuminance_relative_sd=METER_RELATIVE_SD)
+        return Conditions(
+            illuminance_lux=illuminance_lux, illuminance_relative_sd=METER_RELATIVE_SD, filter_density=filter_density
+        )
 
     def darken(self) -> None:
         """Block the light and leave the target where it is."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _GATE_FILE, _VOLTAGE_FILE = "gate.output.json", "high_voltage.output.json"
+_LAMP_FILE, _WHEEL_FILE = "light_source.output.json", "filter_wheel.output.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +38,21 @@ class Outputs:
         Voltage across the microchannel plate, V.
     gate_open, gate_ns, gate_hz
         See `GateOutput`.
+    lamp_a
+        Current through the lamp of the bench, A; None: it has no lamp.
+    filter_position
+        Position of the wheel before the lamp; None: it turns, or there is none.
+    has_wheel
+        Whether there is a wheel before the lamp.
     """
 
     mcp_v: float
     gate_open: bool
     gate_ns: float
     gate_hz: float
+    lamp_a: float | None = None
+    filter_position: int | None = None
+    has_wheel: bool = False
 
     def open_ns(self, exposure_s: float) -> float:
         """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over its phase."""
@@ -68,7 +78,14 @@ def read_outputs(folder: Path) -> Outputs:
     """Read the wires of the bench in a folder; an instrument that was never switched on puts out nothing."""
     gate = _read(Path(folder) / _GATE_FILE) or vars(GateOutput())
     voltage = _read(Path(folder) / _VOLTAGE_FILE) or {"mcp_v": 0.0}
-    return Outputs(**gate, **voltage)
+    lamp, wheel = _read(Path(folder) / _LAMP_FILE), _read(Path(folder) / _WHEEL_FILE)
+    return Outputs(
+        **gate,
+        **voltage,
+        lamp_a=None if lamp is None else lamp["current_a"],
+        filter_position=None if wheel is None else wheel["position"],
+        has_wheel=wheel is not None,
+    )
 
 
 def replace_file(path: Path, text: str) -> None:

@@ -1,19 +1,21 @@
-"""The truth of a virtual bench, kept apart from the session: the specimen, its seed, and the error of its meter."""
+"""The truth of a virtual bench, kept apart from the session: specimen, seed, the errors of meter, lamp and filters."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from labdata.border import from_toml, to_toml
 from labdata.errors import BadInput
+from labdata.lamp import Lamp
 from labdata.sensor import Sensor
-from simulate.rig.operator import METER_RELATIVE_SD
-from simulate.rig.outputs import replace_file
+from simulate.rig.operator import METER_RELATIVE_SD, Placement
+from simulate.rig.outputs import Outputs, replace_file
 from simulate.rig.truth import draw_truth
 
 TRUTH = "truth"
+_LAMP = "lamp.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,15 +30,28 @@ class Truth:
         Seed of the specimen and of every frame.
     light_per_reading
         True illuminance over the meter's reading, dimensionless.
+    lamp
+        What the lamp of the bench truly makes of its currents; None: there is none.
     """
 
     sensor: Sensor
     seed: int
     light_per_reading: float
+    lamp: Lamp | None = None
+
+    def illuminance_lux(self, placement: Placement, outputs: Outputs) -> float:
+        """True illuminance on the photocathode, lux: of the bench's lamp if it has one, else as an operator set it."""
+        if outputs.lamp_a is None or self.lamp is None:
+            return placement.illuminance_lux * self.light_per_reading
+        position = outputs.filter_position if outputs.has_wheel else 1
+        if position is None or position > len(self.lamp.filter_density) or outputs.lamp_a == 0.0:
+            return 0.0  # the body of a turning wheel, and a position without a filter, are opaque
+        # Below its calibration a diode's light goes on falling by the same power; so does the truth.
+        return self.lamp.lit(outputs.lamp_a, position, beyond_a=outputs.lamp_a).illuminance_lux or 0.0
 
 
-def make_truth(folder: Path, sensor: Sensor, seed: int) -> Truth:
-    """Draw a specimen of a sensor and its meter and keep them in a folder, or find the same ones there again.
+def make_truth(folder: Path, sensor: Sensor, seed: int, lamp: Lamp | None = None) -> Truth:
+    """Draw a specimen of a sensor, its meter and its lamp and keep them in a folder, or find the same ones there again.
 
     Raises
     ------
@@ -44,6 +59,9 @@ def make_truth(folder: Path, sensor: Sensor, seed: int) -> Truth:
         If the folder holds the truth of another seed or sensor.
     """
     asked = {"seed": seed, "drawn_from": sensor.name}
+    if lamp is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        replace_file(folder / _LAMP, to_toml(_true_lamp(lamp, seed)))
     if (folder / "truth.json").is_file():
         there = json.loads((folder / "truth.json").read_text())
         if {name: there[name] for name in asked} != asked:
@@ -64,4 +82,23 @@ def read_truth(folder: Path) -> Truth:
         sensor=from_toml(folder / "sensor.toml", Sensor),
         seed=values["seed"],
         light_per_reading=values["light_per_reading"],
+        lamp=from_toml(folder / _LAMP, Lamp) if (folder / _LAMP).exists() else None,
+    )
+
+
+def _true_lamp(lamp: Lamp, seed: int) -> Lamp:
+    """Draw what a lamp truly makes, within its calibration's uncertainty: one error for all currents, one a filter."""
+    rng = np.random.default_rng(np.random.SeedSequence((seed, 0x1A)))
+    brighter = float(rng.standard_normal())
+    densities = (
+        density + (lamp.filter_density_sd * float(rng.standard_normal()) if density else 0.0)
+        for density in lamp.filter_density
+    )
+    pairs = zip(lamp.illuminance_lux, lamp.relative_sd, strict=True)
+    return replace(
+        lamp,
+        illuminance_lux=tuple(lux * float(np.exp(relative_sd * brighter)) for lux, relative_sd in pairs),
+        relative_sd=(0.0,) * len(lamp.relative_sd),
+        filter_density=tuple(max(0.0, density) for density in densities),
+        filter_density_sd=0.0,
     )

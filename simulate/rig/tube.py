@@ -71,7 +71,7 @@ class VirtualTube:
             exposure_s=exposure_s,
             mcp_v=max(round(outputs.mcp_v, 2), MCP_FLOOR_V),
             gate_ns=max(outputs.open_ns(exposure_s), exposure_s * 1e9 * GATE_EXTINCTION),
-            illuminance_lux=placement.illuminance_lux * self._truth.light_per_reading,
+            illuminance_lux=self._truth.illuminance_lux(placement, outputs),
             camera_gain_db=gain_db,
         )
         return Scene(placement=placement, conditions=conditions)

@@ -129,7 +129,9 @@ class FakeOperator:
     def __init__(self, rig: FakeRig) -> None:
         self.rig = rig
 
-    def place(self, *, kind: str, target: Any, illuminance_lux: float) -> Conditions:
+    def place(
+        self, *, kind: str, target: Any, illuminance_lux: float, filter_density: float | None = None
+    ) -> Conditions:
         self.rig.happens(f"{kind} placed at {illuminance_lux:g} lux")
         if illuminance_lux == 0.0 and self.rig.gate_open:
             raise AssertionError("a target was placed before an open gate")

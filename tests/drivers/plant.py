@@ -11,6 +11,8 @@ from drivers.tube.rules import REACTIONS, RULES
 from drivers.tube.state import (
     DarkSeen,
     Failed,
+    FilterMoved,
+    FilterRead,
     GainRead,
     GateRead,
     Heard,
@@ -21,6 +23,7 @@ from drivers.tube.state import (
     RaiseGain,
     SafeOrdered,
     SetLight,
+    TurnFilter,
 )
 from labdata.limits import Limits, limits_in_force
 from labdata.sensors import load_sensor
@@ -36,6 +39,7 @@ RATES = (10.0, 49.0, 50.0, 51.0, 500.0, 0.0, -5.0, math.inf)
 WIDTHS_NS = (1e3, 1e6, 1.6e7, 1.99e7, 2e7, 2.01e7, 1e9, 0.0, math.nan)
 RATES_HZ = (1.0, 25.0, 50.0, 59.94, 60.1, 1000.0)
 LUX = (0.0, 1e-5, 1e-4, 1e-3, 5e-3, 9.9e-3, 1e-2, 1.1e-2, 0.5, 9.0, 10.0, 11.0, 1e5, math.nan)
+DENSITIES = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
 TARGETS = (Target(), Target(angle_deg=5.0), Target(pinhole_px=1.0))
 FAULTS = ("the supply tripped", "the camera has gone", "the supply is silent", "the disk is full")
 
@@ -50,6 +54,8 @@ class Plant:
     open: tuple[float, float] = (1e6, 50.0)  # a bench that somebody left on: width in ns, rate in Hz
     volts: float = 700.0
     lux: float = 1e-3
+    filter: int = 3  # position of the wheel, from 1
+    thought: int = 3  # where whoever sets the lamp thinks that it stands
     before: tuple[Target, bool] = (Target(), False)
     truly_dark_seen: bool = False
     guard_spoke_s: float = -math.inf
@@ -79,7 +85,13 @@ class Plant:
         except InterlockRefused:
             return
         self.passed += 1
-        act = {OpenGate: self._opens, RaiseGain: self._raises, LowerGain: self._lowers, SetLight: self._lights}
+        act = {
+            OpenGate: self._opens,
+            RaiseGain: self._raises,
+            LowerGain: self._lowers,
+            SetLight: self._lights,
+            TurnFilter: self._turns,
+        }
         act[type(command)](command, share)
         if answers:
             self.answer(command)
@@ -89,6 +101,9 @@ class Plant:
             self.interlock.tell(GateRead(width_ns=self.open[0], rate_hz=self.open[1]))
         elif isinstance(command, RaiseGain | LowerGain):
             self.interlock.tell(GainRead(mcp_v=self.volts))
+        elif isinstance(command, TurnFilter):
+            self.thought = self.filter
+            self.interlock.tell(FilterRead(position=self.filter))
         else:
             self.interlock.tell(LightRead(illuminance_lux=self.lux))
 
@@ -131,13 +146,24 @@ class Plant:
             self._heated("the light was set")
             if not self.truly_dark_seen:
                 self.hurts.append("light before a dark frame was seen")
-        self.lux += share * (command.illuminance_lux - self.lux)
+        # The lamp's current is that which makes the light asked for behind the filter that is thought to stand there.
+        thicker = DENSITIES[self.filter - 1] - DENSITIES[self.thought - 1]
+        self.lux += share * (command.illuminance_lux * 10.0**-thicker - self.lux)
+        if command.illuminance_lux > 0.0 and thicker != 0.0:
+            self.hurts.append("light through another filter than was thought")
         limits = SENSOR.limits
         brightest = float(limits.point_illuminance_lux if command.point else limits.illuminance_lux)
         if command.illuminance_lux != 0.0 and not command.illuminance_lux <= brightest:
             self.hurts.append(f"a light of {command.illuminance_lux:g} lux")
         if command.illuminance_lux != 0.0:
             self._current_is_borne(command.point, 1.0)
+
+    def _turns(self, command: TurnFilter, share: float) -> None:
+        """The wheel turns, or stops half-way at a neighbour; what light there is passes through whatever comes by."""
+        if self.lux > 0.0:
+            self.hurts.append("a filter turned in the light")
+        around = (command.position - self.filter) % len(DENSITIES)
+        self.filter = (self.filter - 1 + round(share * around)) % len(DENSITIES) + 1
 
     def _current_is_borne(self, point: bool, tolerance: float) -> None:
         most = float(SENSOR.limits.point_anode_na_per_cm2 if point else SENSOR.limits.anode_na_per_cm2)
@@ -239,6 +265,7 @@ def new_plant(*, without: str | None = None, limits=LIMITS) -> Plant:
     reactions = tuple(one for one in REACTIONS if one.name != without)
     plant = Plant(interlock=None)  # type: ignore[arg-type]
     plant.interlock = Interlock(limits, rules=rules, reactions=reactions, clock=lambda: plant.now_s)
+    plant.interlock.tell(FilterMoved())
     return plant
 
 
@@ -271,6 +298,9 @@ def step(plant: Plant, what: int, first: int, second: int) -> None:
         target = _of(TARGETS, second // 16)
         light = SetLight(illuminance_lux=_of(LUX, first), point=target.pinhole_px is not None, target=target)
         plant.command(light, share=share, answers=answers)
+    elif what < 208:
+        turn = TurnFilter(position=first % len(DENSITIES) + 1)
+        plant.command(turn, share=share, answers=answers)
     elif what < 215:
         plant.shut(works=answers)
     elif what < 220:
@@ -310,6 +340,8 @@ def _sensible(plant: Plant, first: int, share: float, answers: bool) -> None:
         plant.command(OpenGate(width_ns=1.6e7, rate_hz=59.94), share=share, answers=answers)
     elif not state.dark_seen:
         plant.look()
+    elif not state.filter_known or first % 16 == 1:
+        plant.command(TurnFilter(position=first // 16 % len(DENSITIES) + 1), share=share, answers=answers)
     else:
         light = SetLight(illuminance_lux=lux, point=state.point, target=state.target or Target())
         plant.command(light, share=share, answers=answers)

@@ -7,12 +7,12 @@ import pytest
 
 from drivers.acquisition.acquire import acquire
 from drivers.aravis.camera import AravisCamera
+from drivers.instruments.models import lines_on
 from drivers.tube.bench import Bench
-from drivers.wire.lines import gate_line, supply_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Override, limits_in_force
-from labdata.plan import Plan, Step
+from labdata.plan import Plan, Step, Wires
 from labdata.sensors import load_sensor, save_sensor
 from labdata.target import Target
 from simulate.rig import aravis_library
@@ -44,11 +44,11 @@ def taken(folder, wires):
     folder.mkdir()
     save_sensor(small, folder / "small.toml")
     plan = Plan(name="twice", sensor=str(folder / "small.toml"), seed=5, overrides=(FAST,), steps=STEPS)
-    with VirtualBench(folder / "bench", small, plan.seed, wires=wires, time_scale=20.0) as rig:
+    with VirtualBench(folder / "bench", small, plan.seed, wires=Wires(bench=wires), time_scale=20.0) as rig:
         lines = None
         camera = rig.in_process_camera()
         if inside := rig.inside:
-            lines = gate_line(inside.gate_port), supply_line(inside.supply_port, address=rig.wires.supply_address)
+            lines = lines_on(inside.ports, rig.wires)
         elif rig.camera:
             camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
         limits = limits_in_force(plan.limits, small, plan.overrides)
@@ -99,13 +99,14 @@ def test_a_run_over_real_wires_gives_the_same_frames_as_one_without(inside, tmp_
 
 def test_a_virtual_bench_keeps_its_specimen_and_refuses_another_seed(tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
-    with VirtualBench(tmp_path / "bench", sensor, 5, wires="in-process") as first:
+    inside = Wires(bench="in-process")
+    with VirtualBench(tmp_path / "bench", sensor, 5, wires=inside) as first:
         truth = first.truth()
-    with VirtualBench(tmp_path / "bench", sensor, 5, wires="in-process") as second:
+    with VirtualBench(tmp_path / "bench", sensor, 5, wires=inside) as second:
         assert second.truth() == truth
     assert truth.light_per_reading != 1.0
     with (
         pytest.raises(BadInput, match="must keep its seed and sensor"),
-        VirtualBench(tmp_path / "bench", sensor, 6, wires="in-process"),
+        VirtualBench(tmp_path / "bench", sensor, 6, wires=inside),
     ):
         pass

@@ -13,10 +13,10 @@ import pytest
 
 from drivers.errors import BenchError, InstrumentSilent, InstrumentTripped
 from drivers.instruments import high_voltage
+from drivers.instruments.models import lines_on
 from drivers.tube import safe
 from drivers.tube.bench import FIELD_RATE_HZ, Bench
 from drivers.tube.state import InterlockRefused, OpenGate
-from drivers.wire.lines import gate_line, supply_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -60,7 +60,7 @@ def virtual():
 
 @pytest.fixture
 def lines(virtual):
-    return gate_line(virtual.gate_port), supply_line(virtual.supply_port, address=14)
+    return lines_on(virtual.ports, Wires())
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_what_is_not_asked_for_is_off(bench, virtual):
 @pytest.mark.parametrize(("first_v", "then_v"), [(600, 800), (800, 600), (800, 0), (700, 700)])
 def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, first_v, then_v):
     witness = Witness(virtual)
-    lines = tuple(witness.wrap(line) for line in lines)
+    lines = {role: witness.wrap(line) for role, line in lines.items()}
     with Bench(Wires(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines) as bench:
         bench.set_conditions(Conditions(mcp_v=first_v, gate_ns=1e6))
         witness.seen.clear()
@@ -103,7 +103,7 @@ def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, firs
 
 def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines, tmp_path):
     witness = Witness(virtual)
-    lines = tuple(witness.wrap(line) for line in lines)
+    lines = {role: witness.wrap(line) for role, line in lines.items()}
     with Bench(Wires(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines) as bench:
         began_s = time.monotonic()
         bench.set_conditions(Conditions(mcp_v=650))
@@ -156,7 +156,7 @@ def test_sigterm_is_a_door_too(bench, virtual):
 
 
 def test_opening_makes_a_bench_safe_that_was_left_on(virtual, lines, bench):
-    gate, supply = lines
+    gate, supply = lines["gate"], lines["supply"]
     gate.write("DLAY 3,2,1e-3;LAMP 1,4;TSRC 0")
     supply.write("VSET 600;HVON")
     time.sleep(0.05)
@@ -221,7 +221,7 @@ def test_the_wires_left_out_are_named(bench, tmp_path):
 
 
 def test_a_bench_needs_ports(tmp_path):
-    with pytest.raises(BadInput, match="gate_port and supply_port must name serial ports, got None and None"):
+    with pytest.raises(BadInput, match="must have its serial port, got none for gate_port and supply_port"):
         Bench(Wires(), LIMITS, log=tmp_path / "log")
 
 
@@ -234,7 +234,7 @@ class Hands:
     def darken(self) -> None:
         self.placed.append(0.0)
 
-    def place(self, *, kind, target, illuminance_lux) -> Conditions:
+    def place(self, *, kind, target, illuminance_lux, filter_density=None) -> Conditions:
         self.placed.append(illuminance_lux)
         return Conditions(illuminance_lux=self.factor * illuminance_lux)
 

@@ -16,6 +16,8 @@ from drivers.tube.rules import REACTIONS, RULES
 from drivers.tube.state import (
     DarkSeen,
     Failed,
+    FilterMoved,
+    FilterRead,
     GainRead,
     GateRead,
     Heard,
@@ -25,6 +27,7 @@ from drivers.tube.state import (
     OpenGate,
     RaiseGain,
     SetLight,
+    TurnFilter,
 )
 from labdata.limits import LIMITS
 from labdata.target import Target
@@ -116,6 +119,7 @@ def hot():
         GateRead(width_ns=0.0, rate_hz=0.0),
         GainRead(mcp_v=0.0),
         LightRead(illuminance_lux=0.0),
+        FilterRead(position=1),
         Heard(now_s=100.0),
     ):
         tube.tell(event)
@@ -146,6 +150,8 @@ def light(lux: float, **changes) -> SetLight:
             OpenGate(width_ns=1e6, rate_hz=50.0),
             "light must be out when the gate opens",
         ),
+        (LightRead(illuminance_lux=1e-4), TurnFilter(position=2), "must be out while a filter turns, got up to 0.0001"),
+        (FilterMoved(), light(1e-4), "the filter must be read before there is light, got none read before 0.0001 lux"),
         (Failed(sentence="the supply tripped"), light(1e-4), "opened anew after a failure, got: the supply tripped"),
         (Heard(now_s=99.0), light(1e-4), "shown life within 0.6 s, got 1 s of silence"),
     ],

@@ -7,8 +7,8 @@ from pathlib import Path
 from drivers.acquisition.acquire import acquire
 from drivers.aravis.camera import AravisCamera
 from drivers.errors import BenchError
+from drivers.instruments.models import lines_on
 from drivers.tube.bench import Bench
-from drivers.wire.lines import gate_line, supply_line
 from labdata.border import from_toml
 from labdata.errors import BadInput
 from labdata.limits import limits_in_force
@@ -31,15 +31,11 @@ def main() -> int:
     def tell(sentence: str, share: float = 0.0) -> None:
         print(f"{share:.3f} {sentence}", flush=True)
 
-    rig = VirtualBench(
-        options.bench, sensor, plan.seed, wires=plan.wires.bench, time_scale=options.time_scale, say=tell
-    )
+    rig = VirtualBench(options.bench, sensor, plan.seed, wires=plan.wires, time_scale=options.time_scale, say=tell)
     try:
         with rig:
             inside = rig.inside
-            lines = (
-                None if inside is None else (gate_line(inside.gate_port), supply_line(inside.supply_port, address=14))
-            )
+            lines = None if inside is None else lines_on(inside.ports, rig.wires)
             wired = rig.wires.camera is not None
             print(f"pids camera={rig.camera.pid if rig.camera else 0}", flush=True)
             print(f"wires {rig.wires_folder}", flush=True)

@@ -1,0 +1,156 @@
+"""The lamp of the bench is lit and put out in the order that spares the tube, and is out in the safe state."""
+
+import numpy as np
+import pytest
+
+from drivers.errors import BenchError, InstrumentRefused
+from drivers.instruments import high_voltage
+from drivers.instruments.filter_wheel import FilterWheel
+from drivers.instruments.models import lines_on
+from drivers.tube import safe
+from drivers.tube.bench import Bench
+from drivers.tube.state import InterlockRefused, TurnFilter
+from drivers.wire.lines import wheel_line
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.lamp import Lamp
+from labdata.limits import Limits
+from labdata.plan import Wires
+from labdata.target import Target
+from simulate.rig.faults import Faults
+from simulate.rig.in_process import InProcessInstruments
+
+WIRES = Wires(bench="in-process", light="dc2100", wheel="fw102c")
+LAMP = Lamp(
+    source="photometer",
+    current_a=(0.01, 0.1, 1.0),
+    illuminance_lux=(1e-2, 1e-1, 1.0),
+    relative_sd=(0.03, 0.03, 0.03),
+    filter_density=(0.0, 1.0, 2.0, 3.0, 4.0, 5.0),
+)
+LIMITS = Limits(ramp_v_per_s=10000.0)
+DARK = {"kind": "flat", "target": Target(), "illuminance_lux": 0.0}
+
+
+class Hands:
+    """Places targets and nothing else."""
+
+    def __init__(self) -> None:
+        self.placed: list[float] = []
+
+    def darken(self) -> None: ...
+
+    def place(self, *, kind, target, illuminance_lux, filter_density=None) -> Conditions:
+        self.placed.append(illuminance_lux)
+        return Conditions(illuminance_lux=0.0)
+
+
+@pytest.fixture(autouse=True)
+def short_waits(monkeypatch):
+    monkeypatch.setattr(safe, "FOLLOW_S", 0.03)
+    monkeypatch.setattr(high_voltage, "SETTLE_S", 0.03)
+
+
+@pytest.fixture
+def virtual():
+    return InProcessInstruments(WIRES, time_scale=60.0)
+
+
+@pytest.fixture
+def bench(virtual, tmp_path):
+    return Bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines_on(virtual.ports, WIRES), lamp=LAMP)
+
+
+def at_gain(bench, hands):
+    """The bench's light, with the gate open at gain and a dark frame seen."""
+    light = bench.guard(hands)
+    light.place(**DARK)
+    bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6))
+    bench.saw_without_light(np.full((4, 6), 12, np.uint8), 255.0)
+    return light
+
+
+def test_the_light_asked_for_is_made_by_current_and_filter_and_read_back(bench, virtual):
+    hands = Hands()
+    with bench:
+        light = at_gain(bench, hands)
+        read = light.place(kind="flat", target=Target(), illuminance_lux=2.5e-5)
+        assert (read.lamp_a, read.filter_density) == (pytest.approx(0.25), 4.0)
+        assert read.illuminance_lux == pytest.approx(2.5e-5)
+        out = virtual.outputs()
+        assert (out.lamp_a, out.filter_position) == (pytest.approx(0.25), 5)
+    assert set(hands.placed) == {0.0}  # a person only places targets
+
+
+def test_a_filter_turns_in_the_dark_only(bench, virtual):
+    with bench:
+        light = at_gain(bench, Hands())
+        light.place(kind="flat", target=Target(), illuminance_lux=2.5e-5)
+        with pytest.raises(InterlockRefused, match=r"the light must be out while a filter turns, got up to 2.5e-05"):
+            bench.interlock.permit(TurnFilter(position=1))
+        lit: list[float] = []
+        turns = virtual.ports["filter-wheel"]
+        send, turns.send = turns.send, lambda data: (lit.append(virtual.outputs().lamp_a), send(data))
+        light.place(kind="flat", target=Target(), illuminance_lux=2.5e-4, filter_density=3.0)
+        assert lit and set(lit) == {0.0}
+        assert virtual.outputs().filter_position == 4
+
+
+def test_the_gain_goes_up_only_when_the_lamp_is_out(bench):
+    with bench:
+        light = at_gain(bench, Hands())
+        light.place(kind="flat", target=Target(), illuminance_lux=1e-4)
+        with pytest.raises(InterlockRefused, match="the light must be down before the gain goes up"):
+            bench.set_conditions(Conditions(mcp_v=800.0))
+        light.place(**DARK)
+        assert bench.set_conditions(Conditions(mcp_v=800.0)).mcp_v == 800.0
+
+
+@pytest.mark.parametrize("door", [None, RuntimeError, KeyboardInterrupt])
+def test_every_door_leaves_the_lamp_out(bench, virtual, door):
+    try:
+        with bench:
+            at_gain(bench, Hands()).place(kind="flat", target=Target(), illuminance_lux=1e-4)
+            assert virtual.outputs().lamp_a > 0.0
+            if door:
+                raise door
+    except (RuntimeError, KeyboardInterrupt) as error:
+        assert type(error) is door
+    out = virtual.outputs()
+    assert (out.lamp_a, out.gate_open) == (0.0, False)
+
+
+def test_making_safe_puts_the_lamp_out_and_a_lamp_that_cannot_be_heard_is_told(bench, virtual):
+    with pytest.raises(BenchError, match="the lamp may burn"), bench:
+        at_gain(bench, Hands()).place(kind="flat", target=Target(), illuminance_lux=1e-4)
+        virtual.ports["light-source"].faults = Faults(mute=True)
+    assert virtual.outputs().lamp_a == 0.0  # it obeyed all the same
+
+
+def test_the_source_itself_refuses_more_than_was_calibrated(bench, virtual):
+    with bench:
+        at_gain(bench, Hands()).place(kind="flat", target=Target(), illuminance_lux=1e-2, filter_density=2.0)
+        assert virtual.outputs().lamp_a == pytest.approx(1.0)  # the end of the table is no fault of the diode
+        with pytest.raises(InstrumentRefused):
+            bench._lamp._source.shine(1.01)
+
+
+def test_a_wheel_that_somebody_turned_is_told(virtual):
+    ours, theirs = (FilterWheel(wheel_line(virtual.ports["filter-wheel"])) for _ in range(2))
+    ours.look()
+    ours.look()
+    theirs.turn_to(4)
+    with pytest.raises(InstrumentRefused, match="filter wheel must stay at 1, got 4: somebody turned it"):
+        ours.look()
+
+
+def test_a_lamp_without_a_calibration_and_a_wheel_without_enough_filters_are_refused(virtual, tmp_path):
+    lines = lines_on(virtual.ports, WIRES)
+    with pytest.raises(BadInput, match="a light source must have its calibration, got None"):
+        Bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines)
+    many = Lamp(**{**vars(LAMP), "filter_density": tuple(float(each) for each in range(9))})
+    with (
+        pytest.raises(BadInput, match="a position for each filter, got 6 for 9"),
+        Bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines, lamp=many),
+    ):
+        pass
