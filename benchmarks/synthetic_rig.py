@@ -110,6 +110,10 @@ class SlowBench(_Opened):
     def saw_without_light(self, pixels: NDArray, full_scale_dn: float) -> None:
         """Nothing to see."""
 
+    def read_beside(self) -> tuple[Conditions, tuple[str, ...]]:
+        """No meter stands beside it."""
+        return Conditions(), ()
+
     def check(self) -> None:
         """Nothing went wrong."""
 

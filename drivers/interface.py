@@ -73,6 +73,10 @@ class Bench(Protocol):
         """
         ...
 
+    def read_beside(self) -> tuple[Conditions, tuple[str, ...]]:
+        """Read the meters beside the tube, and return a sentence for each that does not answer and is not needed."""
+        ...
+
     @property
     def dark_seen(self) -> bool:
         """Whether a dark frame was seen through the open gate since the bench was opened; no light is set before."""

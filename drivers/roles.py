@@ -133,3 +133,23 @@ class LightSource(Instrument, Protocol):
     def shine(self, current_a: float) -> float:
         """Drive the lamp with a current, A, and return it as read back."""
         ...
+
+
+class LightMeter(Instrument, Protocol):
+    """Measures the light beside the tube."""
+
+    def tune(self, wavelength_nm: float) -> None:
+        """Have it correct for the sensitivity of its head at a wavelength, nm; read back."""
+        ...
+
+    def power_w(self) -> float:
+        """Power on its head, W."""
+        ...
+
+
+class Thermometer(Instrument, Protocol):
+    """Measures how warm tube or camera are."""
+
+    def temperature_c(self) -> float:
+        """Temperature, degrees Celsius."""
+        ...

@@ -50,6 +50,12 @@ class Conditions:
         Control word of the tube's gain, counts.
     lamp_a
         Current through the lamp of the bench, A.
+    metered_w
+        Power on the head of a light meter beside the tube, W, whatever its zero.
+    metered_lux
+        Illuminance on the photocathode by that meter, lux, whatever its zero.
+    metered_time_s, temperature_time_s
+        When meter and thermometer were read, s since 1970.
     luminous_gain
         Luminous gain of the tube by its calibration, lm/lm.
     luminous_gain_relative_sd
@@ -72,6 +78,10 @@ class Conditions:
     em_gain: float | None = None
     gain_control: float | None = None
     lamp_a: float | None = None
+    metered_w: float | None = None
+    metered_lux: float | None = None
+    metered_time_s: float | None = None
+    temperature_time_s: float | None = None
     luminous_gain: float | None = None
     luminous_gain_relative_sd: float | None = None
     filter_density: float | None = None
@@ -81,7 +91,7 @@ class Conditions:
             value = getattr(self, item.name)
             if value is not None and not math.isfinite(value):
                 raise BadInput(f"{item.name} must be a finite number, got {value:g}")
-        free = {"camera_gain_db", "temperature_c", *SWITCHES}
+        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux", *SWITCHES}
         for item in fields(Conditions):
             value = getattr(self, item.name)
             if value is not None and item.name not in free and not value >= 0:

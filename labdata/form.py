@@ -11,6 +11,7 @@ from labdata.errors import BadInput
 from labdata.gain_table import GainTable
 from labdata.lamp import Lamp
 from labdata.limits import Limits, Override
+from labdata.meters import Meters
 from labdata.plan import Plan, Settle, Step, Wires
 from labdata.session import Kind
 from labdata.sweep import MOST_STEPS, SweepForm
@@ -164,6 +165,8 @@ class PlanForm:
         Calibration of the tube, by which steps may ask for a luminous gain, or the TOML file that holds it.
     lamp
         Calibration of the light source and of the filters before it, or the TOML file that holds it.
+    meters
+        How the meters beside the tube are read.
     step
         The stacks to take, in order.
     sweep
@@ -181,6 +184,7 @@ class PlanForm:
     settle: Settle = field(default_factory=Settle)
     gain_table: GainTable | str | None = None
     lamp: Lamp | str | None = None
+    meters: Meters = field(default_factory=Meters)
     step: tuple[StepForm, ...] = ()
     sweep: tuple[SweepForm, ...] = ()
 
@@ -200,6 +204,7 @@ class PlanForm:
             settle=self.settle,
             gain_table=_read(self.gain_table, GainTable),
             lamp=_read(self.lamp, Lamp),
+            meters=self.meters,
             steps=(*(step.step() for step in self.step), *(step for sweep in self.sweep for step in sweep.steps())),
         )
 
@@ -218,6 +223,7 @@ class PlanForm:
             settle=plan.settle,
             gain_table=plan.gain_table,
             lamp=plan.lamp,
+            meters=plan.meters,
             step=tuple(_step_form(step) for step in plan.steps),
         )
 

@@ -12,6 +12,7 @@ from labdata.errors import BadInput
 from labdata.gain_table import GainTable
 from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
+from labdata.meters import Meters
 from labdata.session import Kind
 from labdata.target import Target
 
@@ -247,6 +248,8 @@ class Plan:
         Calibration of the tube, by which steps may ask for a luminous gain; None: that of the sensor, if it has one.
     lamp
         Calibration of the light source and of the filters before it; a plan whose wires name a light source has one.
+    meters
+        How the meters beside the tube are read.
     steps
         The stacks to take, in order.
     """
@@ -262,12 +265,14 @@ class Plan:
     settle: Settle = field(default_factory=Settle)
     gain_table: GainTable | None = None
     lamp: Lamp | None = None
+    meters: Meters = field(default_factory=Meters)
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
         labels = [step.label for step in self.steps]
         if not labels:
             raise BadInput("a plan must have at least one step, got none")
+        self._check_meters()
         if (self.lamp is None) != (self.wires.light is None):
             there = "none" if self.lamp is None else "one"
             raise BadInput(f"a plan must have a lamp where its wires name a light, got {there} for {self.wires.light}")
@@ -278,6 +283,14 @@ class Plan:
             known = limits_in_force(self.limits, None, self.overrides)
             for step in self.steps:
                 _check_against(known, step.brightest)
+
+    def _check_meters(self) -> None:
+        for needed, role, model in (
+            (self.meters.light_needed, "light_meter", self.wires.light_meter),
+            (self.meters.temperature_needed, "thermometer", self.wires.thermometer),
+        ):
+            if needed and model is None:
+                raise BadInput(f"a {role} that a plan needs must be named in its wires, got none")
 
 
 def _check_against(limits: LimitsInForce, step: Step) -> None:

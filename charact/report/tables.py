@@ -163,6 +163,8 @@ CONDITION_UNITS = {
     "illuminance_relative_sd": ("Relative uncertainty of the illuminance", "1"),
     "photons_per_px": ("Photons per pixel", "1"),
     "camera_gain_db": ("Camera gain", "dB"),
+    "metered_w": ("Light meter", "W"),
+    "metered_lux": ("Illuminance by the light meter", "lux"),
     "temperature_c": ("Temperature", "°C"),
     "wavelength_nm": ("Wavelength", "nm"),
 }

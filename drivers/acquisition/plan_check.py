@@ -16,7 +16,8 @@ from labdata.sensor import Sensor
 _NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
 _SPARE_BYTES = 64 << 20
 # Conditions that no driver sets or reads back: the record would repeat what was asked as if it had been in force.
-_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control", "lamp_a")
+_READ_BESIDE = ("metered_w", "metered_lux", "metered_time_s", "temperature_time_s")
+_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control", "lamp_a", *_READ_BESIDE)
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:

@@ -8,6 +8,9 @@ from labdata.errors import BadInput
 SAME = 1e-3
 """Relative difference within which an instrument reads back the same."""
 
+OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
+"""What nobody set: it is recorded as it was, and need not be the same again."""
+
 SAME_LIGHT = 0.02
 """The same for a light meter, whose reading repeats less well."""
 
@@ -23,6 +26,8 @@ def merged(asked: Conditions, *read_back: Conditions) -> Conditions:
 def require_same(before: Conditions, now: Conditions, *, label: str) -> None:
     """Refuse (BadInput) to go on with a stack under other conditions than it was begun under."""
     for item in fields(Conditions):
+        if item.name in OBSERVED:
+            continue
         first, second = getattr(before, item.name), getattr(now, item.name)
         if first is None or second is None:
             continue

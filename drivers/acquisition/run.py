@@ -74,6 +74,7 @@ class Run:
         anew, watcher = self._put_aside(step), self._watcher(step)
         there = 0 if anew else self._partial.get(step.label, 0)
         conditions = self._set(step, clock)
+        conditions, silent = self._read_beside(conditions, clock)
         if there:
             self._look_back(step, conditions, watcher)
         stack = self._begin(step, conditions)
@@ -81,7 +82,7 @@ class Run:
         with self._doubting(stack), clock.wire():
             # No target moves before an open gate.
             self._bench.set_conditions(replace(step.conditions, gate_ns=None))
-        stack.finish(losses, self._notes(there, anew, enough, watcher))
+        stack.finish(losses, (*self._notes(there, anew, enough, watcher), *silent))
         self._pace.done += step.frames
         self._log(
             "step finished",
@@ -145,6 +146,14 @@ class Run:
         self._before = asked
         camera = Conditions(exposure_s=self._settings.exposure_s, camera_gain_db=self._settings.gain_db)
         return merged(asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera)
+
+    def _read_beside(self, conditions: Conditions, clock: StepClock) -> tuple[Conditions, tuple[str, ...]]:
+        """Read the meters beside the tube once all has settled; one that keeps silent is told."""
+        with clock.wire():
+            read, silent = self._bench.read_beside()
+        for sentence in silent:
+            self._log("meter silent", sentence=sentence)
+        return merged(conditions, read), silent
 
     def _wait(self, seconds: float, clock: StepClock) -> None:
         """Let gain and light settle, with an eye on the bench."""

@@ -17,17 +17,23 @@ from drivers.instruments.filter_wheel import FilterWheel
 from drivers.instruments.high_voltage import HighVoltage
 from drivers.instruments.iseg import Iseg
 from drivers.instruments.light_source import LightSource
+from drivers.instruments.power_meter import PowerMeter
+from drivers.instruments.thermometer import Thermometer
 from drivers.wire.line import Line, OwnedLine
 from drivers.wire.lines import (
     GATE_NAME,
     LIGHT_NAME,
+    METER_NAME,
     SUPPLY_NAME,
+    THERMOMETER_NAME,
     WHEEL_NAME,
     bus_line,
     gate_line,
     iseg_line,
     light_line,
+    meter_line,
     supply_line,
+    thermometer_line,
     wheel_line,
 )
 from drivers.wire.port import Port, SerialPort
@@ -112,6 +118,21 @@ SHIPPED = (
         line=lambda port, address: light_line(port),
         driver=LightSource,
         baud=115200,
+    ),
+    Model(
+        name="pm101",
+        role="light-meter",
+        title=METER_NAME,
+        line=lambda port, address: meter_line(port),
+        driver=PowerMeter,
+        baud=115200,
+    ),
+    Model(
+        name="ctc100",
+        role="thermometer",
+        title=THERMOMETER_NAME,
+        line=lambda port, address: thermometer_line(port),
+        driver=Thermometer,
     ),
 )
 

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from drivers.errors import BenchError, WatchdogLost
 from drivers.instruments.models import Model, model_of
 from drivers.interface import Operator
+from drivers.tube.beside import Beside, Reading
 from drivers.tube.dark_check import must_be_dark
 from drivers.tube.dose_meter import DoseMeter
-from drivers.tube.guarded_light import GuardedLight
+from drivers.tube.guarded_light import METER_ZERO, GuardedLight
 from drivers.tube.guarded_tube import GuardedTube
 from drivers.tube.interlock import Interlock
 from drivers.tube.lamp_light import LampLight
@@ -32,7 +33,11 @@ from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, limits_in_force
+from labdata.meters import Meters
 from labdata.plan import PORT_KEYS, Reached, Role, Wires
+
+METER_AGREES = 1.25
+"""Light that a meter reads this much brighter than it was set is brighter, not a matter of calibration."""
 
 FIELD_RATE_HZ = 60.0 / 1.001
 """Fields a second of 525-line video, Hz: the gate opens once in each."""
@@ -62,6 +67,8 @@ class Bench:
         the bench, and `wires_left_out` says so.
     lamp
         Calibration of the light source that the wires name; None: there is none, and a person sets the light.
+    meters
+        How the meters beside the tube are read.
     gate_hz
         Openings of the gate a second, Hz: one for each exposure of the camera.
     dose
@@ -85,6 +92,7 @@ class Bench:
         log: Path,
         lines: Mapping[Role, Line] | None = None,
         lamp: Lamp | None = None,
+        meters: Meters | None = None,
         gate_hz: float = FIELD_RATE_HZ,
         dose: DoseLedger | None = None,
         session: str = "",
@@ -94,7 +102,7 @@ class Bench:
         if (lamp is None) != (wires.light is None):
             raise BadInput(f"a light source must have its calibration, got {lamp} for {wires.light}")
         self._wires, self._log, self._lines = wires, Path(log), lines
-        self._gate_hz, self._calibration = gate_hz, lamp
+        self._gate_hz, self._calibration, self._meters = gate_hz, lamp, meters or Meters()
         self._models: dict[Role, Model] = {one.role: model_of(one) for one in wires.instruments}
         self.interlock = Interlock(limits if isinstance(limits, LimitsInForce) else limits_in_force(limits))
         self._dose = None if dose is None else DoseMeter(dose, self.interlock.limits, session=session)
@@ -136,6 +144,8 @@ class Bench:
             )
             self._tube.read_anew()
             self._lamp = self._prepared_lamp(drivers)
+            self._beside = Beside(drivers, self._meters)
+            self._beside.prepare()
             # Until `guard` is called there is no light that anybody here could switch on.
             self.interlock.tell(LightRead(illuminance_lux=0.0))
         except BaseException as error:
@@ -175,6 +185,27 @@ class Bench:
         self.interlock.tell(LightRead(illuminance_lux=math.inf))
         self._light = GuardedLight(operator, lamp=self._lamp, interlock=self.interlock, check=self.check)
         return self._light
+
+    def read_beside(self) -> Reading:
+        """Read light and temperature beside the tube, and say which meter did not answer.
+
+        Raises
+        ------
+        BenchError
+            If a meter that is needed does not answer, or reads a light that the tube must be saved from.
+        """
+        self.check()
+        read, silent = self._beside.read()
+        if read.metered_lux is not None:
+            self._heed(read.metered_lux)
+        self.check()
+        return read, silent
+
+    def _heed(self, metered_lux: float) -> None:
+        """Let the interlock know of more light than it thinks there is; what is next to nothing is the meter's zero."""
+        zero_lux = METER_ZERO * self.interlock.limits.illuminance_lux
+        if metered_lux > max(zero_lux, METER_AGREES * self.interlock.state.light_lux):
+            self.interlock.tell(LightRead(illuminance_lux=metered_lux))
 
     @property
     def dark_seen(self) -> bool:

@@ -2,17 +2,20 @@
 
 from drivers.errors import BenchError
 from drivers.instruments.light_source import KNOWN
+from drivers.instruments.thermometer import KNOWN as KNOWN_THERMOMETER
 from drivers.wire.echo_line import EchoLine
 from drivers.wire.line import ADAPTER_ANSWER, FramedLine, OwnedLine
 from drivers.wire.port import Port
 from drivers.wire.prologix import PrologixLine
 from drivers.wire.prompt_line import PromptLine
 
-GATE_NAME, SUPPLY_NAME, WHEEL_NAME, LIGHT_NAME = (
+GATE_NAME, SUPPLY_NAME, WHEEL_NAME, LIGHT_NAME, METER_NAME, THERMOMETER_NAME = (
     "delay generator",
     "high-voltage supply",
     "filter wheel",
     "light source",
+    "light meter",
+    "thermometer",
 )
 
 
@@ -55,3 +58,13 @@ def wheel_line(port: Port) -> OwnedLine:
 def light_line(port: Port) -> OwnedLine:
     """Line to the light source on a port."""
     return FramedLine(port, name=LIGHT_NAME, command_end=b"\r\n", known=KNOWN)
+
+
+def meter_line(port: Port) -> OwnedLine:
+    """Line to the light meter on a port."""
+    return FramedLine(port, name=METER_NAME, answer_end=b"\n")
+
+
+def thermometer_line(port: Port) -> OwnedLine:
+    """Line to the thermometer on a port."""
+    return FramedLine(port, name=THERMOMETER_NAME, command_end=b"\r\n", known=KNOWN_THERMOMETER)

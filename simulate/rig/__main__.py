@@ -3,12 +3,15 @@
 import argparse
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 
 from simulate.rig.faults import FaultFile
 from simulate.rig.models import virtual_model
 from simulate.rig.outputs import replace_file
+from simulate.rig.power_meter import PowerMeter
 from simulate.rig.pseudo_terminal import PseudoTerminal, serve
+from simulate.rig.surroundings import light_at
 
 
 def main() -> None:
@@ -23,6 +26,8 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     model = virtual_model(asked.model)
     instrument = model.make(asked.address, asked.time_scale)
+    if isinstance(instrument, PowerMeter):
+        instrument.feel(partial(light_at, asked.folder))
     terminal = PseudoTerminal(asked.folder / model.place, baud=model.baud)
     instrument.publish(asked.folder)
     replace_file(asked.folder / f"{model.place}.ready.json", "{}")

@@ -16,7 +16,7 @@ from simulate.rig.camera_process import CameraProcess
 from simulate.rig.in_process import InProcessInstruments
 from simulate.rig.in_process_camera import InProcessCamera
 from simulate.rig.models import virtual_model
-from simulate.rig.operator import VirtualOperator
+from simulate.rig.operator import VirtualOperator, read_placement
 from simulate.rig.outputs import Outputs, read_outputs
 from simulate.rig.process import VirtualInstruments
 from simulate.rig.truth_folder import TRUTH, Truth, make_truth, read_truth
@@ -134,6 +134,8 @@ class VirtualBench:
     def _start_instruments(self, running: ExitStack) -> None:
         if self._asked.bench == "in-process":
             self.inside = InProcessInstruments(self._asked, time_scale=self._time_scale)
+            if "light-meter" in self.inside.ports:
+                self.inside.ports["light-meter"].far_end().feel(self._illuminance_lux)
             return
         real = [one for one in self._asked.instruments if one.port]
         self.real = tuple(f"the {one.role} is a real {one.model} at {one.port}" for one in real)
@@ -147,6 +149,9 @@ class VirtualBench:
             time_scale=self._time_scale,
         )
         self._instruments = running.enter_context(instruments)
+
+    def _illuminance_lux(self) -> float:
+        return self.truth().illuminance_lux(read_placement(self.folder), self.outputs())
 
     def _port(self, one: Reached) -> str | None:
         """Port of a real instrument, or of one that stands at this bench; none inside a process."""

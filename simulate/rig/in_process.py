@@ -10,6 +10,7 @@ from simulate.rig.models import virtual_model
 from simulate.rig.outputs import GateOutput, Outputs
 from simulate.rig.prologix import PrologixAdapter
 from simulate.rig.pseudo_terminal import Instrument
+from simulate.rig.thermometer import TEMPERATURE_C
 
 AT_ONCE_S = 2.5e-3
 """What an instrument does within this time is done at once, s."""
@@ -115,6 +116,7 @@ class InProcessInstruments:
             lamp_a=None if light is None else light.far_end().current_a,
             filter_position=None if wheel is None else wheel.far_end().position,
             has_wheel=wheel is not None,
+            temperature_c=TEMPERATURE_C if "thermometer" in self.ports else None,
         )
 
 

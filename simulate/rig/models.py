@@ -15,11 +15,20 @@ from simulate.rig.filter_wheel import FilterWheel
 from simulate.rig.high_voltage import HighVoltageSupply
 from simulate.rig.iseg import IsegSupply
 from simulate.rig.light_source import LightSource
+from simulate.rig.power_meter import PowerMeter
 from simulate.rig.prologix import PrologixAdapter
 from simulate.rig.pseudo_terminal import Instrument
+from simulate.rig.thermometer import Thermometer
 
 GROUP = "charact.virtual_instruments"
-GATE, SUPPLY, WHEEL, LIGHT = PLACES = ("delay_generator", "high_voltage", "filter_wheel", "light_source")
+GATE, SUPPLY, WHEEL, LIGHT, METER, THERMOMETER = PLACES = (
+    "delay_generator",
+    "high_voltage",
+    "filter_wheel",
+    "light_source",
+    "light_meter",
+    "thermometer",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +65,8 @@ SHIPPED = (
     VirtualModel(name="iseg", place=SUPPLY, make=lambda address, scale: IsegSupply(time_scale=scale), baud=9600),
     VirtualModel(name="fw102c", place=WHEEL, make=lambda address, scale: FilterWheel(time_scale=scale), baud=115200),
     VirtualModel(name="dc2100", place=LIGHT, make=lambda address, scale: LightSource(), baud=115200),
+    VirtualModel(name="pm101", place=METER, make=lambda address, scale: PowerMeter(), baud=115200),
+    VirtualModel(name="ctc100", place=THERMOMETER, make=lambda address, scale: Thermometer(), baud=9600),
 )
 
 

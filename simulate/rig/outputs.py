@@ -7,6 +7,7 @@ from pathlib import Path
 
 _GATE_FILE, _VOLTAGE_FILE = "gate.output.json", "high_voltage.output.json"
 _LAMP_FILE, _WHEEL_FILE = "light_source.output.json", "filter_wheel.output.json"
+_THERMOMETER_FILE = "thermometer.output.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +45,8 @@ class Outputs:
         Position of the wheel before the lamp; None: it turns, or there is none.
     has_wheel
         Whether there is a wheel before the lamp.
+    temperature_c
+        Temperature of the tube, degrees Celsius; None: nobody measures it.
     """
 
     mcp_v: float
@@ -53,6 +56,7 @@ class Outputs:
     lamp_a: float | None = None
     filter_position: int | None = None
     has_wheel: bool = False
+    temperature_c: float | None = None
 
     def open_ns(self, exposure_s: float) -> float:
         """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over its phase."""
@@ -78,6 +82,7 @@ def read_outputs(folder: Path) -> Outputs:
     """Read the wires of the bench in a folder; an instrument that was never switched on puts out nothing."""
     gate = _read(Path(folder) / _GATE_FILE) or vars(GateOutput())
     voltage = _read(Path(folder) / _VOLTAGE_FILE) or {"mcp_v": 0.0}
+    warm = _read(Path(folder) / _THERMOMETER_FILE)
     lamp, wheel = _read(Path(folder) / _LAMP_FILE), _read(Path(folder) / _WHEEL_FILE)
     return Outputs(
         **gate,
@@ -85,6 +90,7 @@ def read_outputs(folder: Path) -> Outputs:
         lamp_a=None if lamp is None else lamp["current_a"],
         filter_position=None if wheel is None else wheel["position"],
         has_wheel=wheel is not None,
+        temperature_c=None if warm is None else warm["temperature_c"],
     )
 
 

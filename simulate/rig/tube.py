@@ -73,6 +73,7 @@ class VirtualTube:
             gate_ns=max(outputs.open_ns(exposure_s), exposure_s * 1e9 * GATE_EXTINCTION),
             illuminance_lux=self._truth.illuminance_lux(placement, outputs),
             camera_gain_db=gain_db,
+            temperature_c=outputs.temperature_c,
         )
         return Scene(placement=placement, conditions=conditions)
 

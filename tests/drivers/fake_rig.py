@@ -117,6 +117,9 @@ class FakeBench(_Opened):
             mcp_v=None if conditions.mcp_v is None else conditions.mcp_v + 0.25, gate_ns=conditions.gate_ns
         )
 
+    def read_beside(self) -> tuple[Conditions, tuple[str, ...]]:
+        return Conditions(), ()
+
     def check(self) -> None:
         self.rig.happens("bench checked")
 

@@ -1,0 +1,101 @@
+"""What every instrument must do: say who it is, and tell of every failure of its line in time."""
+
+import contextlib
+import time
+from typing import Any
+
+from drivers.errors import BenchError, InstrumentLost, InstrumentSilent
+from drivers.instruments.conformance.pair import Pair, Rule, must_raise
+from drivers.wire.port import ANSWER_S
+
+PATIENCE_S = 1.0
+
+
+def says_who_it_is(pair: Pair) -> None:
+    """It says who it is, twice the same."""
+    driver = pair.driver()
+    assert driver.identify() == driver.identify() != ""
+
+
+def silence_is_told_in_time(pair: Pair) -> None:
+    """An instrument that says nothing is InstrumentSilent within its answer time and a second."""
+    driver = pair.driver()
+    identity = driver.identify()
+    pair.suffer("silent")
+    began_s = time.monotonic()
+    must_raise(InstrumentSilent, lambda: _probe(pair, driver))
+    assert time.monotonic() - began_s < ANSWER_S + PATIENCE_S
+    pair.heal()
+    assert driver.identify() == identity
+
+
+def half_lines_are_no_answers(pair: Pair) -> None:
+    """Half an answer is an error, and the line is in step afterwards."""
+    _suffers_and_recovers(pair, "half-lines")
+
+
+def garbage_is_no_answer(pair: Pair) -> None:
+    """Characters that are no answer are an error, and the line is in step afterwards."""
+    _suffers_and_recovers(pair, "garbage")
+
+
+def a_late_answer_is_not_taken_for_the_next(pair: Pair) -> None:
+    """An answer that comes late is not taken for the answer to the next question."""
+    driver = pair.driver()
+    identity = driver.identify()
+    pair.suffer("late")
+    with contextlib.suppress(BenchError):
+        _probe(pair, driver)
+    pair.heal()
+    assert driver.identify() == identity
+
+
+def a_pulled_plug_is_told_and_put_back(pair: Pair) -> None:
+    """A pulled plug is InstrumentLost; with the plug back in, a new line works."""
+    driver = pair.driver()
+    identity = driver.identify()
+    pair.suffer("unplugged")
+    must_raise(InstrumentLost, lambda: _probe(pair, driver))
+    pair.heal()
+    assert pair.driver().identify() == identity
+
+
+def a_loss_of_power_leaves_it_at_rest(pair: Pair) -> None:
+    """After a loss of power the line works again, and nothing is on that was not on before."""
+    driver = pair.driver()
+    identity = driver.identify()
+    before = dict(pair.outputs())
+    pair.suffer("power-cycle")
+    time.sleep(0.1)
+    pair.heal()
+    assert pair.driver().identify() == identity
+    now = pair.outputs()
+    assert {name: now[name] for name in before if name != "sensors_lit"} == {
+        name: before[name] for name in before if name != "sensors_lit"
+    }
+
+
+COMMON: tuple[Rule, ...] = (
+    says_who_it_is,
+    silence_is_told_in_time,
+    half_lines_are_no_answers,
+    garbage_is_no_answer,
+    a_late_answer_is_not_taken_for_the_next,
+    a_pulled_plug_is_told_and_put_back,
+    a_loss_of_power_leaves_it_at_rest,
+)
+
+
+def _probe(pair: Pair, driver: Any) -> None:
+    """One question that changes nothing; a supply at rest is not asked whether it is on."""
+    driver.measured_v() if pair.model.role == "supply" else driver.look()
+
+
+def _suffers_and_recovers(pair: Pair, wrong: str) -> None:
+    driver = pair.driver()
+    identity = driver.identify()
+    pair.suffer(wrong)
+    must_raise(BenchError, lambda: _probe(pair, driver))
+    pair.heal()
+    assert driver.identify() == identity
+    _probe(pair, driver)

@@ -1,0 +1,59 @@
+"""The light meter: a Thorlabs power meter of the PM100 family with a serial port, which measures watts on its head."""
+
+import re
+
+from drivers.wire.answers import asked_number, confused, expect, refused
+from drivers.wire.line import Line
+
+IDENTITY = re.compile(r"(?i).*thorlabs,\s*PM1\d\d.*")
+AVERAGED = 100
+"""Readings averaged into one, of about 3000 a second."""
+
+DEFAULT_WAVELENGTH_NM = 550.0
+_ERROR = re.compile(r'([-+]?\d{1,9})\s*,\s*"?(.*?)"?')
+
+
+class PowerMeter:
+    """The meter.
+
+    Parameters
+    ----------
+    line
+        Line to the instrument.
+    """
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+
+    def identify(self) -> str:
+        """Return the identity, clear old errors, and have it measure watts at its own range."""
+        identity = self.line.ask("*IDN?")
+        if not IDENTITY.fullmatch(identity):
+            raise confused(self.line, "be of the PM100 family", repr(identity))
+        self.line.write("*CLS")
+        for command in ("SENS:POW:UNIT W", "SENS:POW:RANG:AUTO ON", f"SENS:AVER:COUN {AVERAGED}"):
+            self._set(command)
+        self.tune(DEFAULT_WAVELENGTH_NM)
+        return identity
+
+    def look(self) -> None:
+        """Ask for a sign of life."""
+        self.power_w()
+
+    def tune(self, wavelength_nm: float) -> None:
+        """Have it correct for the sensitivity of its head at a wavelength, nm; read back."""
+        self._set(f"SENS:CORR:WAV {wavelength_nm:g}")
+        expect(self.line, "SENS:CORR:WAV?", wavelength_nm, within=0.5)
+
+    def power_w(self) -> float:
+        """Power on the head, W."""
+        return asked_number(self.line, "MEAS:POW?")
+
+    def _set(self, command: str) -> None:
+        self.line.write(command)
+        answer = self.line.ask("SYST:ERR?")
+        match = _ERROR.fullmatch(answer)
+        if match is None:
+            raise confused(self.line, "answer SYST:ERR? with a code and its meaning", repr(answer))
+        if code := int(match[1]):
+            raise refused(self.line, f"accept {command!r}", f"error {code}: {match[2]}", code=code)

@@ -1,0 +1,54 @@
+"""The thermometer: a Stanford CTC100 or PTC10 temperature controller, of which one sensor is read and nothing set."""
+
+import re
+
+from drivers.wire.answers import confused, number
+from drivers.wire.line import KnownAnswer, Line
+
+CHANNEL = "In1"
+IDENTITY = r"(?i).*(CTC100|PTC10).*"
+KNOWN = KnownAnswer(question="*IDN?", form=IDENTITY)
+ZERO_C_IN_K = 273.15
+# Where the controller is set to say much, the name of what was asked stands before its value.
+_SAID = re.compile(r"(?:[^=]*=)?\s*(\S+)\s*")
+
+
+class Thermometer:
+    """The controller, read at its first input.
+
+    Parameters
+    ----------
+    line
+        Line to the instrument.
+    """
+
+    def __init__(self, line: Line) -> None:
+        self.line = line
+
+    def identify(self) -> str:
+        """Return the identity; another instrument is InstrumentConfused."""
+        identity = self.line.ask(KNOWN.question)
+        if not re.fullmatch(IDENTITY, identity):
+            raise confused(self.line, "be a CTC100 or PTC10", repr(identity))
+        return identity
+
+    def look(self) -> None:
+        """Ask for a sign of life."""
+        self.temperature_c()
+
+    def temperature_c(self) -> float:
+        """Temperature of the sensor, degrees Celsius; a sensor that is open or missing is InstrumentConfused."""
+        unit = self._asked(f"{CHANNEL}.units?")
+        value = number(self._asked(f"{CHANNEL}.value?"), line=self.line, question=f"{CHANNEL}.value?")
+        if unit.endswith("C"):
+            return value
+        if unit == "K":
+            return value - ZERO_C_IN_K
+        raise confused(self.line, "measure in degrees Celsius or kelvin", repr(unit))
+
+    def _asked(self, question: str) -> str:
+        answer = self.line.ask(question)
+        match = _SAID.fullmatch(answer)
+        if match is None:
+            raise confused(self.line, f"answer {question} with a value", repr(answer))
+        return match[1]

@@ -1,0 +1,21 @@
+"""What an instrument beside the tube feels of the virtual bench: the light that truly falls on the cathode."""
+
+from functools import lru_cache
+from pathlib import Path
+
+from simulate.rig.operator import read_placement
+from simulate.rig.outputs import read_outputs
+
+
+def light_at(wires: Path) -> float:
+    """Return the illuminance on the photocathode of the bench whose wires lie in a folder, lux; 0 where no tube is."""
+    truth = _truth(Path(wires).parent / "truth")
+    return 0.0 if truth is None else truth.illuminance_lux(read_placement(Path(wires).parent), read_outputs(wires))
+
+
+@lru_cache(maxsize=1)
+def _truth(folder: Path):
+    # Read at the first question only: describing a camera takes longer than starting an instrument.
+    from simulate.rig.truth_folder import read_truth
+
+    return read_truth(folder) if folder.is_dir() else None
