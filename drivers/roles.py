@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from drivers.wire.line import Line
+from labdata.gating import Sync
 
 
 class Instrument(Protocol):
@@ -31,16 +32,20 @@ class Gate(Instrument, Protocol):
         """Commands that shut the gate at once, sent one by one when the tube is made safe."""
         ...
 
-    def check_pulse(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> None:
-        """Refuse (BadInput) a pulse that this model cannot make: too short, too long, or finer than its resolution."""
+    def check_pulse(
+        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
+    ) -> None:
+        """Refuse (BadInput) a pulse that this model cannot make: too short, too long, too fine, not so triggered."""
         ...
 
     def shut(self) -> None:
         """Shut the gate: no triggers, idle level closed; read back."""
         ...
 
-    def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> float:
-        """Open the gate for a time at each trigger and return its width as read back, ns."""
+    def open(
+        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
+    ) -> float:
+        """Open the gate for a time at each trigger, of which `rate_hz` come, and return its width as read back, ns."""
         ...
 
 

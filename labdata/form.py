@@ -9,6 +9,7 @@ from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gain_table import GainTable
+from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import Limits, Override
 from labdata.meters import Meters
@@ -167,6 +168,8 @@ class PlanForm:
         Calibration of the light source and of the filters before it, or the TOML file that holds it.
     meters
         How the meters beside the tube are read.
+    gating
+        What triggers the gate, and so whether it keeps step with the camera's fields.
     step
         The stacks to take, in order.
     sweep
@@ -185,6 +188,7 @@ class PlanForm:
     gain_table: GainTable | str | None = None
     lamp: Lamp | str | None = None
     meters: Meters = field(default_factory=Meters)
+    gating: Gating = field(default_factory=Gating)
     step: tuple[StepForm, ...] = ()
     sweep: tuple[SweepForm, ...] = ()
 
@@ -205,6 +209,7 @@ class PlanForm:
             gain_table=_read(self.gain_table, GainTable),
             lamp=_read(self.lamp, Lamp),
             meters=self.meters,
+            gating=self.gating,
             steps=(*(step.step() for step in self.step), *(step for sweep in self.sweep for step in sweep.steps())),
         )
 
@@ -224,6 +229,7 @@ class PlanForm:
             gain_table=plan.gain_table,
             lamp=plan.lamp,
             meters=plan.meters,
+            gating=plan.gating,
             step=tuple(_step_form(step) for step in plan.steps),
         )
 

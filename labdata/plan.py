@@ -10,6 +10,7 @@ from labdata.adaptive import SaturationSearch, Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gain_table import GainTable
+from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
 from labdata.meters import Meters
@@ -250,6 +251,8 @@ class Plan:
         Calibration of the light source and of the filters before it; a plan whose wires name a light source has one.
     meters
         How the meters beside the tube are read.
+    gating
+        What triggers the gate, and so whether it keeps step with the camera's fields.
     steps
         The stacks to take, in order.
     """
@@ -266,6 +269,7 @@ class Plan:
     gain_table: GainTable | None = None
     lamp: Lamp | None = None
     meters: Meters = field(default_factory=Meters)
+    gating: Gating = field(default_factory=Gating)
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:

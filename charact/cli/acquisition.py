@@ -19,6 +19,9 @@ def acquire(
     plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
     out: Annotated[Path, typer.Argument(help="Folder of the session.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on with a broken run; finished steps stay.")] = False,
+    rehearse: Annotated[
+        Path | None, typer.Option(metavar="FAULTS.toml", help="Let faults strike the virtual bench meanwhile.")
+    ] = None,
     events: options.Events = False,
 ) -> None:
     """Run an acquisition plan on real or virtual instruments into a session.
@@ -27,6 +30,16 @@ def acquire(
     the step, with gate shut and light out, and the next one goes on. OUT/log.jsonl tells what happened.
 
     Example: charact acquire plan.toml day1; kill -USR1 PID; charact acquire plan.toml day1 --resume
+
+    \b
+    Faults that rehearse a night; --resume goes on with those that have not struck yet:
+      [[fault]]
+      instrument = "high_voltage"  # or delay_generator, light_source, filter_wheel, camera, ...
+      kind = "garbage"             # half lines, silence, no answers, late answers, unplugged, power cycle, trip,
+                                   # packet loss, stalled camera, clock jump
+      at_step = "flat-700V"        # without it at_s counts from the beginning of the run
+      at_s = 0.5
+      for_s = 2.0
     """
     interrupted = f"interrupted; the frames so far are kept: charact acquire {plan} {out} --resume"
     with (
@@ -35,8 +48,15 @@ def acquire(
     ):
         from charact.cli.benches import take
         from charact.cli.plan_files import load_plan
+        from labdata.border import from_toml
+        from simulate.rig.fault_script import FaultScript
 
         session = take(
-            load_plan(plan), out, resume=resume, progress=progress, tell=lambda sentence: say(sentence, events=events)
+            load_plan(plan),
+            out,
+            resume=resume,
+            progress=progress,
+            tell=lambda sentence: say(sentence, events=events),
+            rehearse=None if rehearse is None else from_toml(rehearse, FaultScript),
         )
         print(f"{out}: {len(session.stacks)} stacks\nNext: charact measure {out}")

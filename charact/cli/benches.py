@@ -1,7 +1,7 @@
 """Wires a plan to its bench: the virtual one with its own processes, or real ports, camera and a person at the lamp."""
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,9 +18,11 @@ from labdata.tube_dose import warnings
 if TYPE_CHECKING:
     from drivers.interface import Camera
     from simulate.rig.bench import VirtualBench
+    from simulate.rig.fault_script import FaultScript
 
 WATCHDOG_LOG = "watchdog.jsonl"
 DOSE = "dose.jsonl"
+REHEARSAL = "rehearsal.jsonl"
 
 
 @contextmanager
@@ -39,11 +41,24 @@ def bench_folder(session: Path) -> Path:
     return session.with_name(session.name + ".bench")
 
 
-def take(plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None] = say) -> Session:
-    """Run a plan on the bench that it names and return the session."""
-    take_on = _on_real_bench if plan.wires.bench == "real" else _on_virtual_bench
+def take(
+    plan: Plan,
+    session: Path,
+    *,
+    resume: bool,
+    progress: Progress,
+    tell: Callable[[str], None] = say,
+    rehearse: "FaultScript | None" = None,
+) -> Session:
+    """Run a plan on the bench that it names and return the session; `rehearse`: faults that strike it meanwhile."""
+    real = plan.wires.bench == "real"
+    if real and rehearse is not None:
+        raise BadInput("a rehearsal must be on a virtual bench, got a real one")
     with bench_failure_is_a_sentence():
-        taken = take_on(plan, session, resume=resume, progress=progress, tell=tell)
+        if real:
+            taken = _on_real_bench(plan, session, resume=resume, progress=progress, tell=tell)
+        else:
+            taken = _on_virtual_bench(plan, session, resume=resume, progress=progress, tell=tell, script=rehearse)
     for sentence in warnings(_ledger(plan, session).total(), taken.sensor):
         tell(sentence)
     return taken
@@ -58,7 +73,13 @@ def _ledger(plan: Plan, session: Path) -> DoseLedger:
 
 
 def _on_virtual_bench(
-    plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
+    plan: Plan,
+    session: Path,
+    *,
+    resume: bool,
+    progress: Progress,
+    tell: Callable[[str], None],
+    script: "FaultScript | None",
 ) -> Session:
     from charact.cli.judge import SaturationJudge
     from drivers.acquisition.acquire import acquire
@@ -72,7 +93,7 @@ def _on_virtual_bench(
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
     sensor = load_sensor(plan.sensor)
     virtual_bench = VirtualBench(bench_folder(session), sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
-    with virtual_bench as virtual:
+    with virtual_bench as virtual, _rehearsed(script, virtual, session, tell):
         session.parent.mkdir(parents=True, exist_ok=True)
         wires, inside = virtual.wires, virtual.inside
         return acquire(
@@ -87,6 +108,7 @@ def _on_virtual_bench(
                 lamp=plan.lamp,
                 meters=plan.meters,
                 gate_hz=float(sensor.video.field_rate_hz),
+                gating=plan.gating,
                 dose=_ledger(plan, session),
                 session=str(session),
             ),
@@ -96,6 +118,19 @@ def _on_virtual_bench(
             progress=progress,
             requests=Requests(tell),
         )
+
+
+def _rehearsed(
+    script: "FaultScript | None", virtual: "VirtualBench", session: Path, tell: Callable[[str], None]
+) -> AbstractContextManager[object]:
+    """Let faults strike a virtual bench while a session is taken."""
+    if script is None:
+        return nullcontext()
+    from drivers.acquisition.acquire import LOG
+    from simulate.rig.rehearsal import Rehearsal
+
+    log = bench_folder(session) / REHEARSAL
+    return Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell)
 
 
 def _eye(plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]) -> "AbstractContextManager[Camera]":
@@ -115,7 +150,7 @@ def _on_real_bench(
     from charact.cli.judge import SaturationJudge
     from charact.cli.prompting import PromptingOperator, TargetPlacer
     from drivers.acquisition.acquire import acquire
-    from drivers.acquisition.plan_check import gate_hz
+    from drivers.acquisition.plan_check import field_hz
     from drivers.acquisition.requests import Requests
     from drivers.tube.bench import Bench
     from labdata.sensors import load_sensor
@@ -131,7 +166,8 @@ def _on_real_bench(
             log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"),
             lamp=plan.lamp,
             meters=plan.meters,
-            gate_hz=gate_hz(sensor),
+            gate_hz=field_hz(sensor),
+            gating=plan.gating,
             dose=_ledger(plan, session),
             session=str(session),
         ),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from drivers.acquisition.plan_check import bytes_of, gate_hz
+from drivers.acquisition.plan_check import bytes_of, field_hz
 from drivers.acquisition.run import DISCARDED_FRAMES
 from labdata.calibrated_gain import gain_table_of
 from labdata.gain_table import GainTable
@@ -109,7 +109,7 @@ def _step(plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, li
     moving_s = CHANGE_S + _gain_moves_s(before, step, limits)
     lit_s = settle_s + (step.most_frames + DISCARDED_FRAMES) * _frame_s(step, sensor)
     lux, volts = asked.illuminance_lux or 0.0, asked.mcp_v or 0.0
-    duty = min(1.0, (asked.gate_ns or 0.0) * 1e-9 * gate_hz(sensor))
+    duty = min(1.0, (asked.gate_ns or 0.0) * 1e-9 * plan.gating.most_hz(field_hz(sensor)))
     anode = limits.load.anode_na_per_cm2(lux, volts, duty)
     dose = dose_of(
         delivered_na_per_cm2=limits.load.delivered_na_per_cm2(lux, volts, duty),

@@ -8,6 +8,7 @@ from drivers.tube.bench import FIELD_RATE_HZ
 from drivers.tube.interlock import Interlock
 from drivers.tube.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
 from labdata.errors import BadInput
+from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step
@@ -43,12 +44,13 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     for step in plan.steps:
         _check_step(step, sensor)
         _check_light(step, plan.lamp)
-        _check_rules(step.brightest, limits, gate_hz(sensor))
+        _check_rules(step.brightest, limits, plan.gating.most_hz(field_hz(sensor)))
+        _check_phase(step, plan.gating, field_hz(sensor))
     _check_disk(plan, folder, sensor)
 
 
-def gate_hz(sensor: Sensor | None) -> float:
-    """Openings of the gate a second, Hz: one for each exposure of the camera, or of 525-line video if unknown."""
+def field_hz(sensor: Sensor | None) -> float:
+    """Fields of the camera a second, Hz, or of 525-line video if unknown."""
     return float(sensor.video.field_rate_hz) if sensor else FIELD_RATE_HZ
 
 
@@ -115,6 +117,21 @@ def _check_rules(step: Step, limits: LimitsInForce, rate_hz: float) -> None:
         Interlock(limits, clock=lambda: 0.0).foresee(*commands, state=safe)
     except InterlockRefused as error:
         raise BadInput(f"{error}, in step {step.label!r}") from None
+
+
+def _check_phase(step: Step, gating: Gating, field_hz: float) -> None:
+    """A triggered gate must open inside the exposure, which ends with its field."""
+    asked = step.conditions
+    if gating.sync != "triggered" or not asked.gate_ns:
+        return
+    field_ns = 1e9 / field_hz
+    latest_ns = field_ns - asked.gate_ns
+    earliest_ns = max(0.0, field_ns - (asked.exposure_s or 1.0 / field_hz) * 1e9)
+    if not earliest_ns - 1e-3 * field_ns <= gating.delay_ns <= latest_ns + 1e-3 * field_ns:
+        raise BadInput(
+            f"delay_ns must open the gate inside the exposure, {earliest_ns:.6g} to {latest_ns:.6g}, "
+            f"got {gating.delay_ns:g} in {step.label!r}"
+        )
 
 
 def _check_settable(step: Step) -> None:

@@ -7,6 +7,7 @@ from drivers.errors import InstrumentConfused, InstrumentRefused
 from drivers.instruments.pulse import check_pulse
 from drivers.wire.answers import asked_whole, expect, number
 from drivers.wire.line import Line
+from labdata.gating import HOLDOFF, Sync
 
 IDENTITY = r".*DG645.*"
 STEP_NS = 5e-3
@@ -14,9 +15,11 @@ GATE_LEVEL_V = 4.0
 DEAD_NS = 100.0
 """The next trigger must come this much after the longest delay, ns."""
 
-INTERNAL, SINGLE_SHOT = 0, 5
+INTERNAL, EXTERNAL, SINGLE_SHOT, LINE = 0, 1, 5, 6
+SOURCES: dict[Sync, int] = {"free-running": INTERNAL, "triggered": EXTERNAL, "line-locked": LINE}
+TRIGGER_INPUT = 0
 EDGE_A, EDGE_B, OUTPUT_AB = 2, 3, 1
-RATE_ERROR = 2
+TRIGGERED, RATE_ERROR = 1, 2
 _OTHER_EDGES = (4, 5, 6, 7, 8, 9)
 
 ERRORS = {
@@ -82,7 +85,9 @@ class DelayGenerator:
         """Ask for a sign of life."""
         asked_whole(self.line, "TSRC?")
 
-    def check_pulse(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> None:
+    def check_pulse(
+        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
+    ) -> None:
         """Refuse (BadInput) a gate that this model cannot open and close between two triggers, or not so finely."""
         check_pulse(width_ns, rate_hz=rate_hz, delay_ns=delay_ns, step_ns=STEP_NS, dead_ns=DEAD_NS)
 
@@ -94,8 +99,10 @@ class DelayGenerator:
         for setting, shut in (("TSRC?", SINGLE_SHOT), ("LPOL? 1", 1), ("LOFF? 1", 0)):
             expect(self.line, setting, shut)
 
-    def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> float:
-        """Open the gate for a time at each internal trigger.
+    def open(
+        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
+    ) -> float:
+        """Open the gate for a time at each trigger.
 
         Parameters
         ----------
@@ -105,6 +112,9 @@ class DelayGenerator:
             Triggers a second, Hz: one for each field of the camera.
         delay_ns
             From trigger to opening, ns.
+        sync
+            What triggers. The camera's field pulse comes to the trigger input; a holdoff keeps triggers that come too
+            early from opening the gate more often than was asked.
 
         Returns
         -------
@@ -116,20 +126,21 @@ class DelayGenerator:
         BadInput
             If the gate cannot open and close between two triggers, or width or delay are finer than 5 ps.
         InstrumentRefused
-            If the instrument refuses a setting, reads another one back, or loses triggers.
+            If the instrument refuses a setting, reads another one back, loses triggers, or gets none.
         """
         self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns)
         self.shut()
         for edge in _OTHER_EDGES:
             self._set(f"DLAY {edge},0,0")
         self._set("BURM 0")
-        self._set("ADVT 0")
+        self._hold_off(HOLDOFF / rate_hz if sync == "triggered" else None)
         self._set("INHB 0")
         self._set(f"LAMP {OUTPUT_AB},{GATE_LEVEL_V:g}")
-        self._set(f"TRAT {rate_hz:.6f}")
         self._set(f"DLAY {EDGE_A},0,{delay_ns * 1e-9:.12f}")
         self._set(f"DLAY {EDGE_B},{EDGE_A},{width_ns * 1e-9:.12f}")
-        expect(self.line, "TRAT?", rate_hz, within=1e-5 * rate_hz)
+        if sync == "free-running":
+            self._set(f"TRAT {rate_hz:.6f}")
+            expect(self.line, "TRAT?", rate_hz, within=1e-5 * rate_hz)
         expect(self.line, f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, within=0.05)
         read_ns = self._width_ns()
         if abs(read_ns - width_ns) > STEP_NS:
@@ -137,15 +148,34 @@ class DelayGenerator:
                 f"the {self.line.name} must keep a gate of {width_ns:g} ns, got {read_ns:g} ns back",
                 instrument=self.line.name,
             )
-        self._trigger(rate_hz)
+        self._trigger(SOURCES[sync], rate_hz)
         return read_ns
 
-    def _trigger(self, rate_hz: float) -> None:
+    def _hold_off(self, seconds: float | None) -> None:
+        """Refuse triggers for a time after each one that is taken; None: only as long as the gate is busy."""
+        if seconds is None:
+            self._set("ADVT 0")
+            return
+        for prescaler in (TRIGGER_INPUT, OUTPUT_AB):
+            self._set(f"PRES {prescaler},1")
+        self._set(f"HOLD {seconds:.12f}")
+        self._set("ADVT 1")
+        expect(self.line, "HOLD?", seconds, within=1e-9)
+        expect(self.line, "ADVT?", 1)
+
+    def _trigger(self, source: int, rate_hz: float) -> None:
         self.line.ask("INSR?")
-        self._set(f"TSRC {INTERNAL}")
-        expect(self.line, "TSRC?", INTERNAL)
+        self._set(f"TSRC {source}")
+        expect(self.line, "TSRC?", source)
         time.sleep(2.0 / rate_hz)
-        if asked_whole(self.line, "INSR?") & RATE_ERROR:
+        status = asked_whole(self.line, "INSR?")
+        if not status & TRIGGERED:
+            self.shut()
+            raise InstrumentRefused(
+                f"the {self.line.name} must be triggered {rate_hz:g} times a second, got no trigger",
+                instrument=self.line.name,
+            )
+        if status & RATE_ERROR:
             self.shut()
             raise InstrumentRefused(
                 f"the {self.line.name} must use every trigger, got some lost at {rate_hz:g} Hz",

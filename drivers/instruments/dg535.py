@@ -10,11 +10,14 @@ import time
 from drivers.instruments.pulse import check_pulse
 from drivers.wire.answers import asked_whole, confused, expect, number, refused
 from drivers.wire.line import Line
+from labdata.errors import BadInput
+from labdata.gating import Sync
 
 STEP_NS = 5e-3
 DEAD_NS = 1000.0
 RATE_DIGITS = 4
-INTERNAL, SINGLE_SHOT = 0, 2
+INTERNAL, SINGLE_SHOT, LINE = 0, 2, 4
+SOURCES: dict[Sync, int] = {"free-running": INTERNAL, "line-locked": LINE}
 T0, A, B, AB, C, D = 1, 2, 3, 4, 5, 6
 TTL, POSITIVE, HIGH_IMPEDANCE = 0, 1, 1
 RATE_ERROR = 16
@@ -54,8 +57,13 @@ class Dg535:
         """Ask for a sign of life."""
         asked_whole(self.line, "TM")
 
-    def check_pulse(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> None:
-        """Refuse (BadInput) a pulse that does not fit between two triggers, or is finer than 5 ps."""
+    def check_pulse(
+        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
+    ) -> None:
+        """Refuse (BadInput) a pulse that does not fit between two triggers, is finer than 5 ps, or has no holdoff."""
+        if sync not in SOURCES:
+            # Nothing in it would keep a trigger input that rings from opening the gate far too often.
+            raise BadInput(f"a DG535 must be {' or '.join(SOURCES)}, as it has no trigger holdoff, got {sync}")
         check_pulse(width_ns, rate_hz=rate_hz, delay_ns=delay_ns, step_ns=STEP_NS, dead_ns=DEAD_NS)
 
     def shut(self) -> None:
@@ -66,8 +74,8 @@ class Dg535:
         expect(self.line, f"OM {AB}", TTL)
         expect(self.line, f"OP {AB}", POSITIVE)
 
-    def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0) -> float:
-        """Open the gate for a time at each internal trigger and return its width as read back, ns.
+    def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
+        """Open the gate for a time at each trigger and return its width as read back, ns.
 
         Raises
         ------
@@ -76,25 +84,27 @@ class Dg535:
         InstrumentRefused
             If a setting is refused or read back otherwise, or triggers are lost.
         """
-        self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns)
+        self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
         self.shut()
         for edge in (C, D):
             self._set(f"DT {edge},{T0},0")
         self._set(f"TZ {AB},{HIGH_IMPEDANCE}")
-        self._set(f"TR 0,{rate_hz:.{RATE_DIGITS}g}")
+        if sync == "free-running":
+            self._set(f"TR 0,{rate_hz:.{RATE_DIGITS}g}")
         self._set(f"DT {A},{T0},{delay_ns * 1e-9:.12f}")
         self._set(f"DT {B},{A},{width_ns * 1e-9:.12f}")
-        expect(self.line, "TR 0", rate_hz, within=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz)
+        if sync == "free-running":
+            expect(self.line, "TR 0", rate_hz, within=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz)
         read_ns = self._delay_ns(B, after=A)
         if abs(read_ns - width_ns) > STEP_NS:
             raise refused(self.line, f"keep a gate of {width_ns:g} ns", f"{read_ns:g} ns back")
-        self._trigger(rate_hz)
+        self._trigger(SOURCES[sync], rate_hz)
         return read_ns
 
-    def _trigger(self, rate_hz: float) -> None:
+    def _trigger(self, source: int, rate_hz: float) -> None:
         asked_whole(self.line, "IS")
-        self._set(f"TM {INTERNAL}")
-        expect(self.line, "TM", INTERNAL)
+        self._set(f"TM {source}")
+        expect(self.line, "TM", source)
         time.sleep(2.0 / rate_hz)
         if asked_whole(self.line, "IS") & RATE_ERROR:
             self.shut()

@@ -31,6 +31,7 @@ from drivers.wire.line import Line
 from labdata.conditions import Conditions
 from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
+from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, limits_in_force
 from labdata.meters import Meters
@@ -70,7 +71,9 @@ class Bench:
     meters
         How the meters beside the tube are read.
     gate_hz
-        Openings of the gate a second, Hz: one for each exposure of the camera.
+        Fields of the camera a second, Hz: the gate opens once in each.
+    gating
+        What triggers the gate.
     dose
         Ledger of the tube, to which is added what it goes through; None: nobody keeps count.
     session
@@ -94,6 +97,7 @@ class Bench:
         lamp: Lamp | None = None,
         meters: Meters | None = None,
         gate_hz: float = FIELD_RATE_HZ,
+        gating: Gating | None = None,
         dose: DoseLedger | None = None,
         session: str = "",
     ) -> None:
@@ -102,7 +106,8 @@ class Bench:
         if (lamp is None) != (wires.light is None):
             raise BadInput(f"a light source must have its calibration, got {lamp} for {wires.light}")
         self._wires, self._log, self._lines = wires, Path(log), lines
-        self._gate_hz, self._calibration, self._meters = gate_hz, lamp, meters or Meters()
+        self._gate_hz, self._gating = gate_hz, gating or Gating()
+        self._calibration, self._meters = lamp, meters or Meters()
         self._models: dict[Role, Model] = {one.role: model_of(one) for one in wires.instruments}
         self.interlock = Interlock(limits if isinstance(limits, LimitsInForce) else limits_in_force(limits))
         self._dose = None if dose is None else DoseMeter(dose, self.interlock.limits, session=session)
@@ -138,7 +143,8 @@ class Bench:
                 gate=self._gate,
                 supply=self._supply,
                 interlock=self.interlock,
-                gate_hz=self._gate_hz,
+                field_hz=self._gate_hz,
+                gating=self._gating,
                 check=self.check,
                 watch_supply=lambda on: self._watch("supply", on),
             )

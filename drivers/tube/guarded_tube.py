@@ -3,11 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 from drivers.instruments.voltage import DISCHARGED_V
 from drivers.roles import Gate, Supply
 from drivers.tube.interlock import Interlock
 from drivers.tube.state import Command, GainRead, GateRead, LowerGain, OpenGate, RaiseGain, SafeOrdered
+from labdata.gating import Gating
 
 SAME_V = 0.5
 """A voltage this near the one asked is that one, V."""
@@ -22,8 +24,10 @@ class GuardedTube:
         The instruments.
     interlock
         Asked before each order, told after it.
-    gate_hz
-        Openings of the gate a second, Hz.
+    field_hz
+        Fields of the camera a second, Hz.
+    gating
+        What triggers the gate.
     check
         Raises what went wrong at the bench; called before each order and along every ramp.
     watch_supply
@@ -36,12 +40,15 @@ class GuardedTube:
         gate: Gate,
         supply: Supply,
         interlock: Interlock,
-        gate_hz: float,
+        field_hz: float,
+        gating: Gating,
         check: Callable[[], None],
         watch_supply: Callable[[bool], None],
     ) -> None:
         self._gate, self._supply, self._interlock = gate, supply, interlock
-        self._gate_hz, self._check, self._watch_supply = gate_hz, check, watch_supply
+        self._check, self._watch_supply = check, watch_supply
+        self._gate_hz, self._most_hz = gating.rate_hz(field_hz), gating.most_hz(field_hz)
+        self._gating = gating
 
     def read_anew(self) -> None:
         """Shut the gate and read what is left at the output of a supply that was ordered off."""
@@ -91,9 +98,14 @@ class GuardedTube:
         if mcp_v:
             self._supply.check_voltage(mcp_v)
         if gate_ns:
-            commands.append(OpenGate(width_ns=gate_ns, rate_hz=self._gate_hz))
-            self._gate.check_pulse(width_ns=gate_ns, rate_hz=self._gate_hz)
+            commands.append(OpenGate(width_ns=gate_ns, rate_hz=self._most_hz))
+            self._gate.check_pulse(width_ns=gate_ns, **self._pulse)
         self._interlock.foresee(*commands, state=replace(self._interlock.state, duty=0.0))
+
+    @property
+    def _pulse(self) -> dict[str, Any]:
+        """All of a pulse but its width."""
+        return {"rate_hz": self._gate_hz, "delay_ns": self._gating.delay_ns, "sync": self._gating.sync}
 
     @property
     def _rate_v_per_s(self) -> float:
@@ -115,9 +127,9 @@ class GuardedTube:
 
     def _open(self, gate_ns: float) -> float:
         self._check()
-        self._interlock.permit(OpenGate(width_ns=gate_ns, rate_hz=self._gate_hz))
-        read_ns = self._gate.open(width_ns=gate_ns, rate_hz=self._gate_hz)
-        self._interlock.tell(GateRead(width_ns=read_ns, rate_hz=self._gate_hz))
+        self._interlock.permit(OpenGate(width_ns=gate_ns, rate_hz=self._most_hz))
+        read_ns = self._gate.open(width_ns=gate_ns, **self._pulse)
+        self._interlock.tell(GateRead(width_ns=read_ns, rate_hz=self._most_hz))
         return read_ns
 
     def _tell_gain(self, read_v: float) -> float:

@@ -13,6 +13,7 @@ from labdata.plan import Reached, Wires
 from labdata.sensor import Sensor
 from simulate.rig import aravis_library
 from simulate.rig.camera_process import CameraProcess
+from simulate.rig.faults import Faults, provoke
 from simulate.rig.in_process import InProcessInstruments
 from simulate.rig.in_process_camera import InProcessCamera
 from simulate.rig.models import virtual_model
@@ -126,6 +127,16 @@ class VirtualBench:
     def outputs(self) -> Outputs:
         """What the instruments put on the tube's wires now."""
         return self.inside.outputs() if self.inside else read_outputs(self._wires_folder)
+
+    def provoke(self, instrument: str, faults: Faults) -> None:
+        """Give an instrument at a place of the bench, or the camera, its faults; a real one is BadInput."""
+        virtual = {virtual_model(one.model).place: one.role for one in self._asked.instruments if not one.port}
+        if instrument in virtual and self.inside is not None:
+            self.inside.ports[virtual[instrument]].faults = faults
+        elif instrument in virtual or (instrument == "camera" and self.camera is not None):
+            provoke(self._wires_folder, instrument, faults)
+        else:
+            raise BadInput(f"a fault must strike an instrument on the wires of this bench, got {instrument}")
 
     def truth(self) -> Truth:
         """Return what the bench really is: for whoever compares afterwards, never for whoever measures."""

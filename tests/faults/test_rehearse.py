@@ -1,0 +1,62 @@
+"""A night is rehearsed from the command line: a script of faults breaks the run off, and a resumed one completes it."""
+
+from dataclasses import replace
+
+import pytest
+
+from charact.cli.benches import take
+from charact.cli.progress import Progress
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.event_log import events
+from labdata.limits import Override
+from labdata.plan import Plan, Step, Wires
+from labdata.sensors import load_sensor, save_sensor
+from labdata.session import open_session
+from simulate.rig.fault_script import FaultScript, Strike
+
+FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")
+GARBAGE = Strike(instrument="high_voltage", kind="garbage", at_step="flat", for_s=4.0)
+
+
+@pytest.fixture
+def plan(tmp_path):
+    sensor = load_sensor("pulnix-ag5745ef3")
+    save_sensor(replace(sensor, ccd=replace(sensor.ccd, rows=31, columns=44)), tmp_path / "small.toml")
+    asked = Conditions(mcp_v=100.0, gate_ns=1.6e7)
+    steps = (
+        Step(label="dark", kind="dark", frames=3, conditions=asked),
+        Step(label="flat", kind="flat", frames=3, conditions=replace(asked, illuminance_lux=1e-5)),
+    )
+    wires = Wires(bench="in-process")
+    return Plan(name="night", sensor=str(tmp_path / "small.toml"), wires=wires, overrides=(FAST,), steps=steps)
+
+
+def quiet(sentence: str, share: float = 0.0) -> None:
+    """Nobody looks."""
+
+
+def test_a_script_breaks_a_run_off_and_the_resumed_run_completes_it(plan, tmp_path):
+    folder, told = tmp_path / "s", []
+    script = FaultScript(fault=(GARBAGE,))
+    progress: Progress = quiet
+    with pytest.raises(BadInput, match="the high-voltage supply"):
+        take(plan, folder, resume=False, progress=progress, tell=told.append, rehearse=script)
+    assert "Rehearsal: garbage of high_voltage for 4 s." in told
+    assert [entry.finished for entry in open_session(folder).stacks] == [True]
+    session = take(plan, folder, resume=True, progress=progress, tell=told.append, rehearse=script)
+    assert [(entry.label, entry.finished, len(entry.read())) for entry in session.stacks] == [
+        ("dark", True, 3),
+        ("flat", True, 3),
+    ]
+    struck = [each["event"] for each in events(tmp_path / "s.bench" / "rehearsal.jsonl")]
+    assert struck.count("fault strikes") == 1
+
+
+def test_no_real_bench_and_no_instrument_that_is_not_there_is_struck(plan, tmp_path):
+    real = replace(plan, wires=Wires(bench="real"))
+    with pytest.raises(BadInput, match="a rehearsal must be on a virtual bench, got a real one"):
+        take(real, tmp_path / "s", resume=False, progress=quiet, rehearse=FaultScript(fault=(GARBAGE,)))
+    absent = FaultScript(fault=(Strike(instrument="light_source", kind="silence"),))
+    with pytest.raises(BadInput, match="on the wires of this bench, got light_source"):
+        take(plan, tmp_path / "t", resume=False, progress=quiet, rehearse=absent)
