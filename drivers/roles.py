@@ -42,9 +42,7 @@ class Gate(Instrument, Protocol):
         """Shut the gate: no triggers, idle level closed; read back."""
         ...
 
-    def open(
-        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
-    ) -> float:
+    def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
         """Open the gate for a time at each trigger, of which `rate_hz` come, and return its width as read back, ns."""
         ...
 

@@ -26,8 +26,8 @@ class Gating:
     Parameters
     ----------
     sync
-        "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the mains. "triggered":
-        the camera's field pulse at the generator's trigger input, so that every field has its one opening.
+        "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the mains.
+        "triggered": the camera's field pulse at the generator's trigger input, so that every field has its opening.
     delay_ns
         From the trigger to the opening, ns.
     line_hz
@@ -71,6 +71,7 @@ class Gating:
         """
         if not width_ns:
             return 0.0
+        exposure_s = whole_field_s(exposure_s, field_hz)
         starts_s = np.linspace(0.0, 1.0 / self.rate_hz(field_hz), 401)
         if self.sync == "triggered":
             starts_s = starts_s[:1]
@@ -82,6 +83,12 @@ class Gating:
             rate_hz=self.rate_hz(field_hz),
         )
         return float(np.ptp(open_ns)) / width_ns
+
+
+def whole_field_s(exposure_s: float, field_hz: float) -> float:
+    """Return an exposure, s, or the time of a whole field where it is next to that: a register counts in whole us."""
+    field_s = 1.0 / field_hz
+    return field_s if abs(exposure_s - field_s) < IN_STEP * field_s else exposure_s
 
 
 def fields_open_ns(
@@ -124,5 +131,5 @@ def out_of_step(gating: Gating, *, width_ns: float, exposure_s: float, field_hz:
     often = f", a beat of {beat_hz:.3g} Hz" if beat_hz and math.isfinite(beat_hz) else ""
     return (
         f"gate and fields are not in step ({gating.sync}, {rate_hz:g} openings and {field_hz:g} fields a second): the "
-        f"open time of a field varies by {uneven:.0%} of the opening{often}; sync = \"triggered\" keeps them in step"
+        f'open time of a field varies by {uneven:.0%} of the opening{often}; sync = "triggered" keeps them in step'
     )

@@ -88,9 +88,12 @@ def _on_virtual_bench(
     from drivers.tube.bench import Bench
     from labdata.sensors import load_sensor
     from simulate.rig.bench import VirtualBench
+    from simulate.rig.delay_generator import LINE_HZ
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
+    if plan.gating.sync == "line-locked" and plan.gating.line_hz != LINE_HZ:
+        raise BadInput(f"the mains of the virtual bench must be of {LINE_HZ:g} Hz, got {plan.gating.line_hz:g}")
     sensor = load_sensor(plan.sensor)
     virtual_bench = VirtualBench(bench_folder(session), sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
     with virtual_bench as virtual, _rehearsed(script, virtual, session, tell):

@@ -206,4 +206,5 @@ def _before_words(asked: "Plan", before: "Dose | None") -> str:
 def _warnings(foreseen: "Forecast", before: "Dose | None", sensor: "Sensor | None") -> tuple[str, ...]:
     from labdata.tube_dose import sum_of, warnings
 
-    return warnings(sum_of([foreseen.dose, *([] if before is None else [before])]), sensor)
+    doses = warnings(sum_of([foreseen.dose, *([] if before is None else [before])]), sensor)
+    return (*doses, *foreseen.out_of_step)

@@ -6,6 +6,7 @@ from drivers.acquisition.plan_check import bytes_of, field_hz
 from drivers.acquisition.run import DISCARDED_FRAMES
 from labdata.calibrated_gain import gain_table_of
 from labdata.gain_table import GainTable
+from labdata.gating import out_of_step
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
@@ -63,12 +64,15 @@ class Forecast:
         The limits in force.
     gain_table
         The calibration in force, or None.
+    out_of_step
+        One sentence for each way in which gate and fields do not keep step.
     """
 
     steps: tuple[StepForecast, ...]
     bytes: int
     limits: LimitsInForce
     gain_table: GainTable | None
+    out_of_step: tuple[str, ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -100,7 +104,25 @@ def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
     befores = (None, *plan.steps[:-1])
     steps = tuple(_step(plan, step, before, sensor, limits) for step, before in zip(plan.steps, befores, strict=True))
     table = gain_table_of(plan, sensor)
-    return Forecast(steps=steps, bytes=bytes_of(plan, sensor), limits=limits, gain_table=table)
+    return Forecast(
+        steps=steps,
+        bytes=bytes_of(plan, sensor),
+        limits=limits,
+        gain_table=table,
+        out_of_step=sentences_out_of_step(plan, sensor),
+    )
+
+
+def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
+    """Return one sentence for each pair of gate and exposure in a plan that does not keep step with the fields."""
+    rate_hz = field_hz(sensor)
+    asked = (one.conditions for one in plan.steps)
+    pairs = dict.fromkeys((one.gate_ns or 0.0, one.exposure_s or 1.0 / rate_hz) for one in asked)
+    told = (
+        out_of_step(plan.gating, width_ns=gate_ns, exposure_s=exposure_s, field_hz=rate_hz)
+        for gate_ns, exposure_s in pairs
+    )
+    return tuple(dict.fromkeys(one for one in told if one is not None))
 
 
 def _step(plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, limits: LimitsInForce) -> StepForecast:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from drivers.acquisition.forecast import sentences_out_of_step
 from drivers.acquisition.plan_check import same_but_wires
 from labdata.border import from_toml, to_toml
 from labdata.calibrated_gain import gain_table_of
@@ -62,6 +63,7 @@ def session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: Ca
             *_notes_of(settings),
             *([] if (table := gain_table_of(plan, sensor)) is None else [table.provenance]),
             *([] if plan.lamp is None else [plan.lamp.provenance]),
+            *sentences_out_of_step(plan, sensor),
             *limits_in_force(plan.limits, sensor, plan.overrides).overridden,
         ),
     )

@@ -22,7 +22,7 @@ from simulate.rig.dg645_refusals import (
 )
 from simulate.rig.dg645_settings import EDGES, SETTINGS, Memory, Setting
 from simulate.rig.faults import Faults
-from simulate.rig.outputs import GateOutput, publish_gate
+from simulate.rig.outputs import GateOutput, Trigger, publish_gate
 
 IDENTITY = "Stanford Research Systems,DG645,s/n001234,ver1.00.00E"
 STEP_S = 5e-12
@@ -30,6 +30,8 @@ LONGEST_DELAY_S = 2000.0
 INSERTION_DEAD_S = 100e-9  # the next trigger must come this much after the longest delay
 GATE_UNIT_THRESHOLD_V = 1.5
 LINE_HZ = 60.0
+FIELD_HZ = 60.0 / 1.001
+_TRIGGERS: dict[int, Trigger] = {1: "camera", 2: "camera", 6: "mains"}
 QUEUE_LENGTH = 20
 BUFFER_LENGTH = 256
 SELF_TEST_S = 2.0
@@ -40,9 +42,16 @@ TRIG, RATE, END_OF_DELAY = 1, 2, 4  # instrument status register
 
 
 class DelayGenerator:
-    """The instrument, power just switched on, all settings at factory values."""
+    """The instrument, power just switched on, all settings at factory values.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    external_hz
+        Pulses a second at its trigger input, Hz: the fields of the camera that is wired to it; 0: nothing is.
+    """
+
+    def __init__(self, *, external_hz: float = FIELD_HZ) -> None:
+        self._external_hz = external_hz
         self._memory = Memory()
         self._saved: dict[int, Memory] = {}
         self._errors: deque[int] = deque()
@@ -220,18 +229,27 @@ class DelayGenerator:
         rate_hz = self._pulse_hz()
         if active_v <= GATE_UNIT_THRESHOLD_V or not width_ns or not rate_hz:
             return GateOutput()
-        return GateOutput(gate_open=True, gate_ns=width_ns, gate_hz=rate_hz)
+        trigger: Trigger = _TRIGGERS.get(int(self._now("TSRC")), "clock")
+        delay_ns = self._memory.absolute_steps(2) * STEP_S * 1e9
+        return GateOutput(
+            gate_open=True, gate_ns=width_ns, gate_hz=rate_hz, gate_trigger=trigger, gate_delay_ns=delay_ns
+        )
 
     def _trigger_hz(self) -> float:
-        """Triggers a second: nothing is connected to the trigger input, and nobody presses the button."""
-        return {0: self._now("TRAT"), 6: LINE_HZ}.get(int(self._now("TSRC")), 0.0)
+        """Triggers a second; nobody presses the button."""
+        sources = {0: self._now("TRAT"), 1: self._external_hz, 2: self._external_hz, 6: LINE_HZ}
+        return sources.get(int(self._now("TSRC")), 0.0)
 
-    def _busy_s(self) -> float:
-        """Time after a trigger in which another is lost, s."""
+    def _cycle_s(self) -> float:
+        """Time after a trigger in which the instrument is busy and another is lost, s."""
         cycle_s = self._memory.absolute_steps(1) * STEP_S + INSERTION_DEAD_S
         if self._now("BURM"):
             cycle_s += self._now("BURD") + (self._now("BURC") - 1) * max(self._now("BURP"), cycle_s)
-        return max(cycle_s, self._now("HOLD") if self._now("ADVT") else 0.0)
+        return cycle_s
+
+    def _busy_s(self) -> float:
+        """Time after a trigger in which none is taken, s: lost, or held off, which is no error (recalled)."""
+        return max(self._cycle_s(), self._now("HOLD") if self._now("ADVT") else 0.0)
 
     def _pulse_hz(self) -> float:
         triggers_hz = self._trigger_hz()
@@ -244,7 +262,7 @@ class DelayGenerator:
     def advance(self, now_s: float, faults: Faults) -> None:
         """Note triggers used and lost since the last look."""
         if triggers_hz := self._trigger_hz():
-            self._instrument_status |= TRIG | END_OF_DELAY | (RATE if triggers_hz * self._busy_s() > 1 else 0)
+            self._instrument_status |= TRIG | END_OF_DELAY | (RATE if triggers_hz * self._cycle_s() > 1 else 0)
 
     def power_cycle(self) -> None:
         """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is set."""

@@ -202,7 +202,11 @@ class Dg535:
         rate_hz = self._used_hz()
         if active_v <= GATE_UNIT_THRESHOLD_V or not width_ns or not rate_hz:
             return GateOutput()
-        return GateOutput(gate_open=True, gate_ns=width_ns, gate_hz=rate_hz)
+        trigger = "mains" if int(self._values["TM", 0]) == LINE else "clock"
+        delay_ns = min(self._after_trigger_s(A), self._after_trigger_s(B)) * 1e9
+        return GateOutput(
+            gate_open=True, gate_ns=width_ns, gate_hz=rate_hz, gate_trigger=trigger, gate_delay_ns=delay_ns
+        )
 
     def _levels_v(self) -> tuple[float, float]:
         mode = self._values["OM", AB]

@@ -4,10 +4,14 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 _GATE_FILE, _VOLTAGE_FILE = "gate.output.json", "high_voltage.output.json"
 _LAMP_FILE, _WHEEL_FILE = "light_source.output.json", "filter_wheel.output.json"
 _THERMOMETER_FILE = "thermometer.output.json"
+
+
+Trigger = Literal["clock", "mains", "camera"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,11 +26,17 @@ class GateOutput:
         Width of one opening, ns; infinite where the output idles in the state that opens the gate.
     gate_hz
         Openings per second, Hz.
+    gate_trigger
+        What triggers them: the generator's own clock, the mains, or the camera's field pulse at its input.
+    gate_delay_ns
+        From trigger to opening, ns.
     """
 
     gate_open: bool = False
     gate_ns: float = 0.0
     gate_hz: float = 0.0
+    gate_trigger: Trigger = "clock"
+    gate_delay_ns: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +47,7 @@ class Outputs:
     ----------
     mcp_v
         Voltage across the microchannel plate, V.
-    gate_open, gate_ns, gate_hz
+    gate_open, gate_ns, gate_hz, gate_trigger, gate_delay_ns
         See `GateOutput`.
     lamp_a
         Current through the lamp of the bench, A; None: it has no lamp.
@@ -53,6 +63,8 @@ class Outputs:
     gate_open: bool
     gate_ns: float
     gate_hz: float
+    gate_trigger: Trigger = "clock"
+    gate_delay_ns: float = 0.0
     lamp_a: float | None = None
     filter_position: int | None = None
     has_wheel: bool = False

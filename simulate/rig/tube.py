@@ -1,16 +1,18 @@
 """The virtual tube: frame after frame of what stands before it, under the voltages on its wires at that moment."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
+from labdata.gating import whole_field_s
 from labdata.sensor import Sensor
 from simulate.iiccd.streamed.engine import SEGMENT_FRAMES
 from simulate.lab import LabBench
+from simulate.rig.fields import Fields
 from simulate.rig.operator import Placement, read_placement
 from simulate.rig.outputs import Outputs
 from simulate.rig.truth_folder import TRUTH, read_truth
@@ -25,6 +27,8 @@ class Scene:
 
     placement: Placement
     conditions: Conditions
+    fields: Fields | None = None
+    """How gate and fields run against one another, where they do not keep step."""
 
 
 class VirtualTube:
@@ -49,6 +53,7 @@ class VirtualTube:
         self._scene: Scene | None = None
         self._frame = 0
         self._frames: Iterator[NDArray] = iter(())
+        self._lights: dict[float, Iterator[NDArray]] = {}
 
     @property
     def sensor(self) -> Sensor:
@@ -66,16 +71,20 @@ class VirtualTube:
             Gain behind the sensor, dB.
         """
         placement, outputs = read_placement(self._folder), self._outputs()
-        exposure_s = min(exposure_s, 1.0 / float(self.sensor.video.field_rate_hz))
+        field_hz = float(self.sensor.video.field_rate_hz)
+        exposure_s = min(exposure_s, 1.0 / field_hz)
+        fields = self._fields(outputs, field_hz, whole_field_s(exposure_s, field_hz))
+        open_ns = outputs.open_ns(exposure_s) if fields is None else float(fields.open_ns(0, 1)[0])
         conditions = Conditions(
             exposure_s=exposure_s,
             mcp_v=max(round(outputs.mcp_v, 2), MCP_FLOOR_V),
-            gate_ns=max(outputs.open_ns(exposure_s), exposure_s * 1e9 * GATE_EXTINCTION),
+            gate_ns=max(open_ns, exposure_s * 1e9 * GATE_EXTINCTION),
             illuminance_lux=self._truth.illuminance_lux(placement, outputs),
             camera_gain_db=gain_db,
             temperature_c=outputs.temperature_c,
         )
-        return Scene(placement=placement, conditions=conditions)
+        beating = None if fields is None or fields.in_step else fields
+        return Scene(placement=placement, conditions=conditions, fields=beating)
 
     def prepare(self, scene: Scene) -> None:
         """Render the picture of what stands before the camera, so that its first frame does not wait for it."""
@@ -83,6 +92,8 @@ class VirtualTube:
 
     def expose(self, scene: Scene) -> NDArray:
         """Expose one frame of a scene, shape (row, col), DN."""
+        if scene.fields is not None:
+            return self._woven(scene, scene.fields)
         if scene != self._scene:
             same_placement = self._scene is not None and scene.placement.number == self._scene.placement.number
             # What the screen remembers is drawn anew at the start of a segment: a changed scene begins with one.
@@ -97,6 +108,40 @@ class VirtualTube:
             )
         self._frame += 1
         return next(self._frames)
+
+    def _fields(self, outputs: Outputs, field_hz: float, exposure_s: float) -> Fields | None:
+        """How gate and fields meet; None where the gate idles open or shut, or its phase makes no difference."""
+        pulsed = outputs.gate_open and 0.0 < outputs.gate_ns * outputs.gate_hz < 1e9
+        whole_fields = outputs.gate_trigger == "clock" and exposure_s == 1.0 / field_hz
+        if not pulsed or whole_fields:
+            return None
+        phase = float(np.random.default_rng([self._truth.seed, 0x5E]).random())
+        return Fields.of(outputs, field_hz=field_hz, exposure_s=exposure_s, phase=phase)
+
+    def _woven(self, scene: Scene, fields: Fields) -> NDArray:
+        """Expose one frame whose fields have light of their own: rows of the one between rows of the other."""
+        if scene != self._scene:
+            self._scene, self._frame, self._lights = scene, 0, {}
+        count = 2 if self.sensor.video.interlaced else 1
+        open_ns = fields.lights_ns(self._frame * count, count)
+        self._frame += 1
+        pictures = {one: next(self._light(scene, one)) for one in set(open_ns)}
+        frame = pictures[open_ns[0]].copy()
+        for field in range(1, count):
+            frame[field::count] = pictures[open_ns[field]][field::count]
+        return frame
+
+    def _light(self, scene: Scene, open_ns: float) -> Iterator[NDArray]:
+        """Frames of a scene whose gate is open for a time, ns."""
+        if open_ns not in self._lights:
+            least_ns = (scene.conditions.exposure_s or 0.0) * 1e9 * GATE_EXTINCTION
+            self._lights[open_ns] = self._bench.stream(
+                scene.placement.kind,
+                scene.placement.target,
+                replace(scene.conditions, gate_ns=max(open_ns, least_ns)),
+                seed=frame_seed(self._truth.seed, scene.placement.number) + round(open_ns),
+            )
+        return self._lights[open_ns]
 
 
 def frame_seed(seed: int, placement: int) -> int:

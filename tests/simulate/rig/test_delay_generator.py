@@ -165,7 +165,7 @@ def test_triggers_during_a_cycle_are_lost_and_told(dg645):
 
 def test_without_triggers_or_level_the_gate_stays_shut(dg645):
     told(dg645, "DLAY 3,2,1e-6;LAMP 1,4")
-    for source in (1, 2, 3, 4, 5):
+    for source in (3, 4, 5):
         told(dg645, f"TSRC {source}")
         assert not dg645.gate().gate_open
     told(dg645, "TSRC 0;LAMP 1,1")

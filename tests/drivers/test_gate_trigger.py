@@ -1,0 +1,73 @@
+"""A gate opens at each trigger that it was told to take, no more often than was asked, and says where none comes."""
+
+import pytest
+
+from drivers.acquisition.plan_check import check_plan
+from drivers.errors import InstrumentRefused
+from drivers.instruments.delay_generator import DelayGenerator
+from drivers.instruments.dg535 import Dg535
+from drivers.wire.lines import bus_line, gate_line
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.gating import HOLDOFF, Gating
+from labdata.plan import Plan, Step
+from simulate.rig.delay_generator import FIELD_HZ
+from simulate.rig.delay_generator import DelayGenerator as VirtualDg645
+from simulate.rig.dg535 import Dg535 as VirtualDg535
+from simulate.rig.in_process import InProcessPort
+from simulate.rig.prologix import PrologixAdapter
+
+WIDTH_NS = 2e6
+
+
+def dg645(**wired):
+    port = InProcessPort(VirtualDg645(**wired))
+    return DelayGenerator(gate_line(port)), port
+
+
+def test_a_triggered_gate_opens_once_for_each_field_and_holds_off_what_comes_too_early():
+    gate, port = dg645()
+    assert gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, delay_ns=3e6, sync="triggered") == pytest.approx(WIDTH_NS)
+    out = port.gate()
+    assert (out.gate_trigger, out.gate_hz, out.gate_delay_ns) == ("camera", FIELD_HZ, pytest.approx(3e6))
+    assert float(gate.line.ask("HOLD?")) == pytest.approx(HOLDOFF / FIELD_HZ, abs=1e-9)
+    ringing, port = dg645(external_hz=2.0 * FIELD_HZ)
+    ringing.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
+    assert port.gate().gate_hz <= FIELD_HZ / HOLDOFF
+
+
+def test_a_gate_at_whose_input_nothing_comes_is_told_and_left_shut():
+    gate, port = dg645(external_hz=0.0)
+    with pytest.raises(InstrumentRefused, match=r"must be triggered 59\.9401 times a second, got no trigger"):
+        gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
+    assert not port.gate().gate_open
+
+
+def test_a_gate_goes_from_one_trigger_to_another_and_keeps_nothing_of_the_first():
+    gate, port = dg645()
+    gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
+    gate.open(width_ns=WIDTH_NS, rate_hz=60.0, sync="line-locked")
+    assert (port.gate().gate_trigger, port.gate().gate_hz) == ("mains", 60.0)
+    gate.open(width_ns=WIDTH_NS, rate_hz=200.0)
+    assert (port.gate().gate_trigger, port.gate().gate_hz) == ("clock", 200.0)
+
+
+def test_the_older_generator_takes_the_mains_and_refuses_what_it_cannot_hold_off():
+    port = InProcessPort(PrologixAdapter({15: VirtualDg535()}))
+    gate = Dg535(bus_line(port, name="delay generator", address=15))
+    gate.open(width_ns=WIDTH_NS, rate_hz=60.0, sync="line-locked")
+    assert port.gate().gate_trigger == "mains"
+    with pytest.raises(BadInput, match="has no trigger holdoff, got triggered"):
+        gate.check_pulse(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
+
+
+@pytest.mark.parametrize(("delay_ns", "fits"), [(0.0, False), (9e6, True), (1.4e7, True), (1.5e7, False)])
+def test_a_triggered_gate_must_open_inside_the_exposure(tmp_path, delay_ns, fits):
+    asked = Conditions(mcp_v=700.0, gate_ns=WIDTH_NS, exposure_s=0.008)
+    step = Step(label="a", kind="dark", frames=1, conditions=asked)
+    plan = Plan(name="p", gating=Gating(sync="triggered", delay_ns=delay_ns), steps=(step,))
+    if fits:
+        check_plan(plan, tmp_path, None)
+    else:
+        with pytest.raises(BadInput, match="delay_ns must open the gate inside the exposure"):
+            check_plan(plan, tmp_path, None)
