@@ -92,8 +92,8 @@ def whole_field_s(exposure_s: float, field_hz: float) -> float:
 
 
 def fields_open_ns(
-    begins_s: NDArray[np.float64], exposure_s: float, *, width_ns: float, rate_hz: float
-) -> NDArray[np.float64]:
+    begins_s: NDArray[np.floating], exposure_s: float, *, width_ns: float, rate_hz: float
+) -> NDArray[np.floating]:
     """Return how long a gate is open in each of many exposures, ns.
 
     Parameters
@@ -114,7 +114,7 @@ def fields_open_ns(
     """
     period_s, width_s = 1.0 / rate_hz, min(width_ns * 1e-9, 1.0 / rate_hz)
 
-    def since_begin_s(time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def since_begin_s(time_s: NDArray[np.floating]) -> NDArray[np.floating]:
         whole = np.floor(time_s / period_s)
         return whole * width_s + np.minimum(time_s - whole * period_s, width_s)
 

@@ -98,7 +98,7 @@ class Wires:
     @property
     def instruments(self) -> tuple[Reached, ...]:
         """Every serial instrument that stands at the bench; gate and supply always do."""
-        optional = {
+        optional: dict[Role, tuple[str | None, str | None]] = {
             "light-source": (self.light, self.light_port),
             "filter-wheel": (self.wheel, self.wheel_port),
             "light-meter": (self.light_meter, self.light_meter_port),

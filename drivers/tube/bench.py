@@ -346,8 +346,8 @@ class Bench:
         """Take the ports, which are free now, and make safe."""
         self._record("the watchdog is gone; its client makes the bench safe")
         needed = [one for one in self._wires.instruments if one.role in ("gate", "supply", "light-source")]
-        lines = {one.role: line for one in needed if (line := self._opened(one)) is not None}
-        drivers = {role: self._models[role].driver(line) for role, line in lines.items()}
+        lines: dict[Role, Line] = {one.role: line for one in needed if (line := self._opened(one)) is not None}
+        drivers: dict[Role, Any] = {role: self._models[role].driver(line) for role, line in lines.items()}
         lamps = [] if self._calibration is None else [drivers.get("light-source")]
         try:
             return make_safe(gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=self._record)

@@ -9,7 +9,7 @@ from typing import Self
 
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
-from labdata.plan import Reached, Wires
+from labdata.plan import Reached, Role, Wires
 from labdata.sensor import Sensor
 from simulate.rig import aravis_library
 from simulate.rig.camera_process import CameraProcess
@@ -104,7 +104,7 @@ class VirtualBench:
     @property
     def wires(self) -> Wires:
         """How the instruments are reached."""
-        ports = {one.role: self._port(one) for one in self._asked.instruments}
+        ports: dict[Role, str | None] = {one.role: self._port(one) for one in self._asked.instruments}
         reached = self._asked.with_ports(ports)
         return replace(reached, camera=self.camera.identifier) if self.camera else reached
 
@@ -130,7 +130,8 @@ class VirtualBench:
 
     def provoke(self, instrument: str, faults: Faults) -> None:
         """Give an instrument at a place of the bench, or the camera, its faults; a real one is BadInput."""
-        virtual = {virtual_model(one.model).place: one.role for one in self._asked.instruments if not one.port}
+        there = [one for one in self._asked.instruments if not one.port]
+        virtual: dict[str, Role] = {virtual_model(one.model).place: one.role for one in there}
         if instrument in virtual and self.inside is not None:
             self.inside.ports[virtual[instrument]].faults = faults
         elif instrument in virtual or (instrument == "camera" and self.camera is not None):

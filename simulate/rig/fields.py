@@ -47,7 +47,7 @@ class Fields:
         first_s = -outputs.gate_delay_ns * 1e-9 if outputs.gate_trigger == "camera" else phase / rate_hz
         return cls(width_ns=outputs.gate_ns, rate_hz=rate_hz, field_hz=field_hz, exposure_s=exposure_s, first_s=first_s)
 
-    def open_ns(self, first_field: int, fields: int) -> NDArray[np.float64]:
+    def open_ns(self, first_field: int, fields: int) -> NDArray[np.floating]:
         """Return how long the gate is open in each of some fields, ns."""
         ends_s = self.first_s + (np.arange(first_field, first_field + fields) + 1.0) / self.field_hz
         return fields_open_ns(ends_s - self.exposure_s, self.exposure_s, width_ns=self.width_ns, rate_hz=self.rate_hz)
