@@ -9,7 +9,7 @@ from drivers.v4l2 import requests
 from drivers.v4l2.capture import V4l2Capture
 from drivers.v4l2.controls import Control, list_controls, read_control, write_control
 from drivers.v4l2.device import Device, KernelDevice, asked
-from drivers.v4l2.fields import STANDARDS
+from drivers.v4l2.fields import ALTERNATE, STANDARDS
 from drivers.v4l2.listing import capture_capability
 from drivers.v4l2.pixels import picture_of
 from drivers.v4l2.settings import V4l2Settings
@@ -117,12 +117,13 @@ class V4l2Camera:
         if frames < 1 or discard < 0:
             raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
         own = V4l2Settings(self._open, self.identifier)
-        settings = own.read()
+        settings, form = own.read(), own.form()
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
         return V4l2Capture(
             self._open,
-            picture=picture_of(own.form()),
+            picture=picture_of(form),
             standard=own.standard(),
+            alternate=form.of.pix.field == ALTERNATE,
             frames=frames,
             discard=discard,
             patience_s=self._silence_s + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),

@@ -2,15 +2,18 @@
 
 import errno
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
+
+from numpy.typing import NDArray
 
 from drivers.interface import CameraError
 from drivers.v4l2 import requests
 from drivers.v4l2.device import Device, Mapped, asked
-from drivers.v4l2.fields import field_order
+from drivers.v4l2.field_pairs import Field, FieldPairs
+from drivers.v4l2.fields import BOTTOM, TOP, field_order, older_field
 from drivers.v4l2.pixels import Picture
 from drivers.v4l2.structures import BUFFER_FAULTY, CAPTURE, MEMORY_MAPPED, Buffer, BufferRequest
 from drivers.whole_frames import Broken, WholeFrames
@@ -20,6 +23,8 @@ from labdata.errors import BadInput
 BUFFERS = 8
 MOST_BUFFERS = 32  # VIDEO_MAX_FRAME
 MOST_BYTES = 1 << 30
+
+T = TypeVar("T")
 
 
 class V4l2Capture:
@@ -33,6 +38,8 @@ class V4l2Capture:
         How a picture lies in a buffer.
     standard
         Video standards of the input, as the kernel's bits.
+    alternate
+        Whether a picture is one field, and its frame's other one comes in a buffer of its own.
     frames
         Whole frames to hand out.
     discard
@@ -49,12 +56,14 @@ class V4l2Capture:
         *,
         picture: Picture,
         standard: int,
+        alternate: bool,
         frames: int,
         discard: int,
         patience_s: float,
         identifier: str,
     ) -> None:
         self._device, self._picture, self._standard = device, picture, standard
+        self._alternate = alternate
         self._patience_s, self._identifier = patience_s, identifier
         self._memory: list[Mapped] = []
         self._numbers = RunningNumbers()
@@ -89,10 +98,24 @@ class V4l2Capture:
 
     def __iter__(self) -> Iterator[Frame]:
         """Hand out whole frames; a camera that falls silent, goes or sends only broken ones is a `CameraError`."""
-        return self._whole.of(self._frame)
+        if self._alternate:
+            return self._whole.of(FieldPairs(older_field(self._standard), self._field).frame)
+        return self._whole.of(lambda: self._taken(self._as_frame))
 
-    def _frame(self) -> Frame | Broken:
-        """Copy the next frame out of its buffer and give the buffer back."""
+    def _field(self) -> Field | Broken:
+        return self._taken(self._as_field)
+
+    def _as_frame(self, buffer: Buffer, pixels: NDArray, number: int) -> Frame:
+        order = field_order(buffer.field, self._standard)
+        return Frame(pixels=pixels, number=number, time_s=_time_s(buffer), field_order=order)
+
+    def _as_field(self, buffer: Buffer, pixels: NDArray, number: int) -> Field:
+        if buffer.field not in (TOP, BOTTOM):
+            raise BadInput(f"a buffer must say which field it holds, got {buffer.field}")
+        return Field(pixels=pixels, parity=buffer.field, number=number, time_s=_time_s(buffer))
+
+    def _taken(self, made: Callable[[Buffer, NDArray, int], T]) -> T | Broken:
+        """Copy the next picture out of its buffer, make of it what it is, and give the buffer back."""
         buffer = self._next_buffer()
         if not buffer.index < len(self._memory):
             raise CameraError(
@@ -103,12 +126,7 @@ class V4l2Capture:
             if fault := self._fault_of(buffer):
                 return Broken(number=number, fault=fault)
             data = self._memory[buffer.index].copy(self._picture.size_bytes)
-            return Frame(
-                pixels=self._picture.grey(data),
-                number=number,
-                time_s=buffer.timestamp.seconds + buffer.timestamp.microseconds * 1e-6,
-                field_order=field_order(buffer.field, self._standard),
-            )
+            return made(buffer, self._picture.grey(data), number)
         except BadInput as error:
             return Broken(number=number, fault=str(error))
         finally:
@@ -169,6 +187,11 @@ class V4l2Capture:
         self._memory.clear()
         with suppress(OSError):
             self._device.ask(requests.REQUEST_BUFFERS, BufferRequest(type=CAPTURE, memory=MEMORY_MAPPED))
+
+
+def _time_s(buffer: Buffer) -> float:
+    """When the kernel stamped a buffer, s of its clock."""
+    return buffer.timestamp.seconds + buffer.timestamp.microseconds * 1e-6
 
 
 class RunningNumbers:

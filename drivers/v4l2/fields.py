@@ -48,14 +48,23 @@ def field_order(field: int, standard: int) -> FieldOrder:
     Raises
     ------
     BadInput
-        If fields come each for itself, or the number is none of the kernel's.
+        If the number is none of the kernel's.
     """
-    if field == INTERLACED:
-        return "bottom first" if standard & STANDARDS_525 else "top first"
+    if field in (INTERLACED, ALTERNATE):
+        return "bottom first" if older_field(standard) == BOTTOM else "top first"
     if field not in _ORDERS:
-        what = "fields that come each for itself" if field == ALTERNATE else f"the field number {field}"
-        raise BadInput(f"a frame must hold its fields together, got {what}")
+        raise BadInput(f"the order of a frame's fields must be one of the kernel's, got the field number {field}")
     return _ORDERS[field]
+
+
+def older_field(standard: int) -> int:
+    """Return which field of a video standard is exposed first, the kernel's TOP or BOTTOM."""
+    return BOTTOM if standard & STANDARDS_525 else TOP
+
+
+def rows_of(height: int, field: int) -> int:
+    """Return the rows of a frame whose format has a height, px: that of one field only where fields come apart."""
+    return 2 * height if field == ALTERNATE else height
 
 
 def number_of(order: FieldOrder) -> int:

@@ -53,7 +53,7 @@ class V4l2Settings:
         picture = picture_of(form)
         exposure, gain = (self._value(one) for one in (controls.EXPOSURE, controls.GAIN))
         return CameraSettings(
-            rows=picture.rows,
+            rows=fields.rows_of(picture.rows, form.of.pix.field),
             columns=picture.columns,
             first_row=0,
             first_column=0,
@@ -88,10 +88,11 @@ class V4l2Settings:
         before = self.form()
         form = copied(before)
         pix = form.of.pix
-        pix.height, pix.width = settings.rows or pix.height, settings.columns or pix.width
+        rows, pix.width = settings.rows or fields.rows_of(pix.height, pix.field), settings.columns or pix.width
         pix.pixelformat = self._code(settings.pixel_format, now=pix.pixelformat)
         if settings.field_order is not None:
             pix.field = fields.number_of(settings.field_order)
+        pix.height = rows // fields.rows_of(1, pix.field)
         # What follows from the others is for the driver to say.
         pix.bytesperline = pix.sizeimage = 0
         self._ask_format(form)
@@ -105,13 +106,14 @@ class V4l2Settings:
     def _complaint(self, settings: CameraSettings, given: Format, *, code: int) -> str | None:
         """Say what the driver made of the format asked, where it is another."""
         pix = given.of.pix
-        rows, columns = settings.rows or pix.height, settings.columns or pix.width
-        if (pix.height, pix.width) != (rows, columns):
+        there = fields.rows_of(pix.height, pix.field)
+        rows, columns = settings.rows or there, settings.columns or pix.width
+        if (there, pix.width) != (rows, columns):
             sizes = list_sizes(self._device, code)
             offered = ", ".join(f"{one}x{other}" for one, other in sizes) or "others"
             return (
                 f"a picture of camera {self._identifier} must have rows and columns that it offers ({offered}), "
-                f"got {rows}x{columns}, which it makes {pix.height}x{pix.width}"
+                f"got {rows}x{columns}, which it makes {there}x{pix.width}"
             )
         if settings.field_order is not None:
             order = fields.field_order(pix.field, self.standard())

@@ -9,9 +9,8 @@ import pytest
 
 from drivers.interface import CameraError
 from drivers.v4l2 import V4l2Camera
-from drivers.v4l2.fields import ALTERNATE, BOTTOM_THEN_TOP, INTERLACED, TOP_THEN_BOTTOM
+from drivers.v4l2.fields import ALTERNATE, BOTTOM, BOTTOM_THEN_TOP, INTERLACED, TOP, TOP_THEN_BOTTOM
 from labdata.capture import CameraSettings
-from labdata.errors import BadInput
 from tests.drivers.camera_laws import taken
 from tests.drivers.fake_video import COLUMNS, ROWS, FakeDevice, Sent, luma, steadily
 
@@ -171,10 +170,42 @@ def test_fields_that_come_one_after_the_other_are_woven_into_rows(field, order):
     assert np.array_equal(frame.pixels[second::2], sent[ROWS // 2 :])
 
 
-def test_fields_that_come_each_for_itself_are_refused():
-    device = FakeDevice(field=ALTERNATE, standard=NTSC)
-    with camera_on(device) as camera, pytest.raises(BadInput, match="must hold its fields together"):
-        camera.configure(CameraSettings())
+def fields_apart(standard: int, *, without: tuple[int, ...] = ()):
+    """Fields in the order of a standard, two for each sequence number, some of them never sent."""
+    older, younger = (BOTTOM, TOP) if standard == NTSC else (TOP, BOTTOM)
+    sent = (Sent(sequence=at // 2, field=younger if at % 2 else older) for at in count() if at not in without)
+    return lambda: sent
+
+
+@pytest.mark.parametrize("standard", [NTSC, PAL])
+def test_fields_that_come_each_for_itself_are_put_together_two_by_two(standard):
+    with camera_on(FakeDevice(fields_apart(standard), field=ALTERNATE, standard=standard)) as camera:
+        settings = camera.configure(CameraSettings())
+        frames, capture = taken(camera, 4)
+    assert (settings.rows, settings.field_order) == (2 * ROWS, "bottom first" if standard == NTSC else "top first")
+    assert [frame.number for frame in frames] == [0, 1, 2, 3]
+    assert capture.lost_frames == 0
+    for frame in frames:
+        assert frame.field_order == settings.field_order
+        assert np.array_equal(frame.pixels[0::2], luma(frame.number))
+        assert np.array_equal(frame.pixels[1::2], luma(frame.number))
+
+
+@pytest.mark.parametrize("field", [4, 5])
+def test_a_frame_of_one_field_only_is_lost_and_no_other(field):
+    with camera_on(FakeDevice(fields_apart(NTSC, without=(field,)), field=ALTERNATE, standard=NTSC)) as camera:
+        frames, capture = taken(camera, 5)
+    assert [frame.number for frame in frames] == [0, 1, 3, 4, 5]
+    (lost,) = capture.losses
+    assert (lost.first, lost.last) == (2, 2)
+    assert lost.reason == f"its {'older' if field == 4 else 'younger'} field did not come"
+
+
+def test_a_capture_that_begins_in_the_middle_of_a_frame_begins_with_the_next():
+    with camera_on(FakeDevice(fields_apart(PAL, without=(0,)), field=ALTERNATE, standard=PAL)) as camera:
+        frames, capture = taken(camera, 2)
+    assert [frame.number for frame in frames] == [1, 2]
+    assert capture.lost_frames == 0
 
 
 def test_grey_of_8_bits_is_the_luma_of_video_where_the_camera_has_no_grey_and_says_so():
