@@ -13,10 +13,11 @@ from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import Limits, Override
 from labdata.meters import Meters
-from labdata.plan import Plan, Settle, Step, Wires
+from labdata.plan import Plan, Settle, Step
 from labdata.session import Kind
 from labdata.sweep import MOST_STEPS, SweepForm
 from labdata.target import Target
+from labdata.wires import Wires
 
 T = TypeVar("T")
 

@@ -38,7 +38,7 @@ from drivers.wire.lines import (
 )
 from drivers.wire.port import Port, SerialPort
 from labdata.errors import BadInput
-from labdata.plan import Reached, Role, Wires
+from labdata.wires import Reached, Role, Wires
 
 GROUP = "charact.instruments"
 

@@ -35,7 +35,7 @@ from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, limits_in_force
 from labdata.meters import Meters
-from labdata.plan import PORT_KEYS, Reached, Role, Wires
+from labdata.wires import PORT_KEYS, Reached, Role, Wires
 
 METER_AGREES = 1.25
 """Light that a meter reads this much brighter than it was set is brighter, not a matter of calibration."""

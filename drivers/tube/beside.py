@@ -7,7 +7,7 @@ from typing import Any
 from drivers.errors import BenchError
 from labdata.conditions import Conditions
 from labdata.meters import Meters
-from labdata.plan import Role
+from labdata.wires import Role
 
 Reading = tuple[Conditions, tuple[str, ...]]
 """What was read, and one sentence for each meter that did not answer."""

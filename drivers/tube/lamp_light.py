@@ -8,7 +8,7 @@ from drivers.tube.state import FilterRead, TurnFilter
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp, LampSetting
-from labdata.plan import Role
+from labdata.wires import Role
 
 Watch = Callable[[Role, bool], None]
 """Called as watch(role, on): whether an instrument should be looked after now."""

@@ -22,7 +22,7 @@ from drivers.instruments.models import Model, model_of
 from drivers.tube.safe import Safety, make_safe
 from drivers.wire.line import OwnedLine
 from drivers.wire.line_worker import LineWorker, described
-from labdata.plan import Reached, Role
+from labdata.wires import Reached, Role
 
 HEARTBEAT_S = 0.5
 """Longest time between two signs of life of the client, s."""

@@ -16,7 +16,7 @@ from drivers.errors import BenchError, WatchdogLost
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage import FALL_S
 from drivers.tube.safe import Safety
-from labdata.plan import Role, Wires
+from labdata.wires import Role, Wires
 
 BEAT_S = 0.1
 START_S = 15.0

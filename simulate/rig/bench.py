@@ -9,8 +9,8 @@ from typing import Self
 
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
-from labdata.plan import Reached, Role, Wires
 from labdata.sensor import Sensor
+from labdata.wires import Reached, Role, Wires
 from simulate.rig import aravis_library
 from simulate.rig.camera_process import CameraProcess
 from simulate.rig.faults import Faults, provoke

@@ -4,7 +4,7 @@ import threading
 import time
 from typing import Any
 
-from labdata.plan import Role, Wires
+from labdata.wires import Role, Wires
 from simulate.rig.faults import Faults
 from simulate.rig.models import virtual_model
 from simulate.rig.outputs import GateOutput, Outputs

@@ -14,10 +14,11 @@ from labdata.adaptive import SaturationSearch, Until
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import events
-from labdata.plan import Plan, Step, Wires
+from labdata.plan import Plan, Step
 from labdata.session import open_session
 from labdata.store import StackWriter
 from labdata.target import Target
+from labdata.wires import Wires
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
 fake_rig = importlib.util.module_from_spec(_spec)

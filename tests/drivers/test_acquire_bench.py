@@ -12,9 +12,10 @@ from drivers.tube.bench import Bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Override, limits_in_force
-from labdata.plan import Plan, Step, Wires
+from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from labdata.target import Target
+from labdata.wires import Wires
 from simulate.rig import aravis_library
 from simulate.rig.bench import VirtualBench
 

@@ -12,8 +12,9 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
 from labdata.meters import Meters
-from labdata.plan import Plan, Step, Wires
+from labdata.plan import Plan, Step
 from labdata.target import Target
+from labdata.wires import Wires
 from simulate.rig.faults import Faults
 from simulate.rig.in_process import InProcessInstruments
 from simulate.rig.power_meter import LUX_PER_W, NOISE_W

@@ -20,8 +20,8 @@ from drivers.tube.state import InterlockRefused, OpenGate
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
-from labdata.plan import Wires
 from labdata.target import Target
+from labdata.wires import Wires
 from simulate.rig.faults import Faults
 from simulate.rig.in_process import InProcessInstruments
 

@@ -15,8 +15,8 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
 from labdata.limits import Limits
-from labdata.plan import Wires
 from labdata.target import Target
+from labdata.wires import Wires
 from simulate.rig.faults import Faults
 from simulate.rig.in_process import InProcessInstruments
 

@@ -10,9 +10,10 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import events
 from labdata.limits import Override
-from labdata.plan import Plan, Step, Wires
+from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
+from labdata.wires import Wires
 from simulate.rig.fault_script import FaultScript, Strike
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")

@@ -10,7 +10,7 @@ from drivers.tube.bench import Bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
-from labdata.plan import Wires
+from labdata.wires import Wires
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.outputs import read_outputs
 from simulate.rig.process import VirtualInstruments

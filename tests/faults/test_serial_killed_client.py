@@ -24,7 +24,7 @@ CLIENT = """
     from drivers.tube.bench import Bench
     from labdata import Conditions
     from labdata.limits import Limits
-    from labdata.plan import Wires
+    from labdata.wires import Wires
     gate, supply, log, step, then = sys.argv[1:]
     with Bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=float(step)), log=log) as bench:
         print("open", flush=True)

@@ -17,8 +17,8 @@ from labdata.conditions import Conditions
 from labdata.event_log import events
 from labdata.lamp import Lamp
 from labdata.limits import Limits
-from labdata.plan import Wires
 from labdata.target import Target
+from labdata.wires import Wires
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.operator import VirtualOperator
 from simulate.rig.outputs import read_outputs

@@ -13,7 +13,8 @@ from labdata.border import file_schema, from_mapping, from_toml, to_toml
 from labdata.capture import LostFrames
 from labdata.form import SessionForm, stack_form
 from labdata.limits import Limits
-from labdata.plan import Plan, Step, Wires
+from labdata.plan import Plan, Step
+from labdata.wires import Wires
 
 # The machine may be busy: how long an example takes is no law of the border.
 unhurried = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])

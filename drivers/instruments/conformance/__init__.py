@@ -12,7 +12,7 @@ from drivers.instruments.conformance.meters import METER_RULES, THERMOMETER_RULE
 from drivers.instruments.conformance.pair import Pair, Rule
 from drivers.instruments.conformance.supplies import SUPPLY_RULES
 from drivers.instruments.models import Model
-from labdata.plan import Role
+from labdata.wires import Role
 
 __all__ = ["OF_ROLE", "Pair", "Rule", "rules_for"]
 

@@ -7,8 +7,8 @@ from types import TracebackType
 from typing import Self
 
 from labdata.event_log import events
-from labdata.plan import Wires
 from labdata.sensors import load_sensor
+from labdata.wires import Wires
 from simulate.rig.bench import VirtualBench
 from simulate.rig.camera_process import CameraProcess
 from simulate.rig.faults import Faults, provoke

@@ -8,9 +8,9 @@ import pytest
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 from labdata.gating import Gating, fields_open_ns, out_of_step
-from labdata.plan import Wires
 from labdata.sensors import load_sensor
 from labdata.target import Target
+from labdata.wires import Wires
 from simulate.rig.bench import VirtualBench
 from simulate.rig.fields import Fields
 from simulate.rig.in_process_camera import InProcessCamera
