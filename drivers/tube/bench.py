@@ -1,7 +1,5 @@
 """The bench: gate, gain and light set in the order that spares the tube, made safe by leaving through any door."""
 
-import contextlib
-import json
 import math
 import signal
 import threading
@@ -14,8 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from drivers.errors import BenchError, WatchdogLost
-from drivers.instruments.models import Model, model_of
+from drivers.errors import BenchError
 from drivers.interface import Operator
 from drivers.tube.beside import Beside, Reading
 from drivers.tube.dark_check import must_be_dark
@@ -24,9 +21,9 @@ from drivers.tube.guarded_light import METER_ZERO, GuardedLight
 from drivers.tube.guarded_tube import GuardedTube
 from drivers.tube.interlock import Interlock
 from drivers.tube.lamp_light import LampLight
-from drivers.tube.safe import Safety, make_safe
+from drivers.tube.reach import Reach
+from drivers.tube.safe import Safety
 from drivers.tube.state import DarkSeen, Failed, FilterMoved, GainRead, GateRead, Heard, LightRead, SafeOrdered
-from drivers.tube.watched import Guard
 from drivers.wire.line import Line
 from labdata.conditions import Conditions
 from labdata.dose_ledger import DoseLedger
@@ -35,7 +32,7 @@ from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, limits_in_force
 from labdata.meters import Meters
-from labdata.wires import PORT_KEYS, Reached, Role, Wires
+from labdata.wires import Role, Wires
 
 METER_AGREES = 1.25
 """Light that a meter reads this much brighter than it was set is brighter, not a matter of calibration."""
@@ -101,21 +98,15 @@ class Bench:
         dose: DoseLedger | None = None,
         session: str = "",
     ) -> None:
-        if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
-            raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")
         if (lamp is None) != (wires.light is None):
             raise BadInput(f"a light source must have its calibration, got {lamp} for {wires.light}")
-        self._wires, self._log, self._lines = wires, Path(log), lines
+        self._reach = Reach(wires, lines, log=Path(log))
         self._gate_hz, self._gating = gate_hz, gating or Gating()
         self._calibration, self._meters = lamp, meters or Meters()
-        self._models: dict[Role, Model] = {one.role: model_of(one) for one in wires.instruments}
         self.interlock = Interlock(limits if isinstance(limits, LimitsInForce) else limits_in_force(limits))
         self._dose = None if dose is None else DoseMeter(dose, self.interlock.limits, session=session)
         if self._dose is not None:
             self.interlock.watch(self._dose.watch)
-        self._guard: Guard | None = None
-        self._taking_over = threading.Lock()
-        self._taken_over: Safety | None = None
         self._light: GuardedLight | None = None
         self._lamp: LampLight | None = None
         self._before: dict[signal.Signals, Callable | int | None] = {}
@@ -123,22 +114,18 @@ class Bench:
     @property
     def wires_left_out(self) -> tuple[str, ...]:
         """What is not on real wires here, one phrase each."""
-        if self._lines is None:
-            return ()
-        return ("serial lines: the instruments answer inside this process", "watchdog: no process guards the bench")
+        return self._reach.left_out
 
     def __enter__(self) -> "Bench":
         self._catch_signals()
         try:
-            if self._lines is None:
-                self._guard = self._started_guard()
-            drivers = self._drivers()
+            drivers = self._reach.open()
             self._gate, self._supply = drivers["gate"], drivers["supply"]
             self._gate.identify()
             self._gate.shut()
             self._supply.identify()
             self._supply.prepare(limit_v=self.interlock.limits.mcp_v)
-            self._watch("gate", True)
+            self._reach.watch("gate", True)
             self._tube = GuardedTube(
                 gate=self._gate,
                 supply=self._supply,
@@ -146,7 +133,7 @@ class Bench:
                 field_hz=self._gate_hz,
                 gating=self._gating,
                 check=self.check,
-                watch_supply=lambda on: self._watch("supply", on),
+                watch_supply=lambda on: self._reach.watch("supply", on),
             )
             self._tube.read_anew()
             self._lamp = self._prepared_lamp(drivers)
@@ -233,8 +220,8 @@ class Bench:
         A failure is remembered: nothing makes the tube hotter before the bench is opened anew.
         """
         try:
-            if self._guard is not None:
-                self._guard.check()
+            if (guard := self._reach.guard) is not None:
+                guard.check()
             elif self._supply.is_on:
                 self._supply.check_on()
         except BenchError as error:
@@ -250,7 +237,7 @@ class Bench:
     def safe(self) -> None:
         """Shut the gate, switch the high voltage off and block the light now; a BenchError if that is not verified."""
         self.interlock.tell(SafeOrdered())
-        safety = self._guard.safe() if self._guard is not None else self._made_safe_here()
+        safety = self._reach.safe()
         self._supply.is_on = False
         if self._light is not None:
             self._light.block_by_hand()
@@ -258,16 +245,6 @@ class Bench:
         self.interlock.tell(LightRead(illuminance_lux=0.0))
         self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
         self.interlock.tell(GainRead(mcp_v=0.0))
-
-    def _watch(self, role: Role, on: bool) -> None:
-        """Have the watchdog look after an instrument, or leave it alone."""
-        if self._guard is not None:
-            self._guard.lines[role].watch(on)
-
-    def _drivers(self) -> dict[Role, Any]:
-        """A driver for each instrument, on its line through the watchdog or on the one that is ready-made."""
-        lines = self._guard.lines if self._guard is not None else self._lines or {}
-        return {role: kind.driver(lines[role]) for role, kind in self._models.items()}
 
     def _prepared_lamp(self, drivers: dict[Role, Any]) -> LampLight | None:
         if self._calibration is None:
@@ -279,26 +256,16 @@ class Bench:
             drivers.get("filter-wheel"),
             self._calibration,
             interlock=self.interlock,
-            watch=self._watch,
+            watch=self._reach.watch,
         )
         lamp.prepare()
         return lamp
-
-    def _made_safe_here(self) -> Safety:
-        """Make safe over lines of this process."""
-        drivers = self._drivers()
-        lamps = [drivers["light-source"]] if "light-source" in drivers else []
-        return make_safe(gate=drivers["gate"], supply=drivers["supply"], lamps=lamps, record=self._record)
-
-    def _started_guard(self) -> Guard:
-        _check_writable(self._log)
-        return Guard(wires=self._wires, log=self._log, on_lost=self._safe_without_watchdog)
 
     # Leaving
 
     def _leave(self, error: BaseException | None) -> None:
         try:
-            safety = self._left_safe()
+            safety = self._reach.leave()
         except BenchError as failure:
             if error is None:
                 raise
@@ -324,46 +291,6 @@ class Bench:
         self._dose.write()
         return self._dose.failure
 
-    def _left_safe(self) -> Safety | None:
-        if self._lines is not None:
-            return self._made_safe_here()
-        if self._guard is None:
-            return None
-        guard, self._guard = self._guard, None
-        try:
-            return guard.leave()
-        except WatchdogLost:
-            return self._safe_without_watchdog()
-
-    def _safe_without_watchdog(self) -> Safety:
-        """The watchdog is gone: make the bench safe ourselves, at once, whatever the client waits for meanwhile."""
-        with self._taking_over:
-            if self._taken_over is None or not self._taken_over.whole:
-                self._taken_over = self._ports_taken()
-            return self._taken_over
-
-    def _ports_taken(self) -> Safety:
-        """Take the ports, which are free now, and make safe."""
-        self._record("the watchdog is gone; its client makes the bench safe")
-        needed = [one for one in self._wires.instruments if one.role in ("gate", "supply", "light-source")]
-        lines: dict[Role, Line] = {one.role: line for one in needed if (line := self._opened(one)) is not None}
-        drivers: dict[Role, Any] = {role: self._models[role].driver(line) for role, line in lines.items()}
-        lamps = [] if self._calibration is None else [drivers.get("light-source")]
-        try:
-            return make_safe(gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=self._record)
-        finally:
-            for line in lines.values():
-                line.close()
-
-    def _opened(self, reached: Reached) -> Line | None:
-        with contextlib.suppress(BenchError):
-            return self._models[reached.role].open_line(str(reached.port), reached.address)
-
-    def _record(self, event: str, **details: object) -> None:
-        now = time.time()
-        with self._log.open("a") as log:
-            log.write(json.dumps({"time": now, "monotonic_s": time.monotonic(), "event": event, **details}) + "\n")
-
     def _catch_signals(self) -> None:
         if threading.current_thread() is threading.main_thread():
             self._before = {number: signal.signal(number, _end) for number in _SIGNALS}
@@ -377,15 +304,6 @@ class Bench:
 def _end(number: int, _frame: FrameType | None) -> None:
     """Let a signal unwind the stack like Ctrl-C, so that every `with` is left properly."""
     raise SystemExit(128 + number)
-
-
-def _check_writable(log: Path) -> None:
-    """A watchdog that cannot log would end at once, out of sight."""
-    try:
-        with log.open("a"):
-            pass
-    except OSError as error:
-        raise BadInput(f"the log of the safety steps must be a file that can be written, got: {error}") from None
 
 
 def _raise_unless_whole(safety: Safety) -> None:

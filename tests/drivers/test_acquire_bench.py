@@ -11,6 +11,7 @@ from drivers.instruments.models import lines_on
 from drivers.tube.bench import Bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.lamp import Lamp
 from labdata.limits import Override, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
@@ -39,13 +40,33 @@ STEPS = (
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life")
 
 
-def taken(folder, wires):
+OTHERS = Wires(
+    bench="in-process",
+    gate="dg535",
+    supply="iseg",
+    light="dc2100",
+    wheel="fw102c",
+    light_meter="pm101",
+    thermometer="ctc100",
+)
+LAMP = Lamp(
+    source="photometer",
+    current_a=(0.01, 1.0),
+    illuminance_lux=(1e-2, 1.0),
+    relative_sd=(0.03, 0.03),
+    filter_density=(0.0, 1.0, 2.0, 3.0, 4.0, 5.0),
+)
+
+
+def taken(folder, wires, lamp=None):
     sensor = load_sensor("pulnix-ag5745ef3")
     small = replace(sensor, ccd=replace(sensor.ccd, rows=61, columns=84))
     folder.mkdir()
     save_sensor(small, folder / "small.toml")
-    plan = Plan(name="twice", sensor=str(folder / "small.toml"), seed=5, overrides=(FAST,), steps=STEPS)
-    with VirtualBench(folder / "bench", small, plan.seed, wires=Wires(bench=wires), time_scale=20.0) as rig:
+    plan = Plan(
+        name="twice", sensor=str(folder / "small.toml"), seed=5, overrides=(FAST,), wires=wires, lamp=lamp, steps=STEPS
+    )
+    with VirtualBench(folder / "bench", small, plan.seed, wires=wires, lamp=lamp, time_scale=20.0) as rig:
         lines = None
         camera = rig.in_process_camera()
         if inside := rig.inside:
@@ -53,7 +74,7 @@ def taken(folder, wires):
         elif rig.camera:
             camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
         limits = limits_in_force(plan.limits, small, plan.overrides)
-        bench = Bench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines)
+        bench = Bench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines, lamp=lamp)
         session = acquire(plan, folder / "session", camera=camera, bench=bench, operator=rig.operator)
         left_open, left_v = rig.outputs().gate_open, rig.outputs().mcp_v
         return session, rig.left_out, left_open, left_v
@@ -61,7 +82,7 @@ def taken(folder, wires):
 
 @pytest.fixture(scope="module")
 def inside(tmp_path_factory):
-    return taken(tmp_path_factory.mktemp("inside") / "run", "in-process")
+    return taken(tmp_path_factory.mktemp("inside") / "run", Wires(bench="in-process"))
 
 
 def test_a_run_without_wires_is_whole_and_says_what_it_left_out(inside):
@@ -79,7 +100,7 @@ def test_light_and_gain_show_in_the_frames(inside):
 
 
 def test_a_run_without_wires_gives_the_same_frames_again(inside, tmp_path):
-    again, *_ = taken(tmp_path / "again", "in-process")
+    again, *_ = taken(tmp_path / "again", Wires(bench="in-process"))
     for entry in inside[0].stacks:
         assert np.array_equal(again.stack(entry.label).read().data, entry.read().data)
 
@@ -88,7 +109,7 @@ def test_a_run_without_wires_gives_the_same_frames_again(inside, tmp_path):
 @pytest.mark.aravis
 @pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine")
 def test_a_run_over_real_wires_gives_the_same_frames_as_one_without(inside, tmp_path):
-    wired, left_out, gate_open, mcp_v = taken(tmp_path / "wired", "virtual")
+    wired, left_out, gate_open, mcp_v = taken(tmp_path / "wired", Wires())
     assert left_out == ()
     assert not gate_open
     assert mcp_v < 5.0
@@ -96,6 +117,21 @@ def test_a_run_over_real_wires_gives_the_same_frames_as_one_without(inside, tmp_
         other = wired.stack(entry.label)
         assert np.array_equal(other.read().data, entry.read().data)
         assert replace(other.conditions, exposure_s=None) == replace(entry.conditions, exposure_s=None)
+
+
+def test_the_other_gate_and_supply_with_lamp_wheel_and_meters_make_a_whole_bench(tmp_path):
+    session, _, gate_open, mcp_v = taken(tmp_path / "run", OTHERS, LAMP)
+    assert [len(entry.read()) for entry in session.stacks] == [3, 3, 3]
+    assert not gate_open and mcp_v < 11.0
+    dark, flat, edge = (entry.conditions for entry in session.stacks)
+    assert (flat.mcp_v, edge.mcp_v) == (pytest.approx(700.0, abs=2.0), pytest.approx(680.0, abs=2.0))
+    assert (dark.lamp_a, flat.lamp_a, flat.filter_density) == (0.0, pytest.approx(1.0), 4.0)
+    assert edge.illuminance_lux == pytest.approx(2e-5)
+    assert flat.metered_w is not None and edge.metered_w is not None and dark.metered_w is not None
+    assert flat.metered_w > 3.0 * edge.metered_w > 3.0 * dark.metered_w
+    assert {one.temperature_c for one in (dark, flat, edge)} == {23.4}
+    lit, unlit = session.stack("flat").read().data.mean(), session.stack("dark").read().data.mean()
+    assert lit > unlit + 3.0
 
 
 def test_a_virtual_bench_keeps_its_specimen_and_refuses_another_seed(tmp_path):

@@ -153,7 +153,7 @@ def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log)
 def test_a_client_that_talks_nonsense_to_its_watchdog_is_made_safe_from(bench, virtual, log):
     with pytest.raises(WatchdogLost), bench:
         bench.set_conditions(Conditions(mcp_v=300.0, gate_ns=1e6))
-        bench._guard._connection.sendall(b"nonsense\n")
+        bench._reach.guard._connection.sendall(b"nonsense\n")
         while True:
             time.sleep(0.02)
             bench.check()
