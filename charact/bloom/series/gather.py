@@ -16,6 +16,7 @@ from charact.method import Context
 from labdata.session import Session
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 # Stacks whose sources lie farther apart than this are not one series, px.
 SAME_PLACE_PX = 2.0
@@ -49,9 +50,11 @@ def gathered(session: Session, spots: tuple[Spot, ...], *, context: Context) -> 
     if len(shapes) > 1:
         return f"stacks of one source must have frames of one size, got {sorted(shapes)}"
     full = min(one.full_scale_dn for one in group)
+    aside = nearer_to_others(group, clearest, context.pitch_ratio)
+    masks = [spoiled(one, context) | aside for one in group]
     row, col = centred([one.image for one in group], clearest.row, clearest.col, pitch_ratio=context.pitch_ratio,
-                       full_dn=full, spoiled=[spoiled(one, context) for one in group])  # fmt: skip
-    levels = _levels(session, group, (row, col), full, context)
+                       full_dn=full, spoiled=masks)  # fmt: skip
+    levels = _levels(session, group, masks, (row, col), full, context)
     whole = min(len(level.mean_dn) for level in levels)
     if whole < LEAST_RINGS:
         return f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}"
@@ -60,16 +63,29 @@ def gathered(session: Session, spots: tuple[Spot, ...], *, context: Context) -> 
     return series, tuple(replace(one, row=row, col=col) for one in group)
 
 
+def nearer_to_others(group: tuple[Spot, ...], own: Spot, pitch_ratio: float) -> Mask:
+    """Pixels that are nearer to another source than to this one, shape (row, col); any stack may show it."""
+    rows, cols = np.indices(own.image.shape)
+
+    def apart(row: float, col: float) -> Array:
+        return np.hypot((rows - row) * pitch_ratio, cols - col)
+
+    mask, here = np.zeros(own.image.shape, bool), apart(own.row, own.col)
+    for other in (other for one in group for other in one.others):
+        mask |= apart(other.row, other.col) < here
+    return mask
+
+
 def _levels(
-    session: Session, group: tuple[Spot, ...], place: tuple[float, float], full_dn: float, context: Context
-) -> tuple[Level, ...]:
-    """Rings of every stack, each without the pixels that overflow or smear spoils there."""
+    session: Session, group: tuple[Spot, ...], masks: list[Mask], place: tuple[float, float], full_dn: float,
+    context: Context,
+) -> tuple[Level, ...]:  # fmt: skip
+    """Rings of every stack, each without the pixels that something else makes bright there."""
     entries = {entry.label: entry for entry in session.of_kind("point")}
     of_place = partial(geometry_of, group[0].image.shape, *place, pitch_ratio=context.pitch_ratio)
     whole = of_place(spoiled=None)
     out = []
-    for one in group:
-        mask = spoiled(one, context)
+    for one, mask in zip(group, masks, strict=True):
         geometry = of_place(spoiled=mask) if mask.any() else whole
         level = level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn)
         upright = _upright_px(one.image, place, full_dn, context.pitch_ratio)

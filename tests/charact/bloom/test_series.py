@@ -187,8 +187,21 @@ def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):
     assert glare.value == pytest.approx(100.0 * inside / (0.9 + inside), rel=0.05)
 
 
+@pytest.mark.parametrize("distance_px, ratio", [(20.0, 0.3), (60.0, 1.0)])
+def test_a_source_beside_another_has_a_halo_of_its_own(distance_px, ratio, seed):
+    """Rings without the pixels nearer to the other one: the edge stays where it is, what counts light is flagged."""
+    scene = BloomScene(rows=180, cols=260, second_distance_px=distance_px, second_ratio=ratio)
+    result = measured(scene, seed)
+    found = only(result, "halo_diameter")
+    assert found.status == "ok" and found.value is not None and found.interval95 is not None
+    low, high = found.interval95
+    assert abs(found.value - scene.halo_diameter_px) < 0.75 * (high - low)
+    for quantity in ("halo_fraction", "halo_rim", "encircled_radius_50", "veiling_glare"):
+        assert only(result, quantity).flags.count("several-targets") == 1
+
+
 @pytest.mark.parametrize("scene, flag", [
-    (BloomScene(second_distance_px=20.0), "model-misfit"),
+    (BloomScene(second_distance_px=7.0), "model-misfit"),
     (BloomScene(motion_px=0.5), "drift"),
     (BloomScene(agc=True), "agc"),
 ], ids=["two sources", "moving source", "automatic gain"])  # fmt: skip

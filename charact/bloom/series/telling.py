@@ -1,0 +1,187 @@
+"""What a fitted series tells: halo, encircled light, glare and plate, each with what its form leaves out."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.series.choice import Candidate
+from charact.bloom.series.likelihood import Solved
+from charact.bloom.series.plate import TiringProblem
+from charact.bloom.series.spread import encircled, glare, halo_of
+from charact.bloom.spot import Spot
+from charact.posterior.diagnostics import leans_on_bound
+from labdata.measurement import Measurement, Posterior, from_draws, refused
+
+Array = NDArray[np.float64]
+
+OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
+# Relative error that forms leave out of a number, of any source and as a multiple of the share of the light by which
+# rings are off: the first as closed-form series with wings show it, the second as simulated cameras do.
+LEFT_OUT = {
+    "halo_fraction": (0.012, 3.0),
+    "halo_plateau": (0.012, 3.0),
+    "halo_rim": (0.013, 1.0),
+    "encircled_radius_50": (0.006, 1.0),
+    "encircled_radius_90": (0.015, 1.0),
+    "veiling_glare": (0.05, 3.0),
+    "plate_saturation_density": (0.03, 6.0),
+}
+# A best fit so near a bound, as a share of the range, is pressed against it.
+AT_BOUND = 1e-3
+# Draws for which the glare is worked out, and what belongs to it as well.
+OF_GLARE = 200
+LEAKS = "light that leaks through the target beside its pinhole counts as glare"
+# Draws for which derived numbers are worked out.
+DERIVED = 400
+# Share of a halo's diameter by which another's that overlaps it moves its edge.
+OVERLAPPED = 0.005
+# Degrees of freedom that the noise has at least: rings of single frames tell it, too.
+LEAST_FREEDOM = 3
+# Standard error below which a level's own diameter counts as no better.
+LEAST_SD_PX = 0.1
+
+
+def nearest_px(group: tuple[Spot, ...]) -> float:
+    """Distance of the nearest other source that any stack shows, column pitches; inf where there is none."""
+    return min(
+        (
+            float(np.hypot((other.row - one.row) * one.row_pitch, other.col - one.col))
+            for one in group
+            for other in one.others
+        ),
+        default=np.inf,
+    )
+
+
+def several_flag(group: tuple[Spot, ...]) -> tuple[str, ...]:
+    """The flag of numbers that another source's light moves."""
+    return ("several-targets",) if np.isfinite(nearest_px(group)) else ()
+
+
+def levels_apart(own: tuple[Array, Array, Array], diameter: float) -> tuple[float, int]:
+    """How far the levels' own diameters lie from a common one, as chi squared with its freedom."""
+    seen = np.isfinite(own[0])
+    pull = (own[0][seen] - diameter) / np.maximum(own[1][seen], LEAST_SD_PX)
+    return float(pull @ pull), max(int(seen.sum()) - 1, 0)
+
+
+def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array], group: tuple[Spot, ...],
+          flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """The halo's diameter, share, plateau and rim; the diameter's interval is wider where levels scatter more.
+
+    Light of another source lies on the rings of this one: only the place of the edge stands apart from it.
+    """
+    beside = several_flag(group)
+    middle = float(np.median(posterior["halo_diameter"]))
+    apart, freedom = levels_apart(own, middle)
+    wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
+    wider = wider * _noise_unknown(group, len(posterior.draws), posterior.seed)
+    draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
+    if nearest_px(group) < middle:
+        rng = np.random.default_rng([posterior.seed or 0, 1])
+        draws["halo_diameter"] += OVERLAPPED * middle * rng.standard_normal(len(posterior.draws))
+    halo = halo_of(best.form, posterior.draws[:DERIVED])
+    of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": halo.plateau, "halo_rim": halo.rim}
+    draws |= {name: one * _as_told(best, name, len(one), posterior) for name, one in of_light.items()}
+    blind = () if shows_core(best, posterior) else ("prior-bound",)
+    flags_of = {
+        "halo_diameter": flags,
+        "halo_fraction": flags + beside + blind,
+        "halo_plateau": flags + beside + blind,
+        "halo_rim": flags + beside,
+    }
+    return [
+        from_draws(
+            quantity, unit, draws[quantity], flags=flags_of[quantity], notes=notes, posterior=posterior, **fields
+        )
+        for quantity, unit in OF_THE_HALO
+    ]
+
+
+def _noise_unknown(group: tuple[Spot, ...], draws: int, seed: int | None) -> Array:
+    """Factors for a noise that is itself known from so many frames only (Student's), shape (draw,)."""
+    freedom = max(min(one.frames for one in group) - 1, LEAST_FREEDOM)
+    return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
+
+
+def _as_told(best: Candidate, quantity: str, draws: int, posterior: Posterior) -> Array:
+    """Factors for what a form leaves out of a quantity: that of any, and that of a source that is not round."""
+    of_any, of_round = LEFT_OUT[quantity]
+    sd = np.hypot(of_any, of_round * best.problem.model_share)
+    return np.exp(sd * np.random.default_rng(posterior.seed).standard_normal(draws))
+
+
+def shows_core(best: Candidate, posterior: Posterior) -> bool:
+    """Whether the source's whole light is known: where every core is cut, it may be anything that makes its halo."""
+    if best.form.halo == "none":
+        return True
+    share = best.form.names.index("halo_fraction")
+    bounds = best.form.bounds[[share]]
+    pressed = np.abs(bounds - best.peak.point[share]).min() < AT_BOUND * np.ptp(bounds)
+    return not pressed and not leans_on_bound(posterior.draws[:, [share]], bounds).any()
+
+
+def spread_told(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
+            fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Radii that hold half and nine tenths of the light."""
+    reach = float(best.problem.series.radius_px[-1])
+    radii = encircled(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
+    flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
+    out = []
+    for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):
+        if np.isnan(draws).any():
+            reason = f"some of this light lies beyond the {reach:.0f} px about the source that were looked at"
+            out.append(refused(quantity, "px", reason, **fields))
+        else:
+            draws = draws * _as_told(best, quantity, len(draws), posterior)
+            out.append(from_draws(quantity, "px", draws, flags=flags, notes=notes, **fields))
+    return out
+
+
+def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], flags: tuple[str, ...],
+           notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Light of the source that lies evenly over the frame, from the backgrounds of all levels."""
+    settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
+    if len(settings) > 1:
+        return [refused("veiling_glare", "%", "the levels were taken at different gains", **fields)]
+    solved = best.problem.solved(posterior.draws[:OF_GLARE])
+    rows, cols = group[0].image.shape
+    area = rows * cols * best.form.pitch_ratio
+    sd = _background_sd(solved)
+    found = [
+        glare(light, background, error, area)
+        for light, background, error in zip(solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True)
+    ]
+    told = np.array([one for one in found if one is not None])
+    if not len(told):
+        return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
+    rng = np.random.default_rng(posterior.seed)
+    draws = 100.0 * (told[:, 0] + told[:, 1] * rng.standard_normal(len(told)))
+    draws = draws * _as_told(best, "veiling_glare", len(draws), posterior)
+    return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
+
+
+def plate_told(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
+           fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
+    """Density of light at which the plate's gain has halved, and what is left of each level's light behind it."""
+    if not isinstance(best.problem, TiringProblem):
+        reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
+        return [refused("plate_saturation_density", "DN", reason, **fields)]
+    load = best.form.names.index("plate_load")
+    if leans_on_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
+        flags = (*flags, "prior-bound")
+    density = 1.0 / np.maximum(posterior["plate_load"], 1e-9)
+    density = density * _as_told(best, "plate_saturation_density", len(density), posterior)
+    out = [from_draws("plate_saturation_density", "DN", density, flags=flags, notes=notes, **fields)]
+    left = best.problem.compression(posterior.draws[:DERIVED])
+    for label, draws in zip(best.problem.series.labels, left, strict=True):
+        out.append(from_draws("core_compression", "1", draws, flags=flags, stack=label, **fields))
+    return out
+
+
+def _background_sd(solved: Solved) -> Array:
+    """Standard error of each level's background, shape (level, point)."""
+    normal = solved.normal
+    determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
+    return np.sqrt(np.maximum(normal[:, 0, 0] / np.maximum(determinant, 1e-300), 1e-12))
