@@ -33,6 +33,8 @@ class Rays:
     ----------
     fewest, edge, most
         Rays of any pixel at least, of one where objects or shadows meet, and of any pixel at most.
+    in_all
+        Rays of all pixels together at most, beyond the fewest of each; None: no limit.
     gathered
         Rays by which each place that they hit gathers its hemisphere.
     allowed
@@ -43,6 +45,7 @@ class Rays:
     fewest: int = 2
     edge: int = 8
     most: int = 32
+    in_all: int | None = None
     gathered: int = 2
     allowed: Callable[[Array], Array] | None = None
 
@@ -75,14 +78,14 @@ def allotted(here: Truth, rays: Rays, trial: Trial, seed: int) -> NDArray[np.int
     for round_number in range(1, ROUNDS + 1):
         pixel = np.concatenate([_some(edges.shape, rng), *(_one_edge_each(edges, rng) for _ in range(TRIED_EDGES))])
         tried.add(pixel, *trial(pixel, TRIES))
-        wanted = _shared_out(*tried.variances(), least, rays.most)
+        wanted = _shared_out(*tried.variances(), least, rays)
         if round_number * TRIES * len(pixel) >= TRIAL_SHARE * wanted.sum():
             break
     return wanted
 
 
-def _shared_out(plain: Array, edge: Array, least: NDArray[np.integer], most: int) -> NDArray[np.int32]:
-    """Rays by variances of single ones in plain places and at edges: the fewest whose mean variance is 1, or `most`.
+def _shared_out(plain: Array, edge: Array, least: NDArray[np.integer], limits: Rays) -> NDArray[np.int32]:
+    """Rays by variances of single ones in plain places and at edges: the fewest whose mean variance is 1.
 
     What pixels at the limit lack is not made up for by others: these could not, however many they got.
     """
@@ -95,8 +98,9 @@ def _shared_out(plain: Array, edge: Array, least: NDArray[np.integer], most: int
         middle = 0.5 * (low + high)
         each = rays(middle)
         enough = np.mean(plain / each + edge / each**1.5) <= 1.0
+        enough |= limits.in_all is not None and np.minimum(each, limits.most).sum() >= limits.in_all
         low, high = (low, middle) if enough else (middle, high)
-    return _steps(rays(high), least, most)
+    return _steps(rays(high), least, limits.most)
 
 
 def _steps(rays: Array, least: NDArray[np.integer], most: int) -> NDArray[np.int32]:

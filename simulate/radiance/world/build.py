@@ -1,6 +1,7 @@
 """From the description of a scene to its surfaces: shapes and mesh files, turned, scaled and set in their places."""
 
 import os
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from simulate.radiance.world.description import METRE, Object, Pose, Scene
 from simulate.radiance.world.shapes import Mesh, shape
 from simulate.radiance.world.surfaces import Surfaces, surfaces
 
+# Fewest triangles of a mesh with gaps: of fewer, gaps would be holes in walls.
+FINE = 400
 KINDS = (".obj", ".ply", ".stl", ".glb")
 
 
@@ -20,7 +23,8 @@ def built(scene: Scene) -> Surfaces:
     Raises
     ------
     BadInput
-        If a mesh file cannot be read, holds no triangle, or is open where its surface glows.
+        If a mesh file cannot be read, holds no triangle, or is open where its surface glows; if an object with gaps has
+        too few triangles.
     """
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
     parts = []
@@ -31,8 +35,29 @@ def built(scene: Scene) -> Surfaces:
                 f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
                 f"in {thing.file} of {thing.label!r}"
             )
+        if thing.gaps > 0.0:
+            mesh = pierced(mesh, thing.gaps, thing.label)
         parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in thing.instances or (thing,)]
     return surfaces(parts)
+
+
+def pierced(mesh: Mesh, gaps: float, label: str) -> Mesh:
+    """Return a mesh without so large a share of its surface: triangles by chance, the same for the same label.
+
+    Raises
+    ------
+    BadInput
+        If the mesh has too few triangles for gaps among them.
+    """
+    if len(mesh.faces) < FINE:
+        raise BadInput(
+            f"an object with gaps must have at least {FINE} triangles, as a sphere has, got {len(mesh.faces)} "
+            f"in {label!r}"
+        )
+    drawn = np.random.default_rng(zlib.crc32(label.encode())).permutation(len(mesh.faces))
+    area = mesh.area_m2[drawn]
+    stays = np.cumsum(area) > gaps * area.sum()
+    return Mesh(mesh.vertices_m, mesh.faces[np.sort(drawn[stays])])
 
 
 def placed(mesh: Mesh, pose: Pose) -> Mesh:

@@ -231,6 +231,8 @@ class Object(Pose):
         A shape of `simulate.radiance.world.shapes` and its sizes, m; or else:
     file, unit
         A mesh file (.obj, .ply, .stl, .glb), relative to the scene's file, and the unit of its numbers.
+    gaps
+        Share of its surface that is open, as between leaves, dimensionless: triangles are left out of every copy alike.
     instances
         Poses of copies; without any it stands once, as its own pose says.
     """
@@ -241,12 +243,15 @@ class Object(Pose):
     size_m: tuple[float, ...] = ()
     file: str | None = None
     unit: Unit | None = None
+    gaps: float = 0.0
     instances: tuple[Pose, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.shape is None) == (self.file is None):
             raise BadInput(f"an object must have either a shape or a file, got {self.label!r}")
+        if not 0.0 <= self.gaps < 1.0:
+            raise BadInput(f"gaps must lie in [0, 1), got {self.gaps:g} of {self.label!r}")
         if self.file is not None and self.unit is None:
             raise BadInput(f"a mesh file has no unit of its own: unit must be one of {', '.join(METRE)}, "
                            f"got none for {self.label!r}")  # fmt: skip

@@ -35,6 +35,8 @@ MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 256, 2048, 0.03,
 LAST_BOUNCE = f"bounce {TRIAL_BOUNCES} and further"
 # Brightest pixels, per cent, that saturate any sensor: they do not decide how fine the bands are.
 BRIGHTEST = 0.5
+# Rays of a picture at most, where its pixels do not need more at least: a minute or so on two cores.
+RAYS_IN_ALL = 3_000_000
 # Seconds for a million rays and ten bands, as measured on one core: what a part costs.
 SOURCE_S, BOUNCE_S = 0.25, 1.5
 
@@ -161,7 +163,7 @@ def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) 
     return LightPlan(
         wavelength_nm=stage.coats.wavelength_nm,
         spectral_error=error,
-        rays=Rays(most=MOST, allowed=Chance(eye=eye, of_grain=CHANCE * tolerance)),
+        rays=Rays(most=MOST, in_all=RAYS_IN_ALL, allowed=Chance(eye=eye, of_grain=CHANCE * tolerance)),
         effort=_effort(plan),
         plan=plan,
         sees=eye.name,

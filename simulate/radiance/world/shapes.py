@@ -35,6 +35,12 @@ class Mesh:
         return self.vertices_m[self.faces]
 
     @property
+    def area_m2(self) -> NDArray[np.float64]:
+        """Area of each triangle, shape (face,), m2."""
+        corners = self.corners_m
+        return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+
+    @property
     def closed(self) -> bool:
         """Whether each edge has one triangle on either side, wound alike, so that there is an inside."""
         edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])

@@ -35,8 +35,7 @@ class Surfaces:
     @property
     def area_m2(self) -> NDArray[np.float64]:
         """Area of each triangle, shape (face,), m2."""
-        corners = self.mesh.corners_m
-        return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+        return self.mesh.area_m2
 
     def __reduce__(self) -> tuple:
         # Embree's own tree cannot be sent to another process: it is built again there.

@@ -61,6 +61,8 @@ def test_shipped_scenes_are_built_and_a_bench_is_another_kind(name):
         (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "window-glass"\n', "light through surfaces is not followed"),
         (CAMERA + "[place]\nlatitude_deg = 43\nlongitude_deg = -77\ntime = 1998-06-24T02:00:00\n", "offset from UTC"),
         (CAMERA.replace("[0, 0, 1]", "[0, -10, 2]"), "must look at another place"),
+        (CAMERA + GREY + BALL + "gaps = 1.0\n", r"gaps must lie in \[0, 1\), got 1"),
+        (CAMERA + GREY + BALL.replace("sphere", "disc") + "gaps = 0.2\n", "must have at least 400 triangles.*got 48"),
         (CAMERA + GREY + '[[object]]\nlabel = "a"\nfile = "a.obj"\nmaterial = "grey"\n', "unit must be one of m, cm"),
     ],
 )
@@ -86,6 +88,20 @@ def test_a_mesh_file_is_read_in_its_unit_and_one_that_glows_must_be_closed(tmp_p
     (tmp_path / "letter.obj").write_text("Dear lab")
     with pytest.raises(BadInput, match=r"letter\.obj"):
         built(scene_of(tmp_path, CAMERA + GREY + mesh + '"letter.obj"\n'))
+
+
+def test_a_crown_with_gaps_lets_through_what_they_leave_open(tmp_path):
+    leaves = BALL + "gaps = 0.4\n"
+    crown = built(scene_of(tmp_path, CAMERA + GREY + leaves))
+    assert crown.area_m2.sum() == pytest.approx(0.6 * 4.0 * np.pi, rel=0.01)
+    rng = np.random.default_rng(3)
+    radius, turn = np.sqrt(rng.random(20000)), 2.0 * np.pi * rng.random(20000)
+    start = np.column_stack([radius * np.cos(turn), np.full(20000, -3.0), radius * np.sin(turn)])
+    open_ = ~crown.tracer.blocked(start, np.broadcast_to([0.0, 1.0, 0.0], start.shape))
+    # Light that crosses passes the front and the back: 0.4 of each; rays of one gap share it, so chance counts gaps.
+    assert open_.mean() == pytest.approx(0.16, abs=0.025)
+    again = built(scene_of(tmp_path, CAMERA + GREY + leaves))
+    assert np.array_equal(again.mesh.faces, crown.mesh.faces)
 
 
 def test_solids_are_closed_and_hold_their_volume():
@@ -258,6 +274,32 @@ def test_lights_of_very_different_strength_add_up():
     )
     assert both == pytest.approx(one + other, rel=1e-6)
     assert other[1] / one[0] == pytest.approx(1e-12, rel=1e-5)
+
+
+def test_daylight_starlight_and_sodium_light_are_planned_differently(tmp_path):
+    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e5, 4e5, 3e5), dark_variance=1.0, variance_per_signal=3.0)
+    floor = '[[object]]\nlabel = "floor"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
+    shed = (
+        '[[object]]\nlabel = "shed"\nshape = "shed"\nsize_m = [6, 5, 3, 4]\nmaterial = "grey"\nposition_m = [0, 5, 0]\n'
+    )
+    there = "[place]\nlatitude_deg = 43.16\nlongitude_deg = -77.61\ntime = "
+    sodium = LAMP.replace("incandescent", "low-pressure-sodium").replace("1000", "0.5")
+    plans = {}
+    for name, light in (
+        ("day", there + "1998-06-24T12:00:00-04:00\n"),
+        ("stars", there + "1998-06-24T02:00:00-04:00\n"),
+        ("sodium", sodium),
+    ):
+        site = Site(scene_of(tmp_path, CAMERA + light + GREY + floor + shed))
+        plans[name], _ = planned(site, VIEW, eye, 0.1, 1)
+    kept = {name: {effect.name for effect in plan.plan.kept} for name, plan in plans.items()}
+    assert "sun" in kept["day"] and "bulb" in kept["sodium"] and "hidden sky" in kept["stars"]
+    assert "hidden sky" not in kept["sodium"] and "sun" not in kept["stars"]
+    assert plans["day"].effort.bounces > plans["stars"].effort.bounces > 0
+    bands = {name: len(plan.wavelength_nm) for name, plan in plans.items()}
+    assert bands["sodium"] < bands["stars"], "two lines need few bands, airglow many"
+    assert any(abs(plans["sodium"].wavelength_nm - 589.0) < 0.1), "the line is on the grid"
+    assert len({plan.text() for plan in plans.values()}) == 3
 
 
 def test_a_dim_scene_is_planned_with_less_than_a_bright_one(tmp_path):
