@@ -1,0 +1,99 @@
+"""Rays go where single ones differ, as many as the picture's error needs and no more; influences are free of specks."""
+
+import numpy as np
+import pytest
+
+from simulate.radiance.transport.allotment import Rays, allotted
+from simulate.radiance.transport.eye import KNOWN, Eye
+from simulate.radiance.transport.truth import Truth
+from simulate.radiance.world.plan import REGIONS, _influence
+
+SHAPE = (32, 64)
+ALLOWED = 0.01
+
+
+def halves() -> Truth:
+    """Two objects side by side on one plane, so that only their border is an edge."""
+    right = np.broadcast_to(np.arange(SHAPE[1]) >= SHAPE[1] // 2, SHAPE)
+    return Truth(
+        material=right.astype(np.int16),
+        object=right.astype(np.int32),
+        range_m=np.ones(SHAPE, np.float32),
+        normal=np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (*SHAPE, 3)),
+        shadow=np.zeros(SHAPE, np.uint32),
+        temperature_k=np.full(SHAPE, np.nan, np.float32),
+        materials=("a", "b"),
+        objects=("a", "b"),
+        sources=(),
+    )
+
+
+def tried(variance):
+    """Trials whose single rays have a variance by pixel, (row, col), around a signal of 1."""
+    return lambda pixels, rays: (np.ones(len(pixels)), variance.ravel()[pixels])
+
+
+def spread(left: float, right: float) -> np.ndarray:
+    return np.where(halves().object == 0, left, right)
+
+
+def test_rays_are_as_the_root_of_the_variance_and_bring_its_mean_to_what_is_allowed():
+    variance = spread(0.04, 1.0)
+    rays = Rays(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    wanted = allotted(halves(), rays, tried(variance), 1)
+    plain = ~halves().edges()
+    left, right = (wanted[plain & (halves().object == side)] for side in (0, 1))
+    assert np.ptp(left) == 0 and np.ptp(right) == 0
+    assert right[0] / left[0] == pytest.approx(5.0, rel=0.2), "numbers are steps of 2^(1/2)"
+    assert np.mean((variance / ALLOWED / wanted)[plain]) == pytest.approx(1.0, rel=0.2)
+    even = np.mean(variance) / ALLOWED
+    assert wanted[plain].mean() < 0.75 * even, "the same error by as many rays everywhere costs more"
+
+
+def test_where_nothing_differs_and_where_nobody_asks_pixels_get_the_fewest():
+    for rays in (Rays(allowed=lambda signal: np.full_like(signal, ALLOWED)), Rays()):
+        wanted = allotted(halves(), rays, tried(spread(0.0, 0.0)), 1)
+        assert set(wanted[~halves().edges()]) == {rays.fewest}
+        assert set(wanted[halves().edges()]) == {rays.edge}
+
+
+@pytest.mark.parametrize("limit", [{"most": 16}, {"most": 10_000, "in_all": 10_000}])
+def test_limits_are_kept_and_what_is_missing_goes_to_nobody(limit):
+    rays = Rays(edge=2, allowed=lambda signal: np.full_like(signal, 1e-6), **limit)
+    wanted = allotted(halves(), rays, tried(spread(0.0, 1.0)), 1)
+    assert wanted.max() <= rays.most
+    assert wanted.sum() < 1.2 * (rays.in_all or np.inf)
+    assert set(wanted[:, :24].ravel()) == {rays.fewest}
+
+
+def test_rare_bright_rays_are_found_by_longer_trials():
+    rng = np.random.default_rng(5)
+    pixels = []
+
+    def specks(pixel, rays):
+        pixels.append(len(pixel))
+        return np.ones(len(pixel)), np.where(rng.random(len(pixel)) < 0.01, 100.0, 0.0)
+
+    rays = Rays(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    wanted = allotted(halves(), rays, specks, 1)
+    assert len(pixels) > 5
+    assert wanted.sum() == pytest.approx(100 * wanted.size, rel=0.5)
+
+
+def test_differences_are_weighed_by_noise_or_by_a_share_of_the_signal():
+    eye = Eye(response_nm=(500.0,), response=(1.0,), dark_variance=4.0, variance_per_signal=3.0)
+    assert eye.grain(0.0) == 2.0
+    assert eye.grain(20.0) == pytest.approx(8.0)
+    assert eye.grain(1e6) == pytest.approx(KNOWN * 1e6)
+
+
+def test_the_influence_of_a_part_is_its_size_where_it_is_largest_and_specks_have_none():
+    shape, rng = (40, 40), np.random.default_rng(6)
+    part = np.zeros(shape)
+    part[: shape[0] // REGIONS, : shape[1] // REGIONS] = 0.3
+    twice = np.repeat(part.reshape(-1, 1), 2, axis=1)
+    assert _influence(twice, shape) == pytest.approx(0.3)
+    # Each ray in a hundred is a speck of 10: the mean of two rays makes 0.7 of that, their product rarely anything.
+    many = [np.where(rng.random((1600, 2)) < 0.01, 10.0, 0.0) - 0.1 for _ in range(15)]
+    assert np.median([_influence(twice + specks, shape) for specks in many]) == pytest.approx(0.3, abs=0.15)
+    assert np.median([np.sqrt(np.mean(specks.mean(axis=1) ** 2)) for specks in many]) > 0.6
