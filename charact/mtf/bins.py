@@ -1,8 +1,10 @@
 """The pixels near an edge, gathered by their distance from it: narrow bins where the edge rises, wide ones beyond."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.line import Line
@@ -44,10 +46,54 @@ class Gathered:
 
     def means(self, value: Array) -> tuple[Array, Array]:
         """Return mean of a quantity and count of pixels in every bin, shape (bin,)."""
-        index = self.bin_index[self.used]
-        size = self.borders.size - 1
-        count = np.bincount(index, minlength=size).astype(float)
-        return np.bincount(index, weights=value[self.used], minlength=size) / np.maximum(count, 1), count
+        return _means(value, self.used, self.bin_index, self.borders.size - 1)
+
+    @cached_property
+    def place(self) -> Array:
+        """Mean distance of the pixels of every bin, shape (bin,), px."""
+        return self.means(self.distance)[0]
+
+    def carried(self, mean: Array, rise: Array) -> Array:
+        """Return a mean of each bin, with its rise per px for the place within the bin, at every pixel."""
+        return _carried(self.distance, self.bin_index, self.place, mean, rise)
+
+
+@njit(cache=True)
+def _means(value: Array, used: NDArray[np.bool_], index: NDArray[np.int64], size: int) -> tuple[Array, Array]:
+    total, count = np.zeros(size), np.zeros(size)
+    for row in range(value.shape[0]):
+        for col in range(value.shape[1]):
+            if used[row, col]:
+                total[index[row, col]] += value[row, col]
+                count[index[row, col]] += 1.0
+    return total / np.maximum(count, 1.0), count
+
+
+@njit(cache=True)
+def _carried(distance: Array, index: NDArray[np.int64], place: Array, mean: Array, rise: Array) -> Array:
+    out = np.empty(distance.shape)
+    for row in range(distance.shape[0]):
+        for col in range(distance.shape[1]):
+            one = index[row, col]
+            out[row, col] = mean[one] + rise[one] * (distance[row, col] - place[one])
+    return out
+
+
+@njit(cache=True)
+def _fallen(distance: Array, borders: Array) -> NDArray[np.int64]:
+    """Return the bin of every distance: borders lie on multiples of the narrowest width from the first."""
+    last = borders.size - 2
+    lookup = np.empty(int(np.rint((borders[-1] - borders[0]) / NARROWEST_PX)), np.int64)
+    for one in range(borders.size - 1):
+        begin = int(np.rint((borders[one] - borders[0]) / NARROWEST_PX))
+        end = int(np.rint((borders[one + 1] - borders[0]) / NARROWEST_PX))
+        lookup[begin:end] = one
+    out = np.empty(distance.shape, np.int64)
+    for row in range(distance.shape[0]):
+        for col in range(distance.shape[1]):
+            cell = int(np.floor((distance[row, col] - borders[0]) / NARROWEST_PX))
+            out[row, col] = 0 if cell < 0 else last if cell >= lookup.size else lookup[cell]
+    return out
 
 
 def gather(picture: Picture, line: Line, half_width_px: float, masked: NDArray[np.bool_]) -> Gathered:
@@ -67,7 +113,7 @@ def gather(picture: Picture, line: Line, half_width_px: float, masked: NDArray[n
     along = row * picture.pitch_ratio / np.cos(angle) + distance * np.tan(angle)
     reach = _covered(distance, half_width_px)
     borders = _borders(reach)
-    index = np.clip(np.searchsorted(borders, distance, side="right") - 1, 0, borders.size - 2)
+    index = _fallen(distance, borders)
     used = (distance >= borders[0]) & (distance < borders[-1]) & ~masked
     return Gathered(
         distance=distance, along=along, used=used, bin_index=index, borders=borders, half_width_px=min(reach)

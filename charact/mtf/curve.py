@@ -14,7 +14,7 @@ FINE = np.concatenate([[1e-6], np.geomspace(0.003, 1.5, 230)])
 
 def curve_of(frequency: Array, draws: Array) -> Curve:
     """Return median and pointwise intervals of drawn curves (draw, frequency)."""
-    low95, low68, middle, high68, high95 = np.quantile(draws, QUANTILES, axis=0)
+    low95, low68, middle, high68, high95 = quantiles(draws, QUANTILES)
     return Curve(
         frequency_cy_per_px=frequency,
         value=middle,
@@ -22,6 +22,15 @@ def curve_of(frequency: Array, draws: Array) -> Curve:
         interval95=np.stack([low95, high95]),
         draws=draws,
     )
+
+
+def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
+    """Return quantiles of draws (draw, ...), shape (share, ...), as `numpy.quantile` does, by sorting once."""
+    ordered = np.sort(np.ascontiguousarray(draws.T)).T
+    place = np.asarray(shares) * (len(draws) - 1)
+    low = np.minimum(place.astype(int), max(len(draws) - 2, 0))
+    rest = (place - low).reshape(-1, *[1] * (draws.ndim - 1))
+    return ordered[low] + rest * (ordered[np.minimum(low + 1, len(draws) - 1)] - ordered[low])
 
 
 def falls_to(frequency: Array, curves: Array, level: float) -> Array:

@@ -5,7 +5,6 @@ import time
 import numpy as np
 
 from charact.method import Context, register
-from charact.mtf import edge_checks
 from charact.mtf.edge_families import FamilyFitter
 from charact.mtf.edge_find import NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_forms import departs
@@ -77,7 +76,7 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
     outcome = Outcome(
         method=METHOD,
         edge=edge,
-        fitted=edge_checks.Fitted(model=fit.model, amplitude=fit.amplitude, chi2=fit.chi2, free=fit.free),
+        fitted=fitter.fitted(fit),
         response=fitter.response_curvature(fit),
         posterior=posterior,
         mtf=lambda frequency: np.abs(known(frequency)) * form.modulus(posterior.draws[:, 1:], frequency),

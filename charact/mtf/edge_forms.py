@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.edge_beyond import departure_gain, fit_wide, promises
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_model import departure_shapes
 from charact.mtf.edge_profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
@@ -72,10 +73,10 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
     if best.family.core == "exponential":
         found.append(_next_core(fitter, "moffat", best, guess))
     cores = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE or fit.family.core != "moffat"]
-    for prior in wide:
-        for core in cores:
-            hopeless = min(fit.cost for fit in found) + HOPELESS
-            fit = fitter.fit_wide(core, prior, WORTH_CHI2, hopeless)
+    promised = [one for core in cores for one in promises(fitter, core, wide)]
+    for promise in sorted(promised, key=lambda one: wide.index(one.wide)):
+        if promise.gains.max() >= WORTH_CHI2:
+            fit = fit_wide(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
             found += [] if fit is None else [fit]
     return found
 
@@ -143,5 +144,5 @@ def _weighed(found: list[FamilyFit]) -> list[Weighed]:
 
 def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
-    gain, count = fitter.departure_gain(fit, departure_shapes)
+    gain, count = departure_gain(fitter, fit, departure_shapes)
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)

@@ -6,15 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 
+from charact.mtf.edge_climb import LARGEST_TURN_PX
 from charact.mtf.edge_profile import Profile
 from charact.mtf.optics import Known
 from charact.mtf.spread import edge_weights, nodes
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-# A shift turns the phase of the nodes, which carry it while it is small; beyond, the maps are made anew around it.
-LARGEST_TURN_PX = 0.25
 
 
 class EdgeMaps:
@@ -42,8 +40,16 @@ class EdgeMaps:
     def _made_around(self, shift_px: float) -> None:
         self._centre = shift_px
         even, odd = edge_weights(self.grid, self._profile.distance - shift_px, self._profile.spread_px)
-        self._plain = np.concatenate([even, odd], axis=1).T
-        self._white = (self.root @ self._plain.T).T
+        self.plain_map = np.ascontiguousarray(np.concatenate([even, odd], axis=1).T)
+        self._white = self.plain_map @ self.root.T
+        fixed = np.stack([self.fixed.real, self.fixed.imag])
+        levels = np.ascontiguousarray(self.white_levels.T)
+        self.compiled = (self.grid, fixed, shift_px, self._white, levels, self.data)
+
+    def made_for(self, shift_px: float) -> None:
+        """Make the maps anew where they do not serve a shift."""
+        if abs(shift_px - self._centre) > LARGEST_TURN_PX:
+            self._made_around(shift_px)
 
     @cached_property
     def power(self) -> float:
@@ -53,17 +59,28 @@ class EdgeMaps:
 
     def shifted(self, modulus: Array, shift_px: float) -> Complex:
         """Return transfers of spreads at a shift, shape (n, node), their known part included."""
-        if abs(shift_px - self._centre) > LARGEST_TURN_PX:
-            self._made_around(shift_px)
+        self.made_for(shift_px)
         return modulus * (self.fixed * np.exp(-2j * np.pi * (shift_px - self._centre) * self.grid))
 
-    def with_shift_slope(self, transfer: Complex) -> Complex:
-        """Return transfers, and after them the change of the first one with the shift, per px."""
-        return np.concatenate([transfer, transfer[:1] * (-2j * np.pi * self.grid)])
+    def log_likelihood(self, modulus: Array, shift_px: Array, level_precision: Array) -> Array:
+        """Return ln of the likelihood of transfers, step, levels and slopes marginalised, shape (n,).
 
-    def plain(self, transfer: Complex) -> Array:
-        """Return edge spreads less one half at the bins, shape (n, node) -> (n, bin)."""
-        return _stacked(transfer) @ self._plain
+        Parameters
+        ----------
+        modulus, shift_px
+            Transfers, shape (n, node), and the edge's shift in each, shape (n,), px.
+        level_precision
+            Precision of the priors of level and slopes, DN^-2; 0 for a free one.
+        """
+        turn = np.exp(-2j * np.pi * (shift_px - self._centre)[:, None] * self.grid)
+        spread, levels = self.white(modulus * (self.fixed * turn)), self.white_levels
+        outer = levels.T @ levels + np.diag(level_precision)
+        onto, data = spread @ levels, levels.T @ self.data
+        solved = np.linalg.solve(outer, np.concatenate([onto.T, data[:, None]], axis=1))
+        curvature = np.maximum(np.sum(spread**2, axis=1) - np.sum(onto * solved[:, :-1].T, axis=1), 1e-300)
+        overlap = spread @ self.data - onto @ solved[:, -1]
+        left = self.data @ self.data - data @ solved[:, -1] - overlap**2 / curvature
+        return -0.5 * (left + np.log(curvature * self._profile.step**2))
 
     def white(self, transfer: Complex) -> Array:
         """Return whitened edge spreads less one half, shape (n, node) -> (n, bin)."""

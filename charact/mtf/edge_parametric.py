@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf import edge_checks
 from charact.mtf.curve import FINE, falls_to
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
@@ -46,6 +45,7 @@ UNSURE, HOPELESS, TELLING = 0.1, 0.15, 100
 ENOUGH = 1000.0
 # The same where the answer is wanted quickly, and draws to begin with.
 QUICK_ENOUGH, QUICK_FIRST = 300.0, 1000
+LEAST_EFFORT = 0.55
 
 
 @register(
@@ -97,7 +97,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     outcome = Outcome(
         method=METHOD,
         edge=edge,
-        fitted=edge_checks.Fitted(model=best.model, amplitude=best.amplitude, chi2=best.chi2, free=best.free),
+        fitted=fitter.fitted(best),
         response=fitter.response_curvature(best),
         posterior=drawn[0][1],
         mtf=lambda frequency: (
@@ -116,7 +116,7 @@ def _fitted(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitt
     wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
     fitter = FamilyFitter(edge.profile, known)
     fits = fitted_forms(fitter, wide)
-    shaded = with_shading(fitter.profile, fitter.profile.value - fits[0].fit.model)
+    shaded = with_shading(fitter.profile, fitter.profile.value - fitter.model_of(fits[0].fit))
     if shaded.shading_sd > 0:
         fitter = FamilyFitter(shaded, known)
         fits = fitted_forms(fitter, wide)
@@ -130,7 +130,9 @@ def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context, *, parab
     out = []
     for number, one in enumerate(fits):
         count = max(1, round(wanted * one.share / total))
-        posterior = _posterior(fitter, one.fit, fits[0].fit.noise_scale, context, number, wanted, parabolic=parabolic)
+        # Of all but the most probable form only the draws that count are looked at.
+        draws = count if context.quick and number else wanted
+        posterior = _posterior(fitter, one.fit, fits[0].fit.noise_scale, context, number, draws, parabolic=parabolic)
         out.append((one.fit.family, posterior, count))
     return out
 
@@ -168,6 +170,8 @@ def _posterior(
     else:
         known = fitter.log_probability(fit.family, fit.slope_sd_per_px)
         posterior = _sampled(lambda theta: known(theta) / noise_scale, asked, context, first=number == 0)
+    if "prior-bound" not in posterior.flags:
+        return posterior
     chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
     leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
@@ -179,7 +183,9 @@ def _sampled(
 ) -> Posterior:
     """Draw by Markov chain for the most probable form; for the others, or quickly, by importance."""
     if context.quick:
-        return weighed(log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
+        # A form of which few draws are wanted needs few to choose from.
+        share = max(asked["draws"] / DRAWS, LEAST_EFFORT)
+        return weighed(log_probability, **asked, enough=QUICK_ENOUGH * share, first_draws=round(QUICK_FIRST * share))
     if not first:
         posterior = weighed(log_probability, **asked, enough=ENOUGH)
         if posterior.effective_sample_size.min() >= ENOUGH:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.bins import Gathered, gather
@@ -114,7 +115,7 @@ def centred(picture: Picture, line: Line) -> Line:
     gathered = gather(picture, line, 16.0, np.zeros(picture.value.shape, bool))
     mean, count = gathered.means(picture.value)
     filled = count > 0
-    distance, value = gathered.means(gathered.distance)[0][filled], mean[filled]
+    distance, value = gathered.place[filled], mean[filled]
     dark, bright = _levels(mean, count, gathered)
     smooth = np.convolve(value, np.ones(9) / 9.0, "same")[4:-4]
     above = smooth > 0.5 * (dark + bright)
@@ -153,15 +154,12 @@ def _span(picture: Picture, gathered: Gathered) -> float:
 
 def _at_pixels(mean: Array, count: Array, gathered: Gathered) -> Array:
     """Return the profile at every pixel: its bin's mean, and its slope for the place within the bin."""
-    filled = count > 0
-    distance, _ = gathered.means(gathered.distance)
-    rise = np.zeros_like(mean)
+    filled, rise = count > 0, np.zeros_like(mean)
     if np.count_nonzero(filled) > 8:
         smooth = np.convolve(mean[filled], np.ones(3) / 3.0, "same")
-        rise[filled] = np.gradient(smooth, distance[filled])
+        rise[filled] = np.gradient(smooth, gathered.place[filled])
         rise[:4] = rise[-4:] = 0.0
-    index = gathered.bin_index
-    return mean[index] + rise[index] * (gathered.distance - distance[index])
+    return gathered.carried(mean, rise)
 
 
 def _even_along(picture: Picture, gathered: Gathered) -> Picture:
@@ -182,12 +180,31 @@ def _slope_along(value: Array, gathered: Gathered, level: Array) -> Array:
 
     Pixels are compared with those at the same distance: what changes across the edge is the profile's.
     """
-    along = gathered.along / max(float(np.abs(gathered.along[gathered.used]).max()), 1.0)
-    within = (along - gathered.means(along)[0][gathered.bin_index])[gathered.used]
-    share = level[gathered.used]
-    used = np.stack([within * share, within * (1.0 - share)])
-    bright, dark = np.linalg.lstsq(used @ used.T, used @ value[gathered.used], rcond=1e-9)[0]
+    along = gathered.along / max(float(np.abs(gathered.along).max()), 1.0)
+    middle = gathered.means(along)[0]
+    sides = _both_sides(value, along, level, gathered.used, gathered.bin_index, middle)
+    bright, dark = np.linalg.lstsq(*sides, rcond=1e-9)[0]
     return along * (bright * level + dark * (1.0 - level))
+
+
+@njit(cache=True)
+def _both_sides(
+    value: Array, along: Array, level: Array, used: NDArray[np.bool_], index: NDArray[np.int64], middle: Array
+) -> tuple[Array, Array]:
+    """Return the normal equations of values that change evenly along the edge, by their own amount on both sides."""
+    normal, pull = np.zeros((2, 2)), np.zeros(2)
+    for row in range(value.shape[0]):
+        for col in range(value.shape[1]):
+            if used[row, col]:
+                within = along[row, col] - middle[index[row, col]]
+                bright, dark = within * level[row, col], within * (1.0 - level[row, col])
+                normal[0, 0] += bright * bright
+                normal[0, 1] += bright * dark
+                normal[1, 1] += dark * dark
+                pull[0] += bright * value[row, col]
+                pull[1] += dark * value[row, col]
+    normal[1, 0] = normal[0, 1]
+    return normal, pull
 
 
 def _levels(mean: Array, count: Array, gathered: Gathered) -> tuple[float, float]:
@@ -220,7 +237,7 @@ def _assembled(
 ) -> Profile:
     """Return the profile of gathered pixels with the covariance of its bins."""
     mean, count = gathered.means(picture.value)
-    distance, _ = gathered.means(gathered.distance)
+    distance = gathered.place
     square, _ = gathered.means(gathered.distance**2)
     keep = count >= 1
     dark, bright = _levels(mean, count, gathered)
@@ -280,11 +297,16 @@ def with_shading(profile: Profile, left_over: Array) -> Profile:
     left_over
         The bins' values, or what a model leaves of them, shape (bin,), DN.
     """
-    apart = (profile.distance[:, None] - profile.distance[None, :]) / SHADING_LENGTH_PX
-    kernel = np.exp(-0.5 * apart**2)
-    covariance = profile.covariance - profile.shading_sd**2 * kernel
-    shading = _shading(replace(profile, covariance=covariance), left_over)
-    return replace(profile, covariance=covariance + shading**2 * kernel, shading_sd=shading)
+    bare = profile.covariance - _undulations(profile.distance, profile.shading_sd)
+    shading = _shading(replace(profile, covariance=bare), left_over)
+    return replace(profile, covariance=bare + _undulations(profile.distance, shading), shading_sd=shading)
+
+
+def _undulations(place: Array, sd: float) -> Array | float:
+    """Return the covariance of slow undulations at some places, shape (place, place); 0 where there are none."""
+    if sd == 0:
+        return 0.0
+    return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
 
 
 def _shading(profile: Profile, left_over: Array) -> float:
@@ -298,12 +320,12 @@ def _shading(profile: Profile, left_over: Array) -> float:
         if place.size < 12 or np.ptp(place) < LEAST_SHADED_PX:
             continue
         design = np.stack([np.ones_like(place), place, place**2], axis=1)
-        project = np.eye(place.size) - design @ np.linalg.pinv(design)
+        basis = np.linalg.qr(design)[0]
+        project = np.eye(place.size) - basis @ basis.T
         left = project @ left_over[side]
         noise = project @ profile.covariance[np.ix_(side, side)] @ project
-        kernel = np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
         excess += float(left @ left - np.trace(noise))
         scatter += 2.0 * float(np.sum(noise**2))
-        weight += float(np.trace(project @ kernel @ project))
+        weight += float(np.sum(project * _undulations(place, 1.0)))
     # The excess of plateaus without shading scatters by this much; only what stands out of it counts.
     return float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 # Half width of the 68 % interval over the value from which on the posterior's tails depend on what was taken for
 # possible before the data, and no interval can be trusted at four standard errors.
 LEAST_SURE = 0.15
+# Every so many of the fine frequencies tell between which of them a curve falls to a level.
+EVERY = 6
+COARSE = np.append(FINE[:-1:EVERY], FINE[-1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +70,11 @@ class Outcome:
 def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     """Return measurements, curve and evidence of a fitted edge."""
     edge, profile, used = outcome.edge, outcome.edge.profile, outcome.edge.used
-    # One evaluation serves the levels, the pinned frequencies and the curve.
-    draws = outcome.mtf(np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)]))
-    fine, pinned, curve = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
-    half = float(np.nanmedian(falls_to(FINE, fine, 0.5)))
+    # One evaluation serves the pinned frequencies, the curve and where to look for the levels.
+    draws = outcome.mtf(np.concatenate([COARSE, PINNED, np.maximum(REPORTED, 1e-6)]))
+    coarse, pinned, curve = np.split(draws, [COARSE.size, COARSE.size + len(PINNED)], axis=1)
+    halves, tenths = (_crossings(outcome, coarse, level) for level in (0.5, 0.1))
+    half = float(np.nanmedian(halves))
     flags = (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
@@ -93,8 +97,8 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
         "provenance": provenance,
     }
     measurements = [
-        _level("mtf50", 0.5, fine, outcome.posterior, common),
-        _level("mtf10", 0.1, fine, outcome.posterior, common),
+        _level("mtf50", 0.5, halves, outcome.posterior, common),
+        _level("mtf10", 0.1, tenths, outcome.posterior, common),
         *(_pinned(f, pinned[:, index], common) for index, f in enumerate(PINNED)),
         edge_angle(edge, common),
     ]
@@ -106,9 +110,20 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     )
 
 
-def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
+def _crossings(outcome: Outcome, coarse: Array, level: float) -> Array:
+    """Return where each draw falls to a level, NaN where it never does: looked for finely where the coarse ones do."""
+    below = coarse < level
+    falls = below.any(axis=1)
+    first = np.argmax(below[falls], axis=1)
+    if not first.size:
+        return np.full(len(coarse), np.nan)
+    near = FINE[max(first.min() - 1, 0) * EVERY : first.max() * EVERY + 1]
+    draws = falls_to(near, outcome.mtf(near), level)
+    return np.where(falls, draws, np.nan)
+
+
+def _level(quantity: str, level: float, draws: Array, posterior: Posterior, common: dict) -> Measurement:
     """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
-    draws = falls_to(FINE, fine, level)
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
         reason = (

@@ -210,7 +210,7 @@ def moffat(frequency: Array, half_frequency: Array, exponent: Array) -> Array:
     The two-dimensional transform of (1 + r^2/a^2)^-b is 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x = 2 pi a f: by table
     in ln(f/f2) and 1/b, linear in both between close steps, ln of the transfer being smooth.
     """
-    places, inverse, table = _moffat_table()
+    places, inverse, table = moffat_table()
     row = np.interp(1.0 / exponent, inverse, np.arange(inverse.size))
     low = np.minimum(row.astype(int), inverse.size - 2)
     share = (row - low)[:, None]
@@ -228,7 +228,7 @@ def moffat(frequency: Array, half_frequency: Array, exponent: Array) -> Array:
 
 
 @lru_cache(maxsize=1)
-def _moffat_table() -> tuple[Array, Array, Array]:
+def moffat_table() -> tuple[Array, Array, Array]:
     """Return ln(f/f2), 1/b and ln of the transfer at them, shape (1/b, ln(f/f2))."""
     from scipy.special import gammaln, kve
 

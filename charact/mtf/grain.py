@@ -7,7 +7,9 @@ fixed pattern that frames share, and whatever blur ties neighbours together.
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
 
 from charact.mtf.bins import NARROWEST_PX, Gathered
 from charact.mtf.grain_form import form_of
@@ -125,8 +127,10 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
 
 
 def _autocorrelation(field: Array, shape: tuple[int, int]) -> Array:
-    spectrum = np.fft.rfft2(field, shape)
-    return np.fft.irfft2(np.abs(spectrum) ** 2, shape)
+    """Return the sums of products at all lags; those up to what the shape adds to the field's are free of wrapping."""
+    fast = tuple(next_fast_len(size, real=True) for size in shape)
+    spectrum = rfft2(field, fast)
+    return irfft2(spectrum.real**2 + spectrum.imag**2, fast)
 
 
 def _smoothed(field: Array) -> Array:
@@ -173,17 +177,29 @@ def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array,
     reach = int(np.ptp(place))
     apart = np.arange(-reach, reach + 1) * NARROWEST_PX
     index = np.searchsorted(delta, apart)
-    table = (total[index] * apart - moment[index])[place[None, :] - place[:, None] + reach]
-    overlap = table[:-1, 1:] - table[1:, 1:] - table[:-1, :-1] + table[1:, :-1]
-    overlap, width = overlap[np.ix_(keep, keep)], np.diff(gathered.borders)[keep]
-    overlap = 0.5 * (overlap + overlap.T)
-    density = np.sqrt(np.outer(count / width, count / width))
-    sd = np.sqrt(grain.variance(level))
-    covariance = overlap * density * np.outer(sd / count, sd / count)
+    ramp = total[index] * apart - moment[index]
+    width, sd = np.diff(gathered.borders)[keep], np.sqrt(grain.variance(level))
+    covariance = _overlaps(ramp, place, np.flatnonzero(keep), sd / np.sqrt(width * count))
     if not (np.diag(covariance) > 0).any():
         # Too few pixels to tell a correlation, and chance made it cancel the noise: pixels count as independent.
         return np.diag(sd**2 / count)
     return _positive(covariance)
+
+
+@njit(cache=True)
+def _overlaps(ramp: Array, place: NDArray[np.int64], kept: NDArray[np.int64], scale: Array) -> Array:
+    """Return second differences of a ramp between the borders of kept bins, scaled, shape (bin, bin)."""
+    out, middle = np.empty((kept.size, kept.size)), ramp.size // 2
+    for i in range(kept.size):
+        begin, end = place[kept[i]], place[kept[i] + 1]
+        for j in range(i + 1):
+            other, last = place[kept[j]], place[kept[j] + 1]
+            one = ramp[middle + last - begin] - ramp[middle + last - end]
+            one += ramp[middle + other - end] - ramp[middle + other - begin]
+            two = ramp[middle + end - other] - ramp[middle + end - last]
+            two += ramp[middle + begin - last] - ramp[middle + begin - other]
+            out[i, j] = out[j, i] = 0.5 * (one + two) * scale[i] * scale[j]
+    return out
 
 
 def _positive(covariance: Array) -> Array:

@@ -1,20 +1,20 @@
 """Where the edge is: a straight line found by projections and refined row by row against the edge's own profile."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.picture import Picture
+from charact.mtf.projections import SLOPE_STEP, strongest
 
 Array = NDArray[np.float64]
 
-# Slopes among which the strongest step is looked for, and their distance, px per row.
-SLOPES = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 2.0)))
-SLOPE_STEP = 0.035
 # A picture is looked through at no more than this many pixels a side.
 COARSE_SIZE = 96
+# How far from the edge a row tells where it is, px.
+ROW_REACH_PX = 14.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ def find(picture: Picture) -> tuple[Picture, Line]:
     """Find the strongest straight step, turn the picture upright and return both."""
     factor = max(1, int(np.ceil(max(picture.value.shape) / COARSE_SIZE)))
     small = _binned(picture.value, factor)
-    ways = [(_strongest(np.ascontiguousarray(small.T) if transpose else small), transpose) for transpose in (0, 1)]
+    ways = [(strongest(small.T if transpose else small), transpose) for transpose in (0, 1)]
     (score, place, slope), transpose = max(ways, key=lambda way: abs(way[0][0]))
     upright = picture.turned(transpose=bool(transpose), mirror=score < 0)
     width = upright.value.shape[1]
@@ -60,43 +60,6 @@ def _binned(value: Array, factor: int) -> Array:
     """Return block means, the remainder cut off."""
     rows, cols = (size // factor * factor for size in value.shape)
     return value[:rows, :cols].reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
-
-
-@lru_cache(maxsize=8)
-def _projections(shape: tuple[int, int]) -> tuple[NDArray[np.int64], Array, Array]:
-    """Return the cell of every pixel projected along every slope, how many fall in each, and the first cells' places.
-
-    Shapes (slope, pixel), (slope, cell) and (slope,); cells of one slope follow those of the one before.
-    """
-    row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
-    across = np.arange(shape[1])[None, :] - SLOPES[:, None, None] * row
-    first = across.min(axis=(1, 2))
-    cell = np.rint(across - first[:, None, None]).astype(np.int64).reshape(SLOPES.size, -1)
-    size = int(cell.max()) + 1
-    cell += np.arange(SLOPES.size)[:, None] * size
-    count = np.bincount(cell.ravel(), minlength=SLOPES.size * size).reshape(SLOPES.size, size)
-    return cell, count.astype(float), first
-
-
-def _strongest(value: Array) -> tuple[float, float, float]:
-    """Return the largest weighted step of the profiles projected along all slopes: signed, its place and its slope."""
-    cell, count, first = _projections(value.shape)
-    weights = np.broadcast_to(value.ravel(), cell.shape).ravel()
-    sums = np.bincount(cell.ravel(), weights=weights, minlength=count.size).reshape(count.shape)
-    reach = max(3, min(value.shape) // 6)
-    total, weight = (np.pad(np.cumsum(part, axis=1), ((0, 0), (1, 0))) for part in (sums, count))
-    size = count.shape[1]
-    cuts = np.arange(2, size - 1)
-    if not cuts.size:
-        return 0.0, 0.0, 0.0
-    low, high = np.maximum(cuts - reach, 0), np.minimum(cuts + reach, size)
-    left, right = weight[:, cuts] - weight[:, low], weight[:, high] - weight[:, cuts]
-    usable = np.minimum(left, right) > 0.1 * reach * min(value.shape)
-    left, right = np.maximum(left, 1), np.maximum(right, 1)
-    step = (total[:, high] - total[:, cuts]) / right - (total[:, cuts] - total[:, low]) / left
-    score = np.where(usable, step * np.sqrt(left * right / (left + right)), 0.0)
-    which, best = np.unravel_index(int(np.argmax(np.abs(score))), score.shape)
-    return float(score[which, best]), float(cuts[best] - 0.5 + first[which]), float(SLOPES[which])
 
 
 def _strength(small: Array, score: float) -> float:
@@ -208,7 +171,7 @@ def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[n
 def _row_offsets(picture: Picture, line: Line, blur_px: float) -> tuple[Array, NDArray[np.bool_]]:
     """Return each row's displacement against the mean profile, and which rows hold the edge."""
     across = line.across(picture.value.shape)
-    reach = 14.0
+    reach = ROW_REACH_PX
     near = np.abs(across) < reach
     cell = np.clip(((across + reach) * 4).astype(np.int64), 0, 8 * int(reach) - 1)
     sums = np.bincount(cell[near], weights=picture.value[near], minlength=8 * int(reach))
@@ -217,18 +180,45 @@ def _row_offsets(picture: Picture, line: Line, blur_px: float) -> tuple[Array, N
     kernel = np.exp(-0.5 * ((places[:, None] - places) / blur_px) ** 2) * counts
     kernel = kernel / np.maximum(kernel.sum(axis=1, keepdims=True), 1e-300)
     profile = kernel @ (sums / np.maximum(counts, 1))
-    rise = np.gradient(profile, places)
-    inside = np.clip(across, places[0], places[-1])
-    template = np.interp(inside, places, profile)
-    # A row's own level and step are free: light that changes along the edge must not move it.
-    shapes = np.stack([np.interp(inside, places, rise), np.ones_like(across), template - profile.mean()]) * near
-    normal = np.einsum("arc,brc->rab", shapes, shapes)
-    scale = np.sqrt(np.maximum(np.einsum("raa->ra", normal), 1e-300))
-    normal = normal / (scale[:, :, None] * scale[:, None, :]) + 1e-9 * np.eye(3)
-    pull = np.einsum("arc,rc->ra", shapes, np.where(near, picture.value - template, 0.0)) / scale
-    inverse = np.linalg.inv(normal)
-    power = scale[:, 0] ** 2 / inverse[:, 0, 0]
-    return -np.einsum("ra,ra->r", inverse[:, 0], pull) / scale[:, 0], (power > 0.5 * np.median(power)) & (power > 0)
+    offset, power = _displaced(picture.value, across, places, profile, np.gradient(profile, places))
+    return offset, (power > 0.5 * np.median(power)) & (power > 0)
+
+
+@njit(cache=True)
+def _displaced(value: Array, across: Array, places: Array, profile: Array, rise: Array) -> tuple[Array, Array]:
+    """Return by how much each row's edge lies off a profile, shape (row,), px, and the power that tells it.
+
+    A row's own level and step are free: light that changes along the edge must not move it.
+    """
+    rows, cols = value.shape
+    offset, power = np.zeros(rows), np.zeros(rows)
+    first, step, mean = places[0], places[1] - places[0], profile.mean()
+    shape = np.ones(3)
+    for row in range(rows):
+        normal, pull = np.zeros((3, 3)), np.zeros(3)
+        for col in range(cols):
+            if abs(across[row, col]) >= ROW_REACH_PX:
+                continue
+            place = min(max((across[row, col] - first) / step, 0.0), places.size - 1.0)
+            left = min(int(place), places.size - 2)
+            rest = place - left
+            template = profile[left] + rest * (profile[left + 1] - profile[left])
+            shape[0] = rise[left] + rest * (rise[left + 1] - rise[left])
+            shape[2] = template - mean
+            for k in range(3):
+                pull[k] += shape[k] * (value[row, col] - template)
+                for m in range(k + 1):
+                    normal[k, m] += shape[k] * shape[m]
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        for k in range(3):
+            for m in range(k):
+                normal[m, k] = normal[k, m]
+        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
+        # Symmetric: the first column of the inverse is its first row.
+        inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0]))
+        power[row] = scale[0] ** 2 / inverse[0]
+        offset[row] = -np.dot(inverse, pull / scale) / scale[0]
+    return offset, power
 
 
 def _spread(values: Array) -> float:

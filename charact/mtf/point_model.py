@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from charact.mtf import transfer as forms
 from charact.mtf.point_prior import Prior
+from charact.mtf.wide_tables import sine_integral
 
 Array = NDArray[np.float64]
 
@@ -201,7 +202,7 @@ class HaloTable:
             middle=0.5 * (low + high),
             half=0.5 * (high - low),
             elastic=_bend(np.sinc(u / np.pi)),
-            uniform=_bend(forms.sine_integral(u) / u),
+            uniform=_bend(sine_integral(u) / u),
         )
 
     def __call__(self, fraction: Array, diameter_px: Array, elastic_share: Array) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -69,11 +70,21 @@ def edge_weights(grid: Array, distance: Array, spread_px: Array) -> tuple[Array,
     """
     table = spread_table(grid.tobytes())
     first, weight = table.taps(distance)
-    side = np.where(distance < 0, -1.0, 1.0)[:, None]
-    bend = 0.5 * spread_px[:, None] ** 2
-    even = sum(weight[:, j, None] * (table.even[first + j] + bend * table.even_bend[first + j]) for j in range(4))
-    odd = sum(weight[:, j, None] * (table.odd[first + j] + bend * table.odd_bend[first + j]) for j in range(4))
-    return side * np.asarray(even), np.asarray(odd)
+    side, bend = np.where(distance < 0, -1.0, 1.0), 0.5 * spread_px**2
+    even = _looked_up(table.even, table.even_bend, first, weight * side[:, None], bend)
+    return even, _looked_up(table.odd, table.odd_bend, first, weight, bend)
+
+
+@njit(cache=True)
+def _looked_up(table: Array, bent: Array, first: NDArray[np.int64], weight: Array, bend: Array) -> Array:
+    """Return a table and so much of its second derivative, between its places, shape (bin, node)."""
+    out = np.zeros((first.size, table.shape[1]))
+    for i in range(first.size):
+        for j in range(4):
+            plain, second = weight[i, j], weight[i, j] * bend[i]
+            for k in range(table.shape[1]):
+                out[i, k] += plain * table[first[i] + j, k] + second * bent[first[i] + j, k]
+    return out
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,8 @@ it. Parameters may carry leading axes; the frequency is the last axis of what co
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from charact.mtf import wide_tables
+
 Array = NDArray[np.float64]
 
 
@@ -61,15 +63,12 @@ def halo(frequency: Array, diameter_px: ArrayLike, elastic_share: ArrayLike) -> 
     """
     x = np.pi * np.asarray(diameter_px, float)[..., None] * frequency
     share = np.asarray(elastic_share, float)[..., None]
-    return share * np.sinc(x / np.pi) + (1.0 - share) * sine_integral(x) / x
+    return share * np.sinc(x / np.pi) + (1.0 - share) * wide_tables.sine_integral(x) / x
 
 
 def disc(frequency: Array, diameter_px: ArrayLike) -> Array:
     """Return the transfer 2 J1(x)/x, x = pi D f, of light spread evenly over a disc."""
-    from scipy.special import j1
-
-    x = np.maximum(np.pi * np.asarray(diameter_px, float)[..., None] * frequency, 1e-9)
-    return 2.0 * j1(x) / x
+    return wide_tables.disc(np.pi * np.asarray(diameter_px, float)[..., None] * frequency)
 
 
 def glare(frequency: Array, length_px: ArrayLike) -> Array:
@@ -82,26 +81,6 @@ def halo_edge(distance: Array, diameter_px: float, elastic_share: float) -> Arra
     x = np.clip(2.0 * np.asarray(distance, float) / diameter_px, -1.0, 1.0)
     magnitude = np.maximum(np.abs(x), 1e-12)
     return 0.5 + 0.5 * x * (elastic_share + (1.0 - elastic_share) * (1.0 - np.log(magnitude)))
-
-
-def _sine_integral_table() -> tuple[Array, Array]:
-    x = np.linspace(0.0, 400.0, 40001)
-    middle = 0.5 * (x[1:] + x[:-1])
-    step = x[1] - x[0]
-    ends, inner = np.sinc(x / np.pi), np.sinc(middle / np.pi)
-    return x, np.concatenate([[0.0], np.cumsum((ends[1:] + 4.0 * inner + ends[:-1]) * step / 6.0)])
-
-
-_TABLE: list[tuple[Array, Array]] = []
-
-
-def sine_integral(x: Array) -> Array:
-    """Return Si(x) for x >= 0 by Simpson's rule, beyond 400 by pi/2 - cos(x)/x (error below 1e-5)."""
-    if not _TABLE:
-        _TABLE.append(_sine_integral_table())
-    grid, values = _TABLE[0]
-    far = np.maximum(x, 1.0)
-    return np.where(x < grid[-1], np.interp(x, grid, values), np.pi / 2 - np.cos(far) / far)
 
 
 def video(frequency: Array, bandwidth_mhz: float, clock_mhz: float, order: int) -> NDArray[np.complex128]:

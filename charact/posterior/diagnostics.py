@@ -102,9 +102,9 @@ def leans_on_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> ND
     walls
         Lower and upper bounds, shape (parameter, 2), infinite where there are none.
     """
-    leaning = np.zeros(draws.shape[1], bool)
+    leaning, ordered = np.zeros(draws.shape[1], bool), np.sort(draws, axis=0)
     for wall, far in ((walls[:, 0], 0.995), (walls[:, 1], 0.005)):
-        span = np.abs(np.quantile(draws, far, axis=0) - wall)
+        span = np.abs(ordered[round(far * (len(draws) - 1))] - wall)
         with np.errstate(invalid="ignore"):
             near = np.abs(draws - wall) <= WALL_STRIP * span
         leaning |= np.isfinite(wall) & (near.mean(axis=0) > WALL_CROWD * WALL_STRIP)

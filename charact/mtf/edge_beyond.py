@@ -1,0 +1,106 @@
+"""Light beyond the core of an edge's blur: whether it is worth a fit, where to begin; other departures of a form."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge_families import FamilyFit, FamilyFitter
+from charact.mtf.edge_peak import explained, gains
+from charact.mtf.families import Family, Wide
+
+Array = NDArray[np.float64]
+Departures = Callable[[Array, float], NDArray[np.complex128]]
+
+# Steps after which one of several starts is chosen.
+FIRST_ITERATIONS = 5
+# How far apart in ln two sizes must be to lead elsewhere.
+APART = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Promise:
+    """What light beyond a core may gain.
+
+    Parameters
+    ----------
+    core, wide
+        The fitted core and the light beyond it.
+    gains
+        Of chi squared by each size, to first order, shape (size,); light that would have to be taken away gains
+        nothing.
+    starts
+        Where a fit with each size begins, shape (size, parameter).
+    """
+
+    core: FamilyFit
+    wide: Wide
+    gains: Array
+    starts: Array
+
+
+def promises(fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...]) -> list[Promise]:
+    """Return what each kind of light beyond a core may gain."""
+    if not wides:
+        return []
+    maps, step = fitter.maps, abs(fitter.profile.step)
+    shapes, changes = zip(*map(fitter.beyond, wides), strict=True)
+    core = maps.shifted(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
+    away = maps.white(core * np.concatenate(changes)) * step
+    gained, amplitude, moved = gains(fit.residual, fit.design, fit.off, fit.precision, away)
+    amplitude = amplitude * step / fit.amplitude[0]
+    limits = fitter.bounds(fit.family)
+    # Half a step of the core: what the light beyond it changes is not small.
+    cores = np.clip(fit.point + 0.5 * moved, limits[:, 0], limits[:, 1])
+    ends = np.cumsum([len(shape) for shape in shapes])[:-1]
+    parts = zip(wides, shapes, *(np.split(one, ends) for one in (gained, amplitude, cores)), strict=True)
+    return [
+        Promise(
+            core=fit,
+            wide=wide,
+            gains=np.where(height > 0, gain, 0.0),
+            starts=np.concatenate([start, _share(wide, shape, height)[:, None], shape], axis=1),
+        )
+        for wide, shape, gain, height, start in parts
+    ]
+
+
+def _share(wide: Wide, shape: Array, amplitude: Array) -> Array:
+    """Return the share of light with which a fit begins."""
+    return np.minimum(np.clip(amplitude, 0.02, 0.3) / wide.share_unit(shape)[:, 0], wide.fraction[1])
+
+
+def fit_wide(fitter: FamilyFitter, promise: Promise, hopeless_cost: float) -> FamilyFit | None:
+    """Fit a core with light beyond it, from the size that promises most and another far from it.
+
+    Returns
+    -------
+    FamilyFit or None
+        The best fit; None where its beginning costs more than is hopeless.
+    """
+    core, wide, starts = promise.core, promise.wide, promise.starts
+    order = np.argsort(-promise.gains)
+    family, slope = Family(core=core.family.core, wide=wide), core.slope_sd_per_px
+    sizes = np.log(starts[order, -wide.after_size])
+    apart = order[np.abs(sizes - sizes[0]) > APART]
+    begun = [fitter.climbed(family, starts[i], slope, FIRST_ITERATIONS) for i in (order[0], *apart[:1])]
+    point, reached = min(begun, key=lambda one: one[1][-1])
+    return None if reached[-1] > hopeless_cost else fitter.fit(family, point, slope)
+
+
+def departure_gain(fitter: FamilyFitter, fit: FamilyFit, shapes_at: Departures) -> tuple[float, int]:
+    """Return the gain in chi squared from smooth departures of modulus and phase, to first order, and how many.
+
+    Parameters
+    ----------
+    shapes_at
+        Departures of the transfer's logarithm, complex, from frequencies and the half frequency.
+    """
+    maps = fitter.maps
+    transfer = maps.shifted(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
+    moved = maps.white(transfer * shapes_at(maps.grid, float(np.exp(fit.point[1])))) * abs(fitter.profile.step)
+    both, none = np.concatenate([fit.design, moved]), np.zeros(len(moved))
+    off, precision = np.concatenate([fit.off, none]), np.concatenate([fit.precision, none])
+    with_them = explained(fit.residual, both, off, precision)
+    return with_them - explained(fit.residual, fit.design, fit.off, fit.precision), len(moved)
