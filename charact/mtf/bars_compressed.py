@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars_fit import BOUNDS, Fit, Picture, Problem
+from charact.mtf.bars_fit import Fit
+from charact.mtf.bars_picture import BOUNDS, Picture, Problem
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,9 @@ from charact.mtf.bars_checks import (
     light_in_standard_errors,
     not_identifiable,
 )
-from charact.mtf.bars_fit import Fit, Problem, measured
+from charact.mtf.bars_fit import Fit, measured
+from charact.mtf.bars_number import other_number
+from charact.mtf.bars_picture import Problem
 from charact.mtf.bars_place import runs_through, strip_of
 from charact.mtf.bars_posterior import mtf_of, of_fit, of_sums
 from charact.mtf.bars_profile import profile
@@ -183,10 +185,22 @@ def _strip(used: FrameStack, mean: Array, target: BarTarget, context: Context) -
     if not light_in_standard_errors(fit) > LEAST_LIGHT:
         return f"no target: the light of the bars is under {LEAST_LIGHT:g} standard errors"
     margin = _reach_px(fit.target, mean.shape)
+    if not _lies_there(fit):
+        return _another(target, problem.asked)
     flags = flags_of_fit(fit)
     if margin < LEAST_CUT_PX:
         flags.append("window-too-small")
     return _of_fit(used, fit, problem, context, flags, margin)
+
+
+def _another(target: BarTarget, asked: float) -> str:
+    return f"no target: the object's spectrum is not that of {target.bars} bars at {asked:g} cy/px"
+
+
+def _lies_there(fit: Fit) -> bool:
+    """Tell whether the fitted bars are bright and their middle lies in the region."""
+    (rows, cols), here = fit.window.shape, fit.target
+    return fit["level_dn"] > 0 and 0 <= here.row < rows and 0 <= here.col < cols
 
 
 def _reach_px(target: BarTarget, shape: tuple[int, ...]) -> float:
@@ -204,6 +218,10 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
         notes.append(f"The bars repeat at {own:.4g} cy/px, told is the MTF at {asked:.4g}.")
     if context.sensor is None:
         notes.append("Pixels taken as square.")
+    other = other_number(fit, problem)
+    if other is not None:
+        flags = [*flags, "model-misfit"]
+        notes.append(f"The picture is rather that of {other} bars than of {fit.target.bars}.")
     height = fit.model_dn - fit["pedestal_dn"] > 0.02 * fit["level_dn"]
     near = np.zeros(problem.window.shape, bool)
     near[problem.window] = height
@@ -235,7 +253,7 @@ def _whole(used: FrameStack, mean: Array, target: BarTarget, context: Context) -
             f"fewer than {LEAST_SIGNAL:g}"
         )
     if amplitudes.zeros > OTHER_OBJECT:
-        return f"no target: the object's spectrum is not that of {target.bars} bars at {asked:g} cy/px"
+        return _another(target, asked)
     why = not_identifiable(target, target.length_px)
     if why is not None:
         return why
@@ -257,7 +275,7 @@ def _fitted(
     clear: Mask,
     context: Context,
     known: tuple[list[str], float, float],
-) -> Found:
+) -> Found | str:
     """Fit the picture of a whole target to the pixels around it that hold no other light."""
     flags, margin, inflation = known
     window = target.box(mean.shape, max(FITTED_PX, FITTED_PERIODS / target.frequency)) & clear
@@ -270,6 +288,8 @@ def _fitted(
         strip=False,
     )
     fit, problem = measured(used.data, problem, target, inflation=inflation)
+    if not _lies_there(fit):
+        return _another(target, problem.asked)
     flags = [*flags, *(flag for flag in flags_of_fit(fit) if flag != "interlace-motion")]
     return _of_fit(used, fit, problem, context, flags, margin)
 

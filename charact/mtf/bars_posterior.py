@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.bar_amplitudes import Amplitudes
 from charact.mtf.bars_compressed import compressed
-from charact.mtf.bars_fit import BOUNDS, Fit, Problem
+from charact.mtf.bars_fit import Fit
+from charact.mtf.bars_picture import BOUNDS, Problem
 from charact.posterior import laplace, sample
 from labdata.measurement import Posterior
 

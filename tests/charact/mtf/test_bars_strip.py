@@ -67,6 +67,16 @@ def test_any_number_of_bars(bars: int) -> None:
         assert found.value == pytest.approx(mtf_of(CORES["tube n 1.1"], frequency, 3.0), rel=0.015)
 
 
+@pytest.mark.parametrize("asked", [2, 3, 5])
+def test_another_number_than_asked_for_is_told(asked: int, seed) -> None:
+    """Four bars: what is asked for is never found, and the note says how many there are where a picture was fitted."""
+    for frequency, sigma_px in ((0.05, 0.6), (0.1, 1.2), (0.2, 1.2)):
+        stack = frames_of(strip(gaussian(sigma_px), frequency, 3.0, 0.3), np.random.default_rng(seed), snr=20.0)
+        found = read(stack, frequency, bars=asked)
+        assert found.status != "ok", (frequency, found.value)
+        assert found.status == "refused" or any(f"that of 4 bars than of {asked}" in note for note in found.notes)
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_untilted_bars_near_the_sampling_limit_are_not_identifiable(turned: bool, seed) -> None:
     rng = np.random.default_rng(seed)
