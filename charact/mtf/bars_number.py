@@ -55,4 +55,5 @@ def _left(fit: Fit, problem: Problem, ground: Array, bars: int, shift_periods: f
 def _ground(fit: Fit, problem: Problem) -> Array:
     """Return even light and its two slopes at the window's pixels, shape (3, pixel)."""
     picture = Picture(problem, fit.target)
-    return np.stack([np.ones_like(picture.x), picture.x / picture.reach[0], picture.y / picture.reach[1]])
+    ground = [np.ones_like(picture.x), picture.x / picture.reach[0], picture.y / picture.reach[1]]
+    return np.asarray(np.stack(ground), np.float64)

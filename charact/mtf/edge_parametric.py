@@ -41,6 +41,8 @@ SHARP = 0.5
 # Standard error of ln MTF50 from which on the posteriors are no parabolas either, that from which on the interval is
 # too wide to be trusted whatever its tails, and how many draws tell it.
 UNSURE, HOPELESS, TELLING = 0.1, 0.15, 100
+# Error of ln f2 up to which a wider blur's error is taken for it: the width of a blur is positive.
+WIDEST_ERROR = 0.5
 # Effective draws from a form that is not the most probable one, of which only some are wanted.
 ENOUGH = 1000.0
 # The same where the answer is wanted quickly, and draws to begin with.
@@ -167,6 +169,7 @@ def _posterior(
     }
     if parabolic and np.exp(fit.point[1]) < SHARP:
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
+        posterior = replace(posterior, draws=_even_in_width(posterior.draws, float(fit.point[1])))
     else:
         known = fitter.log_probability(fit.family, fit.slope_sd_per_px)
         posterior = _sampled(lambda theta: known(theta) / noise_scale, asked, context, first=number == 0)
@@ -176,6 +179,15 @@ def _posterior(
     leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
     return replace(posterior, flags=flags)
+
+
+def _even_in_width(draws: Array, ln_half_frequency: float) -> Array:
+    """Return Gaussian draws whose errors are even in the width of the blur, 1/f2, where they were in ln f2.
+
+    Chains along these ridges lean that way: a wider blur is told better than a sharper one.
+    """
+    away = np.minimum(draws[:, 1] - ln_half_frequency, WIDEST_ERROR)
+    return np.concatenate([draws[:, :1], (ln_half_frequency - np.log1p(-away))[:, None], draws[:, 2:]], axis=1)
 
 
 def _sampled(

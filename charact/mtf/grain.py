@@ -129,8 +129,8 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
 def _autocorrelation(field: Array, shape: tuple[int, int]) -> Array:
     """Return the sums of products at all lags; those up to what the shape adds to the field's are free of wrapping."""
     fast = tuple(next_fast_len(size, real=True) for size in shape)
-    spectrum = rfft2(field, fast)
-    return irfft2(spectrum.real**2 + spectrum.imag**2, fast)
+    spectrum = np.asarray(rfft2(field, fast))
+    return np.asarray(irfft2(spectrum.real**2 + spectrum.imag**2, fast))
 
 
 def _smoothed(field: Array) -> Array:
@@ -177,7 +177,7 @@ def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array,
     reach = int(np.ptp(place))
     apart = np.arange(-reach, reach + 1) * NARROWEST_PX
     index = np.searchsorted(delta, apart)
-    ramp = total[index] * apart - moment[index]
+    ramp = np.asarray(total[index] * apart - moment[index], np.float64)
     width, sd = np.diff(gathered.borders)[keep], np.sqrt(grain.variance(level))
     covariance = _overlaps(ramp, place, np.flatnonzero(keep), sd / np.sqrt(width * count))
     if not (np.diag(covariance) > 0).any():
