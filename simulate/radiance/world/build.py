@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.world.description import METRE, Object, Pose, Scene
+from simulate.radiance.world.material_map import mapped
 from simulate.radiance.world.shapes import Mesh, shape
 from simulate.radiance.world.surfaces import Surfaces, surfaces
 
@@ -29,7 +30,12 @@ def built(scene: Scene) -> Surfaces:
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
     parts = []
     for thing in scene.object:
+        poses = thing.instances or (thing,)
         mesh = _mesh(scene, thing)
+        if thing.map is not None:
+            pieces = mapped(scene.file(thing.map), thing.size_m, thing.map_materials)
+            parts += [(thing.label, name, placed(piece, pose)) for name, piece in pieces for pose in poses]
+            continue
         if thing.file is not None and thing.material in glowing and not mesh.closed:
             raise BadInput(
                 f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
@@ -37,7 +43,7 @@ def built(scene: Scene) -> Surfaces:
             )
         if thing.gaps > 0.0:
             mesh = pierced(mesh, thing.gaps, thing.label)
-        parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in thing.instances or (thing,)]
+        parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in poses]
     return surfaces(parts)
 
 

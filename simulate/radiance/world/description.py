@@ -231,6 +231,9 @@ class Object(Pose):
         A shape of `simulate.radiance.world.shapes` and its sizes, m; or else:
     file, unit
         A mesh file (.obj, .ply, .stl, .glb), relative to the scene's file, and the unit of its numbers.
+    map, map_materials
+        Of a plane: a picture whose numbers say which of these materials lies where, see
+        `simulate.radiance.world.material_map`; in place of `material`.
     gaps
         Share of its surface that is open, as between leaves, dimensionless: triangles are left out of every copy alike.
     instances
@@ -238,11 +241,13 @@ class Object(Pose):
     """
 
     label: str
-    material: str
+    material: str = ""
     shape: str | None = None
     size_m: tuple[float, ...] = ()
     file: str | None = None
     unit: Unit | None = None
+    map: str | None = None
+    map_materials: tuple[str, ...] = ()
     gaps: float = 0.0
     instances: tuple[Pose, ...] = ()
 
@@ -250,6 +255,10 @@ class Object(Pose):
         super().__post_init__()
         if (self.shape is None) == (self.file is None):
             raise BadInput(f"an object must have either a shape or a file, got {self.label!r}")
+        if (self.map is None) != (not self.map_materials) or (self.map is None) == (not self.material):
+            raise BadInput(f"an object must have either a material or a map and its materials, got {self.label!r}")
+        if self.map is not None and self.shape != "plane":
+            raise BadInput(f"a material map must lie on a plane, got {self.label!r}")
         if not 0.0 <= self.gaps < 1.0:
             raise BadInput(f"gaps must lie in [0, 1), got {self.gaps:g} of {self.label!r}")
         if self.file is not None and self.unit is None:
@@ -352,11 +361,12 @@ class Scene:
                 raise BadInput(f"labels of {kind}s must differ, got {twice[0]!r} twice")
         known = {surface.label for surface in self.material}
         for thing in self.object:
-            if thing.material not in known:
-                raise BadInput(
-                    f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
-                    f"got {thing.material!r} of {thing.label!r}"
-                )
+            for name in thing.map_materials or (thing.material,):
+                if name not in known:
+                    raise BadInput(
+                        f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
+                        f"got {name!r} of {thing.label!r}"
+                    )
         numbers = [*self.camera.position_m, *(x for thing in self.object for x in thing.position_m)]
         if not all(math.isfinite(number) for number in numbers):
             raise BadInput("places in a scene must be finite")

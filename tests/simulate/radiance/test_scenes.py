@@ -61,6 +61,7 @@ def test_shipped_scenes_are_built_and_a_bench_is_another_kind(name):
         (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "window-glass"\n', "light through surfaces is not followed"),
         (CAMERA + "[place]\nlatitude_deg = 43\nlongitude_deg = -77\ntime = 1998-06-24T02:00:00\n", "offset from UTC"),
         (CAMERA.replace("[0, 0, 1]", "[0, -10, 2]"), "must look at another place"),
+        (CAMERA + GREY + BALL + 'map = "a.png"\nmap_materials = ["grey"]\n', "either a material or a map"),
         (CAMERA + GREY + BALL + "gaps = 1.0\n", r"gaps must lie in \[0, 1\), got 1"),
         (CAMERA + GREY + BALL.replace("sphere", "disc") + "gaps = 0.2\n", "must have at least 400 triangles.*got 48"),
         (CAMERA + GREY + '[[object]]\nlabel = "a"\nfile = "a.obj"\nmaterial = "grey"\n', "unit must be one of m, cm"),
@@ -102,6 +103,23 @@ def test_a_crown_with_gaps_lets_through_what_they_leave_open(tmp_path):
     assert open_.mean() == pytest.approx(0.16, abs=0.025)
     again = built(scene_of(tmp_path, CAMERA + GREY + leaves))
     assert np.array_equal(again.mesh.faces, crown.mesh.faces)
+
+
+def test_a_map_lays_materials_on_a_plane_as_its_picture_shows_them(tmp_path):
+    rng = np.random.default_rng(4)
+    picture_of = rng.integers(0, 3, (6, 9))
+    np.save(tmp_path / "signs.npy", picture_of.astype(np.uint8))
+    paints = "".join(f'[[material]]\nlabel = "{name}"\nreflectance = [0.5]\n' for name in "abc")
+    lot = '[[object]]\nlabel = "lot"\nshape = "plane"\nsize_m = [18, 6]\nmap = "signs.npy"\n'
+    laid = built(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b", "c"]\n'))
+    assert laid.objects == ("lot",) and laid.area_m2.sum() == pytest.approx(18 * 6)
+    row, col = (axis.ravel() for axis in np.indices(picture_of.shape))
+    above = np.column_stack([2.0 * (col + 0.45) - 9.0, 3.0 - (row + 0.55), np.full(row.size, 2.0)])
+    face = laid.tracer.hits(above, np.broadcast_to([0.0, 0.0, -1.0], above.shape)).face
+    assert [laid.materials[number] for number in laid.material_of[face]] == ["abc"[n] for n in picture_of.ravel()]
+    assert (laid.tracer.normal[:, 2] > 0.99).all()
+    with pytest.raises(BadInput, match=r"whole numbers from 0 to 1, got 2 in signs\.npy"):
+        built(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b"]\n'))
 
 
 def test_solids_are_closed_and_hold_their_volume():
