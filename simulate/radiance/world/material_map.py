@@ -1,4 +1,4 @@
-"""A picture says which material lies where on a plane: stains, markings, a sign, each of its own spectrum and finish."""
+"""A picture says which material lies where on a plane: stains, markings, a sign, each with a spectrum of its own."""
 
 from collections.abc import Sequence
 from pathlib import Path
