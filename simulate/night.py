@@ -120,7 +120,7 @@ class Night:
         tolerance: float | None,
         seed: int,
         preview: bool = False,
-        processes: int | None = None,
+        threads: int | None = None,
         progress: Callable[[float], None] = lambda share: None,
     ) -> Seen:
         """Return what the camera has before it.
@@ -134,8 +134,8 @@ class Night:
             Seed of all rays.
         preview
             Few pixels, so that it takes seconds.
-        processes
-            Processes that share the work where that pays; None: one for each of up to two processors.
+        threads
+            Threads that share the work; None: one for each of up to two processors.
         progress
             Told the share done.
         """
@@ -147,7 +147,7 @@ class Night:
         else:
             plan, stage = planned(self.site, view, eye, tolerance, seed)
         rays = replace(plan.rays, edge=PREVIEW_RAYS, most=PREVIEW_RAYS) if preview else plan.rays
-        count = min(2, os.cpu_count() or 1) if processes is None else processes
+        count = min(2, os.cpu_count() or 1) if threads is None else threads
         with workers(count) as run:
             found = picture(
                 stage,

@@ -1,4 +1,4 @@
-"""Rays against surfaces, through embreex called directly: several times faster than through trimesh.
+"""Rays against surfaces, by Embree.
 
 Embree computes in single precision. Surfaces are therefore moved to the middle of the scene, places where rays hit are
 found again in double precision on the plane of the triangle, and a ray that starts on a surface starts a little above
@@ -6,12 +6,12 @@ it, by more than what single precision gets wrong there.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-CHUNK = 65536
+from simulate.radiance.embree import EmbreeScene
+
 # A ray starts at least so far above the surface it leaves, m, or so large a share of the coordinates there. Measured on
 # a scene of 60 m, shifted by up to 10 km: no ray then hits its own triangle.
 CLEARANCE_M, CLEARANCE_SHARE = 1e-4, 3e-6
@@ -50,7 +50,7 @@ class Tracer:
         How far above each triangle a ray starts, shape (face,), m.
     """
 
-    scene: Any
+    scene: EmbreeScene | None
     centre_m: NDArray[np.float64]
     corner_m: NDArray[np.float64]
     normal: NDArray[np.float64]
@@ -58,20 +58,15 @@ class Tracer:
 
     def first_hit(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> NDArray[np.int64]:
         """Return the triangle that each ray hits first, `NOTHING` for none, shape (ray,). Rays have shape (ray, 3)."""
-        return self._run(origin_m, direction, "INTERSECT", None)
+        return self.hits(origin_m, direction).face
 
     def hits(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> Hits:
         """Return where rays of unit direction hit first, on the plane of the triangle in double precision."""
-        face = self.first_hit(origin_m, direction)
-        met = face != NOTHING
-        to = self.normal[face[met]]
-        origin, towards = np.asarray(origin_m)[met], np.asarray(direction)[met]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            range_m = _dot(self.corner_m[face[met]] - origin, to) / _dot(towards, to)
-        # Where a ray runs within the plane, or rounding puts the plane behind it, it starts on the triangle.
-        found = np.full(len(face), np.inf)
-        found[met] = np.where(np.isfinite(range_m), np.maximum(range_m, 0.0), 0.0)
-        return Hits(face, found)
+        count = len(origin_m)
+        if self.scene is None:
+            return Hits(np.full(count, NOTHING, np.int64), np.full(count, np.inf))
+        planes = (self.corner_m, self.normal)
+        return Hits(*self.scene.hits(planes, _plain(origin_m), _plain(direction)))
 
     def blocked(
         self, origin_m: NDArray[np.floating], direction: NDArray[np.floating], reach: ArrayLike | None = None
@@ -85,8 +80,10 @@ class Tracer:
         reach
             How far to look, in lengths of the direction, one number or shape (ray,); without end if None.
         """
-        limits = None if reach is None else np.broadcast_to(np.asarray(reach, np.float32), (len(origin_m),))
-        return self._run(origin_m, direction, "OCCLUDED", limits) == 0
+        if self.scene is None:
+            return np.zeros(len(origin_m), np.bool_)
+        limits = np.full(len(origin_m), np.inf if reach is None else reach, np.float64)
+        return self.scene.blocked(_plain(origin_m), _plain(direction), limits)
 
     def above(
         self, face: NDArray[np.integer], place_m: NDArray[np.floating], side: NDArray[np.floating]
@@ -103,24 +100,6 @@ class Tracer:
         shift = np.maximum(self.clearance_m[face], CLEARANCE_SHARE * np.abs(place_m - self.centre_m).max(axis=1))
         return place_m + shift[:, None] * side
 
-    def _run(
-        self,
-        origin_m: NDArray[np.floating],
-        direction: NDArray[np.floating],
-        query: str,
-        limits: NDArray[np.float32] | None,
-    ) -> NDArray[np.int64]:
-        if self.scene is None or not len(origin_m):
-            return np.full(len(origin_m), NOTHING, np.int64)
-        origin = np.ascontiguousarray(origin_m - self.centre_m, np.float32)
-        towards = np.ascontiguousarray(direction, np.float32)
-        found = []
-        for i in range(0, len(origin), CHUNK):
-            part = slice(i, i + CHUNK)
-            distances = {} if limits is None else {"dists": np.array(limits[part])}
-            found.append(self.scene.run(origin[part], towards[part], query=query, **distances))
-        return np.concatenate(found).astype(np.int64)
-
 
 def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> Tracer:
     """Return a tracer of a mesh: vertices (vertex, 3) in m, faces (face, 3)."""
@@ -128,14 +107,16 @@ def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> Trac
     corners = vertices[faces]
     if not len(faces):
         return Tracer(None, np.zeros(3), corners[:, 0], np.zeros((0, 3)), np.zeros(0))
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
     centre = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(corners - centre, np.float32))
+    scene = EmbreeScene(vertices, faces, centre)
     extent = np.abs(corners - centre).max(axis=(1, 2))
-    return Tracer(scene, centre, corners[:, 0], normals(corners), np.maximum(CLEARANCE_M, CLEARANCE_SHARE * extent))
+    return Tracer(
+        scene,
+        centre,
+        np.ascontiguousarray(corners[:, 0]),
+        normals(corners),
+        np.maximum(CLEARANCE_M, CLEARANCE_SHARE * extent),
+    )
 
 
 def normals(corners_m: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -145,5 +126,5 @@ def normals(corners_m: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.divide(across, length, out=np.zeros_like(across), where=length > 0.0)
 
 
-def _dot(a: NDArray[np.floating], b: NDArray[np.floating]) -> NDArray[np.float64]:
-    return np.einsum("ij,ij->i", a, b)
+def _plain(rays: NDArray[np.floating]) -> NDArray[np.float64]:
+    return np.ascontiguousarray(rays, np.float64)

@@ -37,6 +37,9 @@ class Rays:
         Rays of all pixels together at most, beyond the fewest of each; None: no limit.
     gathered
         Rays by which each place that they hit gathers its hemisphere.
+    shared, shared_most
+        Rays by which places on matt surfaces gather for all pixels around, at first and at most, see `field`; None:
+        every ray gathers for itself, which is slower and supposes nothing.
     allowed
         Variance that pixels may have by chance, by their signal: over the picture, variances over this are 1 in the
         mean. None: no pixel gets more for its variance.
@@ -47,6 +50,8 @@ class Rays:
     most: int = 32
     in_all: int | None = None
     gathered: int = 2
+    shared: int | None = 8
+    shared_most: int = 512
     allowed: Callable[[Array], Array] | None = None
 
 

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport import direct
 from simulate.radiance.transport.air import Air
+from simulate.radiance.transport.even import R2
 from simulate.radiance.transport.lights import Lighting
 from simulate.radiance.transport.points import Coats, Points
 from simulate.radiance.world.surfaces import Surfaces
 
 Array = NDArray[np.floating]
-# The golden and silver ratios' plane sequence fills a square evenly (Roberts' R2 sequence).
-R2 = np.array([0.7548776662466927, 0.5698402909980532])
 # More lamps than this are not all asked at places that an eye does not see: one is drawn.
 ASKED_LAMPS = 2
 
@@ -117,6 +116,7 @@ class Stage:
         into: tuple[Parts, NDArray[np.int64]] | None = None,
         split: bool = False,
         depth: int = 0,
+        shared: tuple[NDArray[np.int64], NDArray[np.float32]] | None = None,
     ) -> Parts:
         """Return the radiance that points send to the eye by reflection, in parts of shape (point, band).
 
@@ -137,12 +137,66 @@ class Stage:
             (what objects take of it, never positive) and "bounce 1", 2, ... by number of reflections elsewhere.
         depth
             Bounces between the points and the surface that the eye sees.
+        shared
+            Points whose irradiance by all but lamps and discs is known, and what it is, shape (sharing point, band):
+            they gather nothing. Their part is "shared".
         """
         every = np.arange(len(points))
-        parts, rows = into or (Parts((len(points), len(self.coats.wavelength_nm)), split=split), every)
+        parts, rows = into or (self._parts(points, split), every)
+        self._add_direct(parts, rows, points, effort, rng, depth)
+        if shared is not None:
+            sharing, irradiance = shared
+            parts.add("shared", rows[sharing], self.coats.matt(points)[sharing] * irradiance)
+            alone = np.setdiff1d(every, sharing, assume_unique=True)
+            points, rows = points.some(alone), rows[alone]
+        if len(points):
+            self._add_around(parts, rows, points, effort, rng, rays, depth)
+        return parts
+
+    def lit(self, points: Points, effort: Effort, rng: np.random.Generator) -> Parts:
+        """Return what points send to the eye of lamps and discs alone, as `leaving`."""
+        parts = self._parts(points, False)
+        self._add_direct(parts, np.arange(len(points)), points, effort, rng, 0)
+        return parts
+
+    def around(
+        self, points: Points, effort: Effort, rng: np.random.Generator, *, rays: int, even: Array | None = None
+    ) -> Parts:
+        """Return what points send to the eye of all but lamps and discs, as `leaving`.
+
+        Parameters
+        ----------
+        points, effort, rng, rays
+            As of `leaving`.
+        even
+            Two numbers in [0, 1) for each ray, shape (point, ray, 2), from which directions follow; None: drawn.
+        """
+        parts = self._parts(points, False)
+        self._add_around(parts, np.arange(len(points)), points, effort, rng, rays, 0, even)
+        return parts
+
+    def _parts(self, points: Points, split: bool) -> Parts:
+        return Parts((len(points), len(self.coats.wavelength_nm)), split=split)
+
+    def _add_around(
+        self,
+        parts: Parts,
+        rows: NDArray[np.int64],
+        points: Points,
+        effort: Effort,
+        rng: np.random.Generator,
+        rays: int,
+        depth: int,
+        even: Array | None = None,
+    ) -> None:
+        """Add light of panels, of the sky and of what stands around."""
         # A gloss needs rays to find even the open sky.
         gathers = effort.gathers or bool(points.glossy)
-        self._add_direct(parts, rows, points, effort, rng, rays if gathers else 0, depth)
+        panels = self.lighting.panels
+        if panels is not None:
+            through, shared = self._between(effort, depth), rays if gathers else 0
+            which, light = direct.from_panels(points, panels, self.coats, self.surfaces.tracer, rng, through, shared)
+            parts.add("glow", rows[which], light)
         if not self.lighting.dome.dark:
             light = self.coats.matt(points)
             light *= self.lighting.dome.irradiance(points.normal)
@@ -150,8 +204,11 @@ class Stage:
                 light *= points.known[:, None]
             parts.add("sky", rows, light)
         if gathers:
-            self._add_gathered(parts, rows, points, effort, rng, rays, depth)
-        return parts
+            self._add_gathered(parts, rows, points, effort, rng, rays, depth, even)
+
+    def _between(self, effort: Effort, depth: int) -> direct.Through | None:
+        """What air takes between lamps and surfaces that the eye sees."""
+        return self.air.through if effort.air_between and self.air.absorbs and depth == 0 else None
 
     def emitted(self, points: Points) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Return the points that glow and their own radiance towards the eye, shape (glowing point, band)."""
@@ -169,11 +226,11 @@ class Stage:
         points: Points,
         effort: Effort,
         rng: np.random.Generator,
-        rays: int,
         depth: int,
     ) -> None:
+        """Add light of lamps and discs."""
         coats, tracer, light = self.coats, self.surfaces.tracer, self.lighting
-        through = self.air.through if effort.air_between and self.air.absorbs and depth == 0 else None
+        through = self._between(effort, depth)
 
         def add(name: str, found: direct.Lit) -> None:
             parts.add(name, rows[found[0]], found[1])
@@ -188,8 +245,6 @@ class Stage:
         else:
             for lamp in lamps:
                 add(lamp.name, direct.from_lamp(points, lamp, coats, tracer, rng, through))
-        if light.panels is not None:
-            add("glow", direct.from_panels(points, light.panels, coats, tracer, rng, through, rays))
 
     def _add_gathered(
         self,
@@ -200,9 +255,10 @@ class Stage:
         rng: np.random.Generator,
         rays: int,
         depth: int,
+        even: Array | None = None,
     ) -> None:
         """Add what the hemisphere holds besides the open sky."""
-        around = self._gathering(points, rng, rays)
+        around = self._gathering(points, rng, rays, even)
         dome, known = self.lighting.dome, _known_of(around.many, effort)
         if not dome.dark:
             seen = np.flatnonzero(around.open & (known < 1.0))
@@ -224,10 +280,11 @@ class Stage:
         if depth < effort.bounces:
             self._add_bounced(parts, rows, there, around.met, weight, effort, rng, rays, depth)
 
-    def _gathering(self, points: Points, rng: np.random.Generator, rays: int) -> "_Around":
+    def _gathering(self, points: Points, rng: np.random.Generator, rays: int, even: Array | None) -> "_Around":
         count = len(points)
         many = points if rays == 1 else points.some(np.repeat(np.arange(count), rays))
-        even = (rng.random((count, 1, 2)) + np.arange(rays)[:, None] * R2) % 1.0
+        if even is None:
+            even = (rng.random((count, 1, 2)) + np.arange(rays)[:, None] * R2) % 1.0
         direction, density = self.coats.drawn(many, even.reshape(-1, 2), rng)
         cosine = np.einsum("ij,ij->i", many.normal, direction)
         gives = (cosine > 0.0) & (density > 0.0)

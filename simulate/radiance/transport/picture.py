@@ -5,7 +5,8 @@ decides how many rays a pixel gets (`allotment`). The picture is made of rays dr
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,20 @@ from numpy.typing import NDArray
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.allotment import Rays, Trial, allotted
-from simulate.radiance.transport.gather import R2, Effort, Parts, Stage
+from simulate.radiance.transport.even import R2
+from simulate.radiance.transport.field import Field, field
+from simulate.radiance.transport.gather import Effort, Parts, Stage
+from simulate.radiance.transport.points import Points
 from simulate.radiance.transport.small_sources import add_small_sources
 from simulate.radiance.transport.truth import Truth, truth
+from simulate.radiance.transport.workers import Run, one_by_one
 from simulate.radiance.world.viewpoint import Viewpoint
 
 Array = NDArray[np.floating]
+# Points that share what they gather, and the irradiance that they get, see `Stage.leaving`.
+Shared = tuple[NDArray[np.int64], NDArray[np.float32]]
+# Share of the variance allowed that is left to light that pixels share; the rest is for their own rays.
+SHARED_CHANCE = 0.25
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
 # Side of a tile, px, and pixels and rays by which it is tried how open the sky is.
@@ -66,7 +75,7 @@ class Job:
 
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """All that a part of the picture is made from; it can be sent to another process."""
+    """All that a part of the picture is made from."""
 
     stage: Stage
     view: Viewpoint
@@ -74,19 +83,28 @@ class Look:
     weight: NDArray[np.float32]
     gathered: int
     seed: int
+    field: Field | None = None
 
     def seen(self, job: Job) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
         rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0])])
         count, columns = len(job.pixels), self.view.shape[1]
         spread = (rng.random((count, 1, 2)) + np.arange(job.rays)[:, None] * R2) % 1.0
-        row, col = np.repeat(job.pixels // columns, job.rays), np.repeat(job.pixels % columns, job.rays)
-        origin, towards = self.view.rays(row + spread[..., 0].ravel(), col + spread[..., 1].ravel())
+        row = (job.pixels[:, None] // columns + spread[..., 0]).ravel()
+        col = (job.pixels[:, None] % columns + spread[..., 1]).ravel()
+        origin, towards = self.view.rays(row, col)
         known = np.repeat(job.known, job.rays)
-        light = along(self.stage, origin, towards, self.effort, rng, gathered=self.gathered, known=known).total()
+        share = None if self.field is None else partial(_shared, self.field, row, col)
+        light = along(
+            self.stage, origin, towards, self.effort, rng, gathered=self.gathered, known=known, share=share
+        ).total()
         each = (light @ self.weight).reshape(count, job.rays)
         variance = each.var(axis=1, ddof=1) / job.rays if job.rays > 1 else np.full(count, np.nan, np.float32)
         return light.reshape(count, job.rays, -1).mean(axis=1), variance
+
+
+def _shared(field: Field, row: Array, col: Array, points: Points, which: NDArray[np.int64]) -> Shared:
+    return field.at(points, row[which], col[which])
 
 
 def along(
@@ -99,11 +117,12 @@ def along(
     gathered: int,
     known: NDArray[np.float32] | None = None,
     split: bool = False,
+    share: Callable[[Points, NDArray[np.int64]], Shared] | None = None,
 ) -> Parts:
     """Return the radiance along rays of unit direction (ray, 3), in parts of shape (ray, band), as `Stage.leaving`.
 
     Besides the sources, parts are "in view": sky and glow that the ray meets, and "air": what air adds on the way, less
-    what it takes of all the rest.
+    what it takes of all the rest. Points of rays (their numbers) may `share` what they gather, see `Stage.leaving`.
     """
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
@@ -115,7 +134,8 @@ def along(
     points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met], open_sky)
     glows, glow = stage.emitted(points)
     parts.add("in view", met[glows], glow)
-    stage.leaving(points, effort, rng, rays=gathered, into=(parts, met))
+    shared = None if share is None else share(points, met)
+    stage.leaving(points, effort, rng, rays=gathered, into=(parts, met), shared=shared)
     if stage.air.absorbs and "air" not in effort.left_out:
         _through_air(stage, parts, hit.range_m[met], towards[met], met)
     return parts
@@ -139,7 +159,7 @@ def picture(
     *,
     weight: NDArray[np.floating],
     seed: int,
-    run: Callable[[Look, list[Job]], Iterator[tuple[NDArray, NDArray]]] | None = None,
+    run: Run = one_by_one,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Picture:
     """Return the picture of a scene.
@@ -157,7 +177,7 @@ def picture(
     seed
         Seed: the picture follows from it, whatever runs it.
     run
-        Does the jobs, in their order; one after the other here if None.
+        Does parts of the work, see `workers`.
     progress
         Told the share done.
     """
@@ -171,11 +191,15 @@ def picture(
     )
     here = truth(stage, view)
     known = sky_known(stage, view, seed)
+    if rays.shared is not None and effort.gathers:
+        sent = {"rays": rays.shared, "most": rays.shared_most, "allowed": _part(rays.allowed, SHARED_CHANCE)}
+        around = field(stage, view, effort, known, **sent, weight=look.weight, seed=seed, run=run)
+        look, rays = replace(look, field=around), replace(rays, allowed=_part(rays.allowed, 1.0 - SHARED_CHANCE))
     wanted = allotted(here, rays, _tried(look, known), seed)
     jobs = list(_jobs(wanted, known, rays.gathered))
     bands, size = len(look.weight), wanted.size
     radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
-    results = map(look.seen, jobs) if run is None else run(look, jobs)
+    results = run(look.seen, jobs)
     done, rays_in_all = 0, int(wanted.sum())
     for job, (light, spread) in zip(jobs, results, strict=True):
         radiance[job.pixels], variance[job.pixels] = light, spread
@@ -194,6 +218,11 @@ def picture(
         truth=here,
         below_zero=below_zero,
     )
+
+
+def _part(allowed: Callable[[Array], Array] | None, share: float) -> Callable[[Array], Array] | None:
+    """A share of the variance allowed."""
+    return None if allowed is None else lambda signal: share * allowed(signal)
 
 
 def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:

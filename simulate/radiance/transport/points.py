@@ -1,6 +1,6 @@
 """Places on surfaces that send light to an eye, with all that their reflection needs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from simulate.radiance.brdf.protocol import Brdf
 from simulate.radiance.world.surfaces import Surfaces
 
 Array = NDArray[np.floating]
+# Number of a material that reflects all light, beside those of the scene.
+WHITE = -1
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,10 @@ class Points:
     def __len__(self) -> int:
         return len(self.face)
 
+    def whitened(self) -> "Points":
+        """Return the same places with a matt surface that reflects all light."""
+        return replace(self, material=np.full(len(self), WHITE), glossy=())
+
     def some(self, which: NDArray[np.int64]) -> "Points":
         """Return some of the points, each as often as its number is given."""
         glossy = []
@@ -81,7 +87,7 @@ class Coats:
     brdfs
         One for each material of the surfaces.
     rho_by_pi
-        rho / pi of the matt ones, shape (material, band), sr-1.
+        rho / pi of the matt ones, and last of `WHITE`, shape (material + 1, band), sr-1.
     """
 
     wavelength_nm: NDArray[np.float64]
@@ -91,8 +97,9 @@ class Coats:
     @classmethod
     def of(cls, brdfs: tuple[Brdf, ...], wavelength_nm: NDArray[np.float64]) -> "Coats":
         """Return materials on bands."""
-        table = np.zeros((len(brdfs), len(wavelength_nm)), np.float32)
-        for row, brdf in zip(table, brdfs, strict=True):
+        table = np.zeros((len(brdfs) + 1, len(wavelength_nm)), np.float32)
+        table[WHITE] = 1.0 / np.pi
+        for row, brdf in zip(table[:WHITE], brdfs, strict=True):
             if isinstance(brdf, Lambert):
                 row[:] = brdf.reflectance.at(wavelength_nm) / np.pi
         return cls(wavelength_nm, brdfs, table)

@@ -1,46 +1,27 @@
-"""Parts of a picture in several processes: threads would not help, as a tracer holds the interpreter's lock."""
+"""Parts of a picture in several threads: rays and most of the arithmetic hold no interpreter's lock."""
 
-import multiprocessing
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
-from numpy.typing import NDArray
+# Does the same to several things, and gives the results in their order.
+Run = Callable[[Callable[[Any], Any], list[Any]], Iterator[Any]]
 
-from simulate.radiance.transport.picture import Job, Look
 
-Run = Callable[[Look, list[Job]], Iterator[tuple[NDArray, NDArray]]]
-# Another process takes seconds to start: below so many rays, gathering counted, it does not pay.
-PAYS_FROM = 1_200_000
-_look: dict[str, Look] = {}
+def one_by_one(do: Callable[[Any], Any], things: list[Any]) -> Iterator[Any]:
+    """Do them here, one after the other."""
+    return map(do, things)
 
 
 @contextmanager
-def workers(processes: int) -> Iterator[Run | None]:
-    """Give a way to run jobs in so many processes where that pays; they end with the block."""
-    if processes < 2:
-        yield None
+def workers(threads: int) -> Iterator[Run]:
+    """Give a way to do jobs in so many threads; they end with the block."""
+    if threads < 2:
+        yield one_by_one
         return
-    pools: list[ProcessPoolExecutor] = []
-
-    def run(look: Look, jobs: list[Job]) -> Iterator[tuple[NDArray, NDArray]]:
-        if sum(len(job.pixels) * job.rays for job in jobs) * (1 + look.gathered) < PAYS_FROM:
-            return map(look.seen, jobs)
-        context = multiprocessing.get_context("spawn")
-        pools.append(ProcessPoolExecutor(processes, context, initializer=_begin, initargs=(look,)))
-        return pools[-1].map(_seen, jobs)
-
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="light")
     try:
-        yield run
+        yield pool.map
     finally:
-        for pool in pools:
-            pool.shutdown(cancel_futures=True)
-
-
-def _begin(look: Look) -> None:
-    _look["at hand"] = look
-
-
-def _seen(job: Job) -> Any:
-    return _look["at hand"].seen(job)
+        pool.shutdown(cancel_futures=True)

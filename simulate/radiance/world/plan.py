@@ -114,7 +114,7 @@ class LightPlan:
             "spectral_error": self.spectral_error,
             "bounces": self.effort.bounces,
             "bounces_by_chance_from": self.effort.roulette_from,
-            "rays": {name: getattr(self.rays, name) for name in ("fewest", "edge", "most", "gathered")},
+            "rays": {name: getattr(self.rays, name) for name in ("fewest", "edge", "most", "gathered", "shared")},
             "exact": self.exact,
         }
 
@@ -177,7 +177,7 @@ def exact(site: Site, view: Viewpoint, eye: Eye, seed: int) -> tuple[LightPlan, 
     return LightPlan(
         wavelength_nm=stage.coats.wavelength_nm,
         spectral_error=FINEST,
-        rays=Rays(fewest=4, edge=64, most=EXACT_MOST, allowed=Chance(eye=eye, of_grain=EXACT_CHANCE)),
+        rays=Rays(fewest=4, edge=64, most=EXACT_MOST, shared=None, allowed=Chance(eye=eye, of_grain=EXACT_CHANCE)),
         effort=Effort(bounces=EXACT_BOUNCES, roulette_from=EXACT_ROULETTE),
         plan=Plan(tolerance=0.0, kept=tuple(effects), left_out=()),
         sees=eye.name,

@@ -1,0 +1,158 @@
+"""Pictures by Mitsuba 3, in an environment of its own, asked for line by line; `make radiance-peers` sets it up.
+
+Called with a folder of scenes as `benchmarks.radiance.export` writes them. Each line of input is a JSON object with
+`scene`, `samples`, `seed` and `path`; the picture goes to that path (.npy), and a line with `seconds` answers.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import drjit
+import mitsuba
+import numpy as np
+
+THREADS = 2
+# Samples of a pixel in one pass: memory.
+PASS = 256
+
+
+def define_beam() -> None:
+    """Teach Mitsuba a point that shines by a power of the cosine from its axis."""
+
+    class Beam(mitsuba.Emitter):
+        def __init__(self, props: mitsuba.Properties) -> None:
+            super().__init__(props)
+            self.place = mitsuba.Point3f(props["place"])
+            self.axis = mitsuba.Vector3f(props["axis"])
+            self.peak, self.power = props["peak"], props["power"]
+            self.m_flags = mitsuba.EmitterFlags.DeltaPosition
+
+        def sample_direction(self, it, sample, active=True):
+            found = mitsuba.DirectionSample3f()
+            way = self.place - it.p
+            square = drjit.squared_norm(way)
+            found.p, found.n, found.uv = self.place, mitsuba.Normal3f(0), mitsuba.Point2f(0)
+            found.time, found.pdf, found.delta = it.time, 1.0, True
+            found.emitter = mitsuba.EmitterPtr(self)
+            found.dist = drjit.sqrt(square)
+            found.d = way / found.dist
+            cosine = drjit.maximum(drjit.dot(-found.d, self.axis), 0.0)
+            return found, mitsuba.Spectrum(self.peak * drjit.power(cosine, self.power) / square) & active
+
+        def pdf_direction(self, it, ds, active=True):
+            return mitsuba.Float(0.0)
+
+        def eval_direction(self, it, ds, active=True):
+            return mitsuba.Spectrum(0.0)
+
+        def eval(self, si, active=True):
+            return mitsuba.Spectrum(0.0)
+
+        def bbox(self):
+            return mitsuba.ScalarBoundingBox3f(mitsuba.ScalarPoint3f(0))
+
+        def to_string(self):
+            return "Beam[]"
+
+    mitsuba.register_emitter("beam", Beam)
+
+
+def scene_of(folder: Path) -> mitsuba.Scene:
+    """Return a scene as Mitsuba has it."""
+    told = json.loads((folder / "scene.json").read_text())
+    at = mitsuba.ScalarTransform4f
+    rows, columns = told["shape"]
+    parts = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": told["max_depth"]},
+        "sensor": {
+            "type": "perspective",
+            "fov": told["field_deg"],
+            "fov_axis": "x",
+            "near_clip": 1e-3,
+            "far_clip": 1e5,
+            "to_world": at().look_at(origin=told["position_m"], target=told["target_m"], up=[0, 0, 1]),
+            "film": {
+                "type": "hdrfilm",
+                "width": columns,
+                "height": rows,
+                "rfilter": {"type": "box"},
+                "pixel_format": "luminance",
+                "component_format": "float32",
+            },
+            "sampler": {"type": "multijitter", "sample_count": 64},
+        },
+    }
+    for number, mesh in enumerate(told["meshes"]):
+        matt = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": mesh["reflectance"]}}
+        parts[f"mesh {number}"] = {
+            "type": "ply",
+            "filename": str(folder / mesh["file"]),
+            "face_normals": True,
+            "bsdf": {"type": "twosided", "inside": matt},
+        }
+        if mesh["radiance"]:
+            parts[f"mesh {number}"]["emitter"] = {
+                "type": "area",
+                "radiance": {"type": "spectrum", "value": mesh["radiance"]},
+            }
+    for number, lamp in enumerate(told["lamps"]):
+        if lamp["power"] is None:
+            parts[f"lamp {number}"] = {
+                "type": "point",
+                "position": lamp["position_m"],
+                "intensity": {"type": "spectrum", "value": lamp["peak"]},
+            }
+        else:
+            parts[f"lamp {number}"] = {
+                "type": "beam",
+                "place": mitsuba.ScalarPoint3f(lamp["position_m"]),
+                "axis": mitsuba.ScalarVector3f(lamp["axis"]),
+                "peak": lamp["peak"],
+                "power": lamp["power"],
+            }
+    if told["even_sky"] is not None:
+        parts["sky"] = {"type": "constant", "radiance": {"type": "spectrum", "value": told["even_sky"]}}
+    elif (folder / "sky.npy").exists():
+        table = np.load(folder / "sky.npy").astype(np.float32)[..., None]
+        parts["sky"] = {"type": "envmap", "bitmap": mitsuba.Bitmap(table), "to_world": at().rotate([1, 0, 0], 90)}
+    return mitsuba.load_dict(parts)
+
+
+def rendered(scene: mitsuba.Scene, samples: int, seed: int) -> np.ndarray:
+    """Return a picture, in passes where there are many samples."""
+    passes = max(1, samples // PASS)
+    total = None
+    for number in range(passes):
+        image = np.array(mitsuba.render(scene, spp=samples // passes, seed=seed * 4096 + number), np.float64)[..., 0]
+        total = image if total is None else total + image
+    assert total is not None
+    return total / passes
+
+
+def main() -> None:
+    """Answer line by line."""
+    variant = sys.argv[2] if len(sys.argv) > 2 else "llvm_ad_mono"
+    mitsuba.set_variant(variant)
+    drjit.set_thread_count(THREADS)
+    define_beam()
+    scenes: dict[str, mitsuba.Scene] = {}
+    print(json.dumps({"mitsuba": mitsuba.__version__, "variant": variant}), flush=True)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        name = asked["scene"]
+        if name not in scenes:
+            scenes[name] = scene_of(Path(sys.argv[1]) / name)
+        start = time.perf_counter()
+        image = rendered(scenes[name], asked["samples"], asked["seed"])
+        seconds = time.perf_counter() - start
+        np.save(asked["path"], image)
+        print(json.dumps({"seconds": seconds}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""Embree itself, out of the library that embreex ships: scenes, and loops over rays that hold no interpreter's lock.
+
+Through embreex's own calls threads wait for each other; compiled loops over the library's calls for one ray do not,
+and are as fast.
+"""
+
+import ctypes
+from functools import cache
+from importlib.metadata import PackageNotFoundError, files
+from typing import Any
+from weakref import finalize
+
+import llvmlite.binding
+import numba
+import numpy as np
+from numba.core import types
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+
+# Numbers of Embree 4's C interface: kinds of geometry and of buffers, and formats.
+TRIANGLES, INDEX, VERTEX, UINT3, FLOAT3 = 0, 0, 1, 0x5003, 0x9003
+# A ray and its hit are 32 numbers of 4 bytes, which must start at a multiple of 64 bytes.
+RAY, ALIGNED = 32, 64
+NONE = 0xFFFFFFFF
+COMPILED = {"nogil": True, "cache": True, "error_model": "numpy"}
+# A corner and the unit normal of each triangle, each of shape (face, 3).
+Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    try:
+        held = [file for file in files("embreex") or () if file.name.startswith("libembree4")]
+    except PackageNotFoundError:
+        held = []
+    if not held:
+        raise BadInput("rays need the library libembree4 that embreex 4.4 ships, got an embreex without it")
+    path = str(held[0].locate())
+    llvmlite.binding.load_library_permanently(path)
+    library = ctypes.CDLL(path)
+    handle, number = ctypes.c_void_p, ctypes.c_uint
+    for name, result, arguments in (
+        ("rtcNewDevice", handle, [ctypes.c_char_p]),
+        ("rtcNewScene", handle, [handle]),
+        ("rtcNewGeometry", handle, [handle, ctypes.c_int]),
+        (
+            "rtcSetNewGeometryBuffer",
+            handle,
+            [handle, ctypes.c_int, number, ctypes.c_int, ctypes.c_size_t, ctypes.c_size_t],
+        ),
+        ("rtcCommitGeometry", None, [handle]),
+        ("rtcAttachGeometry", number, [handle, handle]),
+        ("rtcReleaseGeometry", None, [handle]),
+        ("rtcCommitScene", None, [handle]),
+        ("rtcReleaseScene", None, [handle]),
+        ("rtcGetDeviceError", ctypes.c_int, [handle]),
+    ):
+        call = getattr(library, name)
+        call.restype, call.argtypes = result, arguments
+    return library
+
+
+@cache
+def _device() -> int:
+    return _library().rtcNewDevice(None)
+
+
+class EmbreeScene:
+    """Triangles in Embree's tree.
+
+    Parameters
+    ----------
+    vertices_m
+        Shape (vertex, 3), m.
+    faces
+        Shape (face, 3).
+    centre_m
+        Place that is Embree's origin, shape (3,), m: it computes in single precision.
+    """
+
+    def __init__(
+        self, vertices_m: NDArray[np.floating], faces: NDArray[np.integer], centre_m: NDArray[np.float64]
+    ) -> None:
+        library, device = _library(), _device()
+        scene, mesh = library.rtcNewScene(device), library.rtcNewGeometry(device, TRIANGLES)
+        for kind, shape, values in (
+            (VERTEX, FLOAT3, np.ascontiguousarray(vertices_m - centre_m, np.float32)),
+            (INDEX, UINT3, np.ascontiguousarray(faces, np.uint32)),
+        ):
+            buffer = library.rtcSetNewGeometryBuffer(mesh, kind, 0, shape, 12, len(values))
+            ctypes.memmove(buffer, values.ctypes.data, values.nbytes)
+        library.rtcCommitGeometry(mesh)
+        library.rtcAttachGeometry(scene, mesh)
+        library.rtcReleaseGeometry(mesh)
+        library.rtcCommitScene(scene)
+        error = library.rtcGetDeviceError(device)
+        if error:
+            raise BadInput(f"Embree must be able to take {len(faces)} triangles, got its error {error}")
+        self.address: int = scene
+        self.centre_m = centre_m
+        finalize(self, library.rtcReleaseScene, scene)
+
+    def hits(
+        self, planes: Planes, origin: NDArray[np.float64], direction: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the triangle that each ray (ray, 3) hits first, -1 for none, and how far away, each of shape (ray,).
+
+        Distances are those of the triangles' planes (corner and normal, shape (face, 3)) in double precision.
+        """
+        face, range_m = np.empty(len(origin), np.int64), np.empty(len(origin))
+        _hits(self.address, self.centre_m, *planes, origin, direction, face, range_m)
+        return face, range_m
+
+    def blocked(
+        self, origin: NDArray[np.float64], direction: NDArray[np.float64], reach: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """Return whether rays hit anything within so many lengths of their directions, shape (ray,)."""
+        found = np.empty(len(origin), np.bool_)
+        _blocked(self.address, self.centre_m, origin, direction, reach, found)
+        return found
+
+
+_intersect: Any = types.ExternalFunction("rtcIntersect1", types.void(types.uintp, types.uintp, types.uintp))
+_occluded: Any = types.ExternalFunction("rtcOccluded1", types.void(types.uintp, types.uintp, types.uintp))
+
+
+@numba.njit(**COMPILED)
+def new_ray():
+    """Return room for a ray and its hit: 32 numbers at an address that Embree takes."""
+    room = np.zeros(RAY + ALIGNED // 4, np.float32)
+    start = (-room.ctypes.data % ALIGNED) // 4
+    return room[start : start + RAY]
+
+
+@numba.njit(**COMPILED)
+def _set(ray, centre, origin, direction, reach):
+    number = ray.view(np.uint32)
+    for axis in range(3):
+        ray[axis] = origin[axis] - centre[axis]
+        ray[4 + axis] = direction[axis]
+    ray[3], ray[7], ray[8] = 0.0, 0.0, reach
+    number[9], number[10], number[11] = NONE, 0, 0
+    return number
+
+
+@numba.njit(**COMPILED)
+def _hits(scene, centre, corner, normal, origin, direction, face, range_m):
+    ray = new_ray()
+    for i in range(len(face)):
+        number = _set(ray, centre, origin[i], direction[i], np.inf)
+        number[18] = NONE
+        _intersect(scene, ray.ctypes.data, 0)
+        if number[18] == NONE:
+            face[i], range_m[i] = -1, np.inf
+            continue
+        hit = np.int64(number[17])
+        face[i] = hit
+        height, slope = 0.0, 0.0
+        for axis in range(3):
+            height += (corner[hit, axis] - origin[i, axis]) * normal[hit, axis]
+            slope += direction[i, axis] * normal[hit, axis]
+        # Where a ray runs within the plane, or rounding puts the plane behind it, it starts on the triangle.
+        length = height / slope
+        range_m[i] = max(length, 0.0) if np.isfinite(length) else 0.0
+
+
+@numba.njit(**COMPILED)
+def _blocked(scene, centre, origin, direction, reach, found):
+    ray = new_ray()
+    for i in range(len(found)):
+        _set(ray, centre, origin[i], direction[i], reach[i])
+        _occluded(scene, ray.ctypes.data, 0)
+        found[i] = ray[8] < 0.0

@@ -1,0 +1,24 @@
+"""Numbers that fill a square evenly: for the rays of one place, and for those of neighbours together."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+# The golden and silver ratios' plane sequence fills a square evenly (Roberts' R2 sequence).
+R2 = np.array([0.7548776662466927, 0.5698402909980532])
+# Places along the side of a tile that share a sequence.
+TILE = 8
+
+
+def evenly(row: NDArray[np.int64], col: NDArray[np.int64], rays: int, seed: list[int]) -> NDArray[np.float64]:
+    """Return pairs in [0, 1) for rays of places on a grid, shape (place, ray, 2), shifted by chance from tile to tile.
+
+    The places of a tile take turns in one sequence, in an order in which every quarter of a tile is a stretch of it:
+    together their rays are as even as those of one place.
+    """
+    tiles = (int(row.max(initial=0)) // TILE + 1, int(col.max(initial=0)) // TILE + 1)
+    shift = np.random.default_rng(seed).random((*tiles, 1, 2))[row // TILE, col // TILE]
+    turn = np.zeros(len(row), np.int64)
+    for bit in range(TILE.bit_length() - 1):
+        turn |= (col >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
+    number = turn[:, None] * rays + np.arange(rays)
+    return (shift + number[..., None] * R2) % 1.0

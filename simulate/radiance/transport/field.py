@@ -1,0 +1,231 @@
+"""What matt surfaces gather, shared between the pixels of a picture instead of sought anew by every ray.
+
+Light from all around changes slowly along a surface. It is gathered at nodes, one for a few pixels, by two halves of
+rays that know nothing of each other, less what an open sky would give, which is known exactly. Each half is evened out
+by planes fitted to windows; the window of a node is the one whose fit of either half best foretells the other half
+nearby. So contact shadows keep their shape, wide walls lose their noise, and what is still missed is known: where it is
+more than allowed, more rays are sent.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.even import evenly
+from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.local_fit import Nodes
+from simulate.radiance.transport.points import Points
+from simulate.radiance.transport.workers import Run
+from simulate.radiance.world.viewpoint import Viewpoint
+
+Array = NDArray[np.floating]
+# Pixels between nodes.
+STEP = 2
+# Halves of the windows that are tried, nodes.
+WIDTHS = (0, 1, 2, 4, 8)
+# Nodes on either side over which a window's success is judged.
+JUDGED = 2
+# Rays that are followed at once.
+BATCH = 64_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """Light that matt surfaces in a picture get from around, lamps and discs left out.
+
+    Parameters
+    ----------
+    stage
+        The scene.
+    nodes
+        Where it is known.
+    change
+        What surroundings change of the irradiance of an open sky, shape (row, col, band), W m-2 nm-1.
+    variance
+        Estimated square of the error of its signal, for a surface that reflects all light, shape (row, col).
+    rays
+        Rays that each node sent, shape (row, col).
+    """
+
+    stage: Stage
+    nodes: Nodes
+    change: NDArray[np.float32]
+    variance: NDArray[np.float64]
+    rays: NDArray[np.int64]
+
+    def at(self, points: Points, row: Array, col: Array) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Return which points can share, and the irradiance that they get, shape (sharing point, band).
+
+        Parameters
+        ----------
+        points
+            Places that rays meet.
+        row, col
+            Coordinates of those rays in the picture, shape (point,), whole numbers at the corners of pixels.
+        """
+        at = (row / STEP - 0.5, col / STEP - 0.5)
+        light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
+        for which, _ in points.glossy:
+            has[which] = False
+        shares = np.flatnonzero(has)
+        light = light[shares]
+        if not self.stage.lighting.dome.dark:
+            light += self.stage.lighting.dome.irradiance(points.normal[shares])
+        return shares, light
+
+
+def field(
+    stage: Stage,
+    view: Viewpoint,
+    effort: Effort,
+    known: Array,
+    *,
+    rays: int,
+    most: int,
+    allowed: Callable[[Array], Array] | None,
+    weight: Array,
+    seed: int,
+    run: Run,
+) -> Field:
+    """Return the light that the surfaces of a picture gather.
+
+    Parameters
+    ----------
+    stage, view, effort
+        The scene, the camera, and how far light is followed.
+    known
+        Share of the open sky that is taken as known, see `Points.known`, shape (row, col).
+    rays, most
+        Rays of each node at first, and at most.
+    allowed
+        Variance that a pixel's signal may have, by its signal; None: no node gets more rays.
+    weight
+        Signal of each band's radiance, shape (band,).
+    seed, run
+        Seed, and what does parts of the work.
+    """
+    seen = _seen(stage, view, known)
+    white = seen.points.whitened()
+    grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal)
+    budget = None if allowed is None else _Budget.of(stage, seen.points, effort, allowed, weight)
+    half, first, turn = max(rays // 2, 1), np.arange(len(white)), 0
+    light = np.zeros((2, len(white), len(stage.coats.wavelength_nm)), np.float32)
+    sent = np.zeros(len(white), np.int64)
+    which = first
+    while True:
+        even = [evenly(seen.row[which], seen.col[which], half, [seed, 5, turn, part]) for part in (0, 1)]
+        share = (half / (sent[which] + half)).astype(np.float32)[:, None]
+        for part in (0, 1):
+            found = _gathered(stage, white.some(which), effort, even[part], [seed, 6, turn, part], run)
+            light[part, which] += share * (found - light[part, which])
+        sent[which] += half
+        signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(np.float64)
+        width, variance = _windows(grid, signals, run)
+        if budget is None or 4 * half > most:
+            break
+        short = budget.exceeded(signals.mean(axis=2)[seen.row, seen.col], variance[seen.row, seen.col])
+        which = np.flatnonzero(_around(grid.spread(short))[seen.row, seen.col])
+        if not len(which):
+            break
+        half, turn = 2 * half, turn + 1
+    change = grid.fitted(grid.spread(light.mean(axis=0)), width, run)
+    return Field(stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent))
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Points on matt surfaces, and the rows and columns of the nodes that see them."""
+
+    points: Points
+    row: NDArray[np.int64]
+    col: NDArray[np.int64]
+    shape: tuple[int, int]
+
+
+def _seen(stage: Stage, view: Viewpoint, known: Array) -> _Seen:
+    """Look along the nodes, which lie at corners of pixels."""
+    shape = (-(-view.shape[0] // STEP), -(-view.shape[1] // STEP))
+    row, col = (axis.ravel() for axis in np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
+    origin, towards = view.rays(STEP * (row + 0.5), STEP * (col + 0.5))
+    hit = stage.surfaces.tracer.hits(origin, towards)
+    met = np.flatnonzero(hit.face != NOTHING)
+    place = origin[met] + hit.range_m[met, None] * towards[met]
+    share = known[np.minimum(STEP * row[met], view.shape[0] - 1), np.minimum(STEP * col[met], view.shape[1] - 1)]
+    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met], share)
+    matt = np.ones(len(met), bool)
+    for which, _ in points.glossy:
+        matt[which] = False
+    kept = np.flatnonzero(matt)
+    return _Seen(points.some(kept), row[met[kept]], col[met[kept]], shape)
+
+
+@dataclass(frozen=True)
+class _Budget:
+    """How far the signal of nodes may err: their own reflectance and direct light decide."""
+
+    allowed: Callable[[Array], Array]
+    reflected: Array
+    besides: Array
+
+    @classmethod
+    def of(
+        cls, stage: Stage, points: Points, effort: Effort, allowed: Callable[[Array], Array], weight: Array
+    ) -> "_Budget":
+        # Of light as white as the weights, as the field's errors are stated.
+        reflected = stage.coats.matt(points) @ weight / max(float(weight.sum()), 1e-30)
+        sky = 0.0 if stage.lighting.dome.dark else stage.lighting.dome.irradiance(points.normal) @ weight
+        direct = stage.lit(points, effort, np.random.default_rng(0)).total() @ weight
+        return cls(allowed, reflected, direct + reflected * sky)
+
+    def exceeded(self, change: Array, variance: Array) -> NDArray[np.bool_]:
+        """Return where the errors of nodes are too large, for changes of their irradiance's signal."""
+        signal = np.maximum(self.besides + self.reflected * change, 0.0)
+        return self.reflected**2 * variance > self.allowed(signal)
+
+
+def _around(short: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Nodes next to those that fall short: their light counts in the same windows."""
+    from scipy.ndimage import maximum_filter
+
+    return maximum_filter(short, 2 * JUDGED + 1)
+
+
+def _gathered(
+    stage: Stage, points: Points, effort: Effort, even: Array, seed: list[int], run: Run
+) -> NDArray[np.float32]:
+    """Gather at places: what surroundings change of an open sky's irradiance, shape (point, band)."""
+    sky, rays = stage.lighting.dome, even.shape[1]
+
+    def gathered(start: int) -> NDArray[np.float32]:
+        part = np.arange(start, min(start + count, len(points)))
+        here, rng = points.some(part), np.random.default_rng([*seed, start])
+        light = stage.around(here, effort, rng, rays=rays, even=even[part]).total()
+        light *= np.float32(np.pi)
+        if not sky.dark:
+            light -= sky.irradiance(here.normal)
+        return light
+
+    count = max(1, BATCH // rays)
+    found = list(run(gathered, list(range(0, len(points), count))))
+    return np.concatenate(found) if found else np.zeros((0, len(stage.coats.wavelength_nm)), np.float32)
+
+
+def _windows(grid: Nodes, signals: NDArray[np.float64], run: Run) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Choose each node's window by how well either half foretells the other; and the square of what is still missed.
+
+    Notes
+    -----
+    (A - B)^2 / 2 is the variance of a half; a fit of A misses B by its own error and by B's noise. Both halves together
+    have half of the noise, which is most of what is missed; never less than the noise that so many nodes leave.
+    """
+    noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, JUDGED)
+    best, width = np.full(noise.shape, np.inf), np.zeros(noise.shape, np.int64)
+    for half_width in WIDTHS:
+        smooth = grid.fitted(signals, np.full(noise.shape, half_width), run) if half_width else signals
+        missed = grid.near(0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), JUDGED) - noise
+        better = missed < best
+        best[better], width[better] = missed[better], half_width
+    return width, 0.5 * np.maximum(best, noise / (2.0 * width + 1.0) ** 2)
