@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds check bench bench-acquisition fault-campaign rehearsal study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds check bench bench-acquisition fault-campaign rehearsal study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -127,6 +127,16 @@ peers: .venv-peers/ready
 	.venv-peers/bin/pip install -q --require-hashes -r benchmarks/peers/requirements.lock
 	touch $@
 
+# Five scenes by our renderer and by Mitsuba, error over time, two threads each: chart and table into docs; an hour on two
+# idle cores, most of it references, which are kept. Mitsuba needs LLVM 16 or later: DRJIT_LIBLLVM_PATH says where.
+radiance-peers: $(READY) .venv-mitsuba/ready
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.radiance
+
+.venv-mitsuba/ready: benchmarks/peers/mitsuba.lock
+	$(PYTHON) -m venv .venv-mitsuba
+	.venv-mitsuba/bin/pip install -q --require-hashes -r benchmarks/peers/mitsuba.lock
+	touch $@
+
 # The live page in a headless Chromium: updates a second, who is refused, and screenshots to be looked at; two minutes.
 live-check: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.live_page live-check
@@ -136,7 +146,7 @@ lock:
 	  --all-extras --group dev pyproject.toml -o requirements.lock
 
 clean:
-	rm -rf .venv .venv-peers demo study live-check
+	rm -rf .venv .venv-peers .venv-mitsuba demo study live-check
 
 $(READY): requirements.lock pyproject.toml .ci/setup
 	PYTHON=$(PYTHON) sh .ci/setup

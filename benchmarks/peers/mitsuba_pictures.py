@@ -1,7 +1,8 @@
 """Pictures by Mitsuba 3, in an environment of its own, asked for line by line; `make radiance-peers` sets it up.
 
 Called with a folder of scenes as `benchmarks.radiance.export` writes them. Each line of input is a JSON object with
-`scene`, `samples`, `seed` and `path`; the picture goes to that path (.npy), and a line with `seconds` answers.
+`scene`, `samples`, `seed` and `path`; the picture goes to that path (.npy), and a line with `seconds` and
+`core_seconds` answers.
 """
 
 from __future__ import annotations
@@ -147,11 +148,11 @@ def main() -> None:
         name = asked["scene"]
         if name not in scenes:
             scenes[name] = scene_of(Path(sys.argv[1]) / name)
-        start = time.perf_counter()
+        start, used = time.perf_counter(), time.process_time()
         image = rendered(scenes[name], asked["samples"], asked["seed"])
-        seconds = time.perf_counter() - start
+        told = {"seconds": time.perf_counter() - start, "core_seconds": time.process_time() - used}
         np.save(asked["path"], image)
-        print(json.dumps({"seconds": seconds}), flush=True)
+        print(json.dumps(told), flush=True)
 
 
 if __name__ == "__main__":

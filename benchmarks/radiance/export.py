@@ -40,6 +40,7 @@ def export(case: Case, folder: Path) -> None:
 
 def _meshes(case: Case, into: Path) -> list[dict]:
     import trimesh
+    from trimesh.exchange.ply import export_ply
 
     surfaces, panels = case.stage.surfaces, case.stage.lighting.panels
     told = []
@@ -47,7 +48,7 @@ def _meshes(case: Case, into: Path) -> list[dict]:
         which = np.flatnonzero(surfaces.material_of == number)
         mesh = trimesh.Trimesh(surfaces.mesh.vertices_m, surfaces.mesh.faces[which], process=False)
         mesh.remove_unreferenced_vertices()
-        (into / f"{number}.ply").write_bytes(trimesh.exchange.ply.export_ply(mesh, vertex_normal=False))
+        (into / f"{number}.ply").write_bytes(export_ply(mesh, vertex_normal=False))
         kind = -1 if panels is None else int(panels.kind_of_face[which[0]])
         told.append(
             {

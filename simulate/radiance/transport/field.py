@@ -124,7 +124,7 @@ def field(
         sent[which] += half
         signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(np.float64)
         width, variance = _windows(grid, signals, run)
-        if budget is None or 4 * half > most:
+        if budget is None or 2 * (int(sent.max(initial=0)) + 2 * half) > most:
             break
         short = budget.exceeded(signals.mean(axis=2)[seen.row, seen.col], variance[seen.row, seen.col])
         which = np.flatnonzero(_around(grid.spread(short))[seen.row, seen.col])
@@ -183,7 +183,7 @@ class _Budget:
     def exceeded(self, change: Array, variance: Array) -> NDArray[np.bool_]:
         """Return where the errors of nodes are too large, for changes of their irradiance's signal."""
         signal = np.maximum(self.besides + self.reflected * change, 0.0)
-        return self.reflected**2 * variance > self.allowed(signal)
+        return np.asarray(self.reflected**2 * variance > self.allowed(signal), np.bool_)
 
 
 def _around(short: NDArray[np.bool_]) -> NDArray[np.bool_]:

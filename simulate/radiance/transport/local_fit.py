@@ -14,7 +14,7 @@ from simulate.radiance.transport.workers import Run
 # farther off the other's plane than this share of their distance, or than the length that single precision allows.
 SAME_NORMAL, OFF_PLANE, LEAST_OFF_M = 0.98, 0.05, 1e-5
 # A plane needs more places than it has coefficients; with fewer it is the mean.
-ENOUGH = 6
+ENOUGH = 4
 
 
 # Rows of nodes that are fitted at once.

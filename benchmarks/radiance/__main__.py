@@ -1,0 +1,91 @@
+"""`make radiance-peers`: five scenes by us and by Mitsuba in turns, two threads each; error over time, kept in docs.
+
+References are kept in study/radiance; the first run makes them, which takes most of its time.
+"""
+
+import json
+import os
+import re
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.radiance.chart import draw, table
+from benchmarks.radiance.errors import Reference, reference
+from benchmarks.radiance.export import export
+from benchmarks.radiance.path_tracer import PathTracer, Timed
+from benchmarks.radiance.scenes import Case, cases
+from simulate.radiance.transport.gather import Effort
+from simulate.radiance.transport.picture import Rays, picture
+from simulate.radiance.transport.workers import workers
+
+KEPT = Path("study/radiance")
+RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")
+THREADS, REPEATS = 2, 3
+# What a pixel may err by chance, as a share of its signal; and samples of the path tracer's pixels.
+OURS = (0.3, 0.1, 0.03, 0.01, 0.004)
+THEIRS = (4, 16, 64, 256)
+REFERENCE_SAMPLES = {"yard": 5120, "lab": 2048, "hangar": 3072, "road": 3072, "room": 2048}
+
+
+def ours(case: Case, share: float, seed: int) -> Timed:
+    """Return our picture, with as many rays as a share of each pixel's signal asks for."""
+    effort = Effort(bounces=200, roulette_from=3) if case.bounces is None else Effort(bounces=case.bounces)
+    rays = Rays(fewest=2, edge=4, most=1024, shared_most=2048, allowed=lambda signal: (share * signal) ** 2)
+    start, used = time.perf_counter(), time.process_time()
+    with workers(THREADS) as run:
+        found = picture(case.stage, case.view, rays, effort, weight=np.ones(1), seed=seed, run=run)
+    return Timed(found.signal, time.perf_counter() - start, time.process_time() - used)
+
+
+def measured(case: Case, tracer: PathTracer, truth: Reference) -> Iterator[dict]:
+    """Yield errors and times at all settings: both in turns, each setting several times, the least time counts."""
+    settings = [("ours", float(share)) for share in OURS] + [("Mitsuba", float(samples)) for samples in THEIRS]
+    # The first picture of either compiles what the others use.
+    ours(case, OURS[0], 0)
+    tracer.picture(case.name, THEIRS[0], 0)
+    taken: dict[tuple[str, float], list[Timed]] = {setting: [] for setting in settings}
+    for seed in range(1, REPEATS + 1):
+        for who, how in sorted(settings, key=lambda setting: (settings.index(setting) % len(OURS), setting[0])):
+            made = ours(case, how, seed) if who == "ours" else tracer.picture(case.name, int(how), seed)
+            taken[who, how].append(made)
+    for (who, how), pictures in taken.items():
+        errors = [truth.errors(made.image) for made in pictures]
+        yield {
+            "scene": case.name,
+            "who": who,
+            "setting": how,
+            "seconds": min(made.seconds for made in pictures),
+            "core_seconds": min(made.core_seconds for made in pictures),
+            **{name: float(np.median([error[name] for error in errors])) for name in errors[0]},
+        }
+
+
+def main() -> None:
+    """Measure the scenes named, or all; draw, and write the table into the page."""
+    chosen = [case for case in cases() if not sys.argv[1:] or case.name in sys.argv[1:]]
+    told = json.loads(RESULTS.read_text()) if RESULTS.exists() else {"rows": [], "references": {}}
+    with PathTracer(KEPT / "scenes") as tracer:
+        for case in chosen:
+            export(case, KEPT / "scenes")
+            truth = reference(case, tracer, KEPT / "references", REFERENCE_SAMPLES[case.name])
+            told["references"][case.name] = {"samples": truth.samples, "median_noise": truth.noise}
+            rows = list(measured(case, tracer, truth))
+            for row in rows:
+                print(json.dumps(row), flush=True)
+            told["rows"] = [row for row in told["rows"] if row["scene"] != case.name] + rows
+            told["peer"], told["load"] = tracer.version, os.getloadavg()[0]
+            RESULTS.parent.mkdir(exist_ok=True)
+            RESULTS.write_text(json.dumps(told, indent=1) + "\n")
+    draw(told, CHART)
+    begin, end = "<!-- peers -->", "<!-- end peers -->"
+    body = "\n\n".join((begin, table(told), end))
+    PAGE.write_text(re.sub(f"{begin}.*{end}", lambda _: body, PAGE.read_text(), flags=re.S))
+    print(table(told))
+
+
+if __name__ == "__main__":
+    main()

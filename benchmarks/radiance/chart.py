@@ -1,0 +1,107 @@
+"""Error over time of ours and of a path tracer, scene by scene: chart and table."""
+
+from pathlib import Path
+
+import numpy as np
+
+COLOURS = {"ours": "#4477aa", "Mitsuba": "#ee6677"}
+MARKS = {"ours": "o", "Mitsuba": "s"}
+TITLES = {"median": "median relative error", "rms": "relative RMSE"}
+NAMES = {"yard": "yard, direct light", "lab": "lab bench", "hangar": "hangar", "road": "road", "room": "closed room"}
+# Relative RMSE at which times are compared.
+LEVELS = (0.01, 0.004)
+
+
+def draw(told: dict, path: Path) -> None:
+    """Draw a column of two charts for each scene."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    scenes = _scenes(told)
+    figure, axes = plt.subplots(
+        2, len(scenes), figsize=(3.0 * len(scenes), 5.6), layout="constrained", sharex="col", squeeze=False
+    )
+    for column, scene in enumerate(scenes):
+        for row, kind in enumerate(TITLES):
+            axis = axes[row, column]
+            for who in COLOURS:
+                x, y = _curve(told, scene, who, kind)
+                axis.loglog(x, y, MARKS[who] + "-", color=COLOURS[who], label=who, ms=5)
+            if kind == "median":
+                axis.axhline(told["references"][scene]["median_noise"], color="0.5", lw=1, ls=":")
+                axis.set_title(NAMES[scene])
+            axis.grid(which="major", alpha=0.3)
+            axis.set_ylabel(TITLES[kind] if column == 0 else "")
+        axes[1, column].set_xlabel("seconds of two cores")
+    axes[0, 0].legend(fontsize=8)
+    axes[0, -1].annotate(
+        "dotted: noise of the reference", (0.98, 0.96), xycoords="axes fraction", fontsize=7, ha="right", va="top"
+    )
+    path.parent.mkdir(exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+
+
+def table(told: dict) -> str:
+    """Return the table for the page."""
+    lines = [
+        "| scene | who | setting | seconds of two cores | on the clock, s | median error | RMSE | mean difference |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for scene in _scenes(told):
+        for row in (row for row in told["rows"] if row["scene"] == scene):
+            how = f"{100.0 * row['setting']:g} %" if row["who"] == "ours" else f"{row['setting']:.0f} samples"
+            lines.append(
+                f"| {scene} | {row['who']} | {how} | {0.5 * row['core_seconds']:.2f} | {row['seconds']:.2f} | "
+                f"{row['median']:.4f} | {row['rms']:.4f} | {100.0 * row['mean']:+.2f} % |"
+            )
+    lines += ["", *_verdicts(told)]
+    return "\n".join(lines)
+
+
+def _verdicts(told: dict) -> list[str]:
+    lines = [
+        "| scene | our time over Mitsuba's at the same median error, least and most | "
+        + " | ".join(f"at RMSE {level:g}" for level in LEVELS)
+        + " |",
+        "|---|---|" + "---|" * len(LEVELS),
+    ]
+    for scene in _scenes(told):
+        x, y = _curve(told, scene, "ours", "median")
+        theirs = _curve(told, scene, "Mitsuba", "median")
+        ratios = [time / _time_at(*theirs, error) for time, error in zip(x, y, strict=True)]
+        at = [
+            _time_at(*_curve(told, scene, "ours", "rms"), level)
+            / _time_at(*_curve(told, scene, "Mitsuba", "rms"), level)
+            for level in LEVELS
+        ]
+        lines.append(
+            f"| {scene} | {min(ratios):.2g} to {max(ratios):.2g} | " + " | ".join(f"{one:.2g}" for one in at) + " |"
+        )
+    return lines
+
+
+def _scenes(told: dict) -> list[str]:
+    have = {row["scene"] for row in told["rows"]}
+    return [scene for scene in NAMES if scene in have]
+
+
+def _curve(told: dict, scene: str, who: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of two cores and errors, by time."""
+    rows = [row for row in told["rows"] if row["scene"] == scene and row["who"] == who]
+    points = sorted((0.5 * row["core_seconds"], row[kind]) for row in rows)
+    return np.array([point[0] for point in points]), np.maximum([point[1] for point in points], 1e-6)
+
+
+def _time_at(seconds: np.ndarray, errors: np.ndarray, level: float) -> float:
+    """Time at which an error is reached: between points by a power law, beyond them by the last two points' law."""
+    log_time, log_error = np.log(seconds), np.log(np.minimum.accumulate(errors))
+    order = np.argsort(-log_error, kind="stable")
+    log_time, log_error = log_time[order], log_error[order]
+    target = np.log(level)
+    after = int(np.clip(np.searchsorted(-log_error, -target), 1, len(log_error) - 1))
+    step = log_error[after] - log_error[after - 1]
+    share = (target - log_error[after - 1]) / step if step else 0.0
+    return float(np.exp(log_time[after - 1] + share * (log_time[after] - log_time[after - 1])))

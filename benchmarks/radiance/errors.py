@@ -1,0 +1,92 @@
+"""How far pictures are from a converged one of a path tracer."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.radiance.path_tracer import PathTracer
+from benchmarks.radiance.scenes import Case
+from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.small_sources import add_small_sources
+
+# Samples of one part of a reference; seeds of references begin here.
+PART, FIRST_SEED = 512, 100
+# Pixels so close to the horizon are left out: the path tracer blurs its sky's edge there, deg.
+HORIZON_DEG = 0.3
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Independent pictures of one scene by many samples.
+
+    Parameters
+    ----------
+    parts
+        Shape (part, row, col).
+    counts
+        Pixels that count: not of lamps themselves, which only we show, nor at the horizon.
+    """
+
+    parts: NDArray[np.floating]
+    counts: NDArray[np.bool_]
+
+    @property
+    def samples(self) -> int:
+        """Samples of a pixel in all."""
+        return PART * len(self.parts)
+
+    @property
+    def image(self) -> NDArray[np.floating]:
+        """Mean of all parts."""
+        return self.parts.mean(axis=0)
+
+    def errors(self, image: NDArray[np.floating]) -> dict[str, float]:
+        """Return the median relative error, the relative RMSE and the mean relative difference of a picture.
+
+        Notes
+        -----
+        The RMSE is that of picture and truth: the noise of the reference, whose halves A and B know nothing of each
+        other, falls out of the mean of (picture - A) (picture - B). The median keeps it.
+        """
+        scale = np.where(self.counts, self.image, 1.0)
+        each = ((image - self.image) / scale)[self.counts]
+        halves = [((image - self.parts[first::2].mean(axis=0)) / scale)[self.counts] for first in (0, 1)]
+        return {
+            "median": float(np.median(np.abs(each))),
+            "rms": float(np.sqrt(max(float(np.mean(halves[0] * halves[1])), 0.0))),
+            "mean": float(image[self.counts].sum() / self.image[self.counts].sum() - 1.0),
+        }
+
+    @property
+    def noise(self) -> float:
+        """Median relative error of the reference itself, by its halves."""
+        a, b = (self.parts[first::2].mean(axis=0)[self.counts] for first in (0, 1))
+        return float(np.median(np.abs(a - b) / (a + b)))
+
+
+def reference(case: Case, tracer: PathTracer, folder: Path, samples: int) -> Reference:
+    """Return the reference of a scene; parts that are kept in a folder are not rendered again."""
+    parts = []
+    for seed in range(FIRST_SEED, FIRST_SEED + samples // PART):
+        path = folder / f"{case.name}-{PART}-{seed}.npy"
+        if not path.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            np.save(path, tracer.picture(case.name, PART, seed).image.astype(np.float32))
+        parts.append(np.load(path))
+    found = np.array(parts, float)
+    return Reference(found, _counts(case) & (found.mean(axis=0) > 0.0))
+
+
+def _counts(case: Case) -> NDArray[np.bool_]:
+    rows, columns = case.view.shape
+    lamps = np.zeros((rows * columns, 1), np.float32)
+    add_small_sources(case.stage, case.view, lamps, frozenset())
+    row, col = (axis.ravel() + 0.5 for axis in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
+    origin, towards = case.view.rays(row, col)
+    level = np.abs(np.rad2deg(np.arcsin(towards[:, 2]))) < HORIZON_DEG
+    away = case.stage.surfaces.tracer.first_hit(origin, towards) == NOTHING
+    grown = np.pad((level & away).reshape(rows, columns), 1)
+    horizon = np.logical_or.reduce([grown[1 + i : rows + 1 + i, 1 : columns + 1] for i in (-1, 0, 1)])
+    return (lamps[:, 0] == 0.0).reshape(rows, columns) & ~horizon

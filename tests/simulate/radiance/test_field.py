@@ -1,0 +1,123 @@
+"""Light that pixels share: as bright as analytic radiometry says, blurred by nothing, and sure of its own error."""
+
+import numpy as np
+import pytest
+
+from simulate.radiance.transport.even import TILE, evenly
+from simulate.radiance.transport.field import STEP, field
+from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.local_fit import Nodes
+from simulate.radiance.transport.picture import Rays, picture
+from simulate.radiance.transport.workers import one_by_one, workers
+from simulate.radiance.world.shapes import box, plane
+from simulate.radiance.world.viewpoint import Viewpoint
+from tests.simulate.radiance.staging import UNIFORM, at, inside_out, lamp, staged, upright
+
+WHITE = np.ones(2, np.float32)
+HEIGHT_M = 1.0
+# Straight down on a floor beside a long wall: 0.25 m to 3.9 m from it, a twentieth of a metre each pixel.
+ABOVE = Viewpoint(position_m=(0.0, 2.1, 5.0), forward=(0, 0, -1), shape=(72, 60), focal_px=(100.0, 100.0))
+
+
+def beside_a_wall() -> Stage:
+    wall = at(upright(plane(600, HEIGHT_M)), 0, 0, 0.5 * HEIGHT_M)
+    return staged(
+        [("floor", "floor", plane(600, 600)), ("wall", "wall", wall)], {"floor": 0.5, "wall": 0.0}, sky=UNIFORM
+    )
+
+
+def sky_seen(view: Viewpoint) -> np.ndarray:
+    """Irradiance over pi at the middle of each pixel: 1 - (1 - x / sqrt(x^2 + H^2)) / 2 at x from the wall."""
+    row, col = np.meshgrid(*(np.arange(n) + 0.5 for n in view.shape), indexing="ij")
+    origin, towards = view.rays(row.ravel(), col.ravel())
+    x = np.abs((origin - origin[:, 2:] / towards[:, 2:] * towards)[:, 1]).reshape(view.shape)
+    return 1.0 - 0.5 * (1.0 - x / np.hypot(x, HEIGHT_M))
+
+
+def test_a_floor_beside_a_long_wall_is_as_bright_as_the_sky_that_it_sees(seed):
+    found = picture(beside_a_wall(), ABOVE, Rays(shared=64), Effort(bounces=0), weight=WHITE, seed=seed)
+    relative = found.cube.radiance[0] * 2.0 / sky_seen(ABOVE) - 1.0
+    assert np.median(np.abs(relative)) < 0.005
+    assert abs(relative.mean()) < 0.002
+    # No part of the slope is smoothed away: the strip nearest to the wall is as dark as it should be.
+    assert abs(relative[-4:].mean()) < 0.005
+
+
+def test_shared_light_knows_its_own_error(seed):
+    stage = beside_a_wall()
+    known = np.zeros(ABOVE.shape, np.float32)
+    told = {"rays": 16, "most": 16, "allowed": None, "weight": np.array([1.0, 0.0]), "run": one_by_one}
+    found = field(stage, ABOVE, Effort(bounces=0), known, seed=seed, **told)
+    at_nodes = sky_seen(ABOVE.smaller(STEP))
+    missed = found.change[..., 0] - np.pi * (at_nodes - 1.0)
+    assert 0.25 < np.mean(missed**2) / found.variance.mean() < 4.0
+    more = field(stage, ABOVE, Effort(bounces=0), known, seed=seed, **(told | {"rays": 128, "most": 128}))
+    assert more.variance.mean() < found.variance.mean() / 4.0
+
+
+def test_nodes_that_miss_more_than_is_allowed_send_more_rays(seed):
+    stage, known = beside_a_wall(), np.ones(ABOVE.shape, np.float32)
+    told = {"rays": 4, "most": 64, "weight": np.array([1.0, 0.0]), "seed": seed, "run": one_by_one}
+    strict = field(stage, ABOVE, Effort(bounces=0), known, allowed=lambda signal: (1e-3 * signal) ** 2, **told)
+    loose = field(stage, ABOVE, Effort(bounces=0), known, allowed=lambda signal: signal**2, **told)
+    assert (loose.rays == 4).all()
+    assert strict.rays.max() == 60
+    # Near the wall, where the sky is hidden, rays differ most.
+    assert strict.rays[-4:].mean() > strict.rays[:4].mean()
+
+
+def test_a_furnace_of_shared_light_is_evenly_bright(seed):
+    stage = staged([("room", "m", inside_out(box(2, 3, 2)))], {"m": 0.6}, glow={"m": 1.0})
+    inside = Viewpoint(position_m=(0.1, 0.2, 1.0), forward=(0, 1, 0), shape=(32, 48), focal_px=(40.0, 40.0))
+    effort = Effort(bounces=200, roulette_from=3)
+    found = picture(stage, inside, Rays(shared=32), effort, weight=WHITE, seed=seed)
+    relative = found.cube.radiance[0] * (1.0 - 0.6) - 1.0
+    assert abs(relative.mean()) < 0.005
+    assert np.median(np.abs(relative)) < 0.02
+
+
+def test_threads_change_no_byte(seed):
+    parts = [("floor", "m", plane(40, 40)), ("box", "m", at(box(2, 2, 2), 0, 3, 0))]
+    stage = staged(parts, {"m": 0.5}, sky=UNIFORM, lamps=(lamp((0, 0, 3), 3.0, 0.3),))
+    view = Viewpoint(position_m=(0, -6, 3), forward=(0, 1, -0.4), shape=(48, 64), focal_px=(60.0, 60.0))
+    rays = Rays(allowed=lambda signal: (0.02 * signal) ** 2)
+    alone = picture(stage, view, rays, Effort(), weight=WHITE, seed=seed)
+    with workers(3) as run:
+        together = picture(stage, view, rays, Effort(), weight=WHITE, seed=seed, run=run)
+    assert alone.cube.radiance.tobytes() == together.cube.radiance.tobytes()
+
+
+def steps() -> Nodes:
+    """A grid over two levels: the right half lies higher."""
+    row, col = (axis.ravel() for axis in np.meshgrid(np.arange(24), np.arange(40), indexing="ij"))
+    place = np.column_stack([0.1 * col, 0.1 * row, np.where(col < 20, 0.0, 0.5)])
+    return Nodes.of(row, col, (24, 40), place, np.broadcast_to([0.0, 0.0, 1.0], place.shape))
+
+
+@pytest.mark.parametrize("width", [1, 4, 8])
+def test_evening_out_keeps_slopes_and_mixes_no_surfaces(width):
+    nodes = steps()
+    row, col = np.meshgrid(np.arange(24.0), np.arange(40.0), indexing="ij")
+    slope = np.where(col < 20, 1.0 + 0.2 * row - 0.1 * col, 50.0 + col)[..., None]
+    kept = nodes.fitted(slope, np.full((24, 40), width), one_by_one)
+    assert np.abs(kept - slope).max() < 1e-9
+
+
+def test_between_nodes_of_one_surface_others_have_no_say():
+    nodes = steps()
+    value = np.where(nodes.place_m[..., 2] > 0.0, 9.0, 1.0).astype(np.float32)[..., None]
+    # Beside the step, on the lower level, on the higher, and on neither.
+    place = np.array([[1.95, 1.0, 0.0], [1.95, 1.0, 0.5], [1.95, 1.0, 3.0]])
+    up = np.broadcast_to([0.0, 0.0, 1.0], place.shape)
+    found, has = nodes.between(value, np.full(3, 10.0), np.full(3, 19.5), place, up)
+    assert has.tolist() == [True, True, False]
+    assert found[:2, 0] == pytest.approx([1.0, 9.0])
+
+
+def test_the_rays_of_a_tile_fill_the_square_evenly_together():
+    row, col = (axis.ravel() for axis in np.meshgrid(np.arange(TILE), np.arange(TILE), indexing="ij"))
+    pairs = evenly(row, col, 4, [1]).reshape(-1, 2)
+    cell = (pairs * 8).astype(int)
+    counts = np.bincount(8 * cell[:, 0] + cell[:, 1], minlength=64)
+    # 256 at random would leave cells of 4 with a standard deviation of 2.
+    assert counts.min() >= 2 and counts.max() <= 6
