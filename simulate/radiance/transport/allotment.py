@@ -151,7 +151,8 @@ class _Tried:
             )
             for total in (signal, variance)
         )
-        share = spread / self._allowed(mean)
+        # Where nothing varies nothing is asked for, even if nothing is allowed in the dark.
+        share = np.divide(spread, self._allowed(mean), out=np.zeros_like(spread), where=spread > 0.0)
         down, across = np.indices(self._edges.shape) // TILE
         return share[self._object, down, across], np.where(self._edges, share[0, down, across], 0.0)
 
