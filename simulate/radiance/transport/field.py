@@ -190,7 +190,7 @@ def _around(short: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Nodes next to those that fall short: their light counts in the same windows."""
     from scipy.ndimage import maximum_filter
 
-    return maximum_filter(short, 2 * JUDGED + 1)
+    return np.asarray(maximum_filter(short, 2 * JUDGED + 1), np.bool_)
 
 
 def _gathered(

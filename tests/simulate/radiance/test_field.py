@@ -1,5 +1,7 @@
 """Light that pixels share: as bright as analytic radiometry says, blurred by nothing, and sure of its own error."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,11 @@ WHITE = np.ones(2, np.float32)
 HEIGHT_M = 1.0
 # Straight down on a floor beside a long wall: 0.25 m to 3.9 m from it, a twentieth of a metre each pixel.
 ABOVE = Viewpoint(position_m=(0.0, 2.1, 5.0), forward=(0, 0, -1), shape=(72, 60), focal_px=(100.0, 100.0))
+
+
+def squared(share: float, signal: np.ndarray) -> np.ndarray:
+    """Variance of an error that is a share of the signal."""
+    return (share * signal) ** 2
 
 
 def beside_a_wall() -> Stage:
@@ -45,22 +52,28 @@ def test_a_floor_beside_a_long_wall_is_as_bright_as_the_sky_that_it_sees(seed):
 
 
 def test_shared_light_knows_its_own_error(seed):
-    stage = beside_a_wall()
-    known = np.zeros(ABOVE.shape, np.float32)
-    told = {"rays": 16, "most": 16, "allowed": None, "weight": np.array([1.0, 0.0]), "run": one_by_one}
-    found = field(stage, ABOVE, Effort(bounces=0), known, seed=seed, **told)
-    at_nodes = sky_seen(ABOVE.smaller(STEP))
-    missed = found.change[..., 0] - np.pi * (at_nodes - 1.0)
+    stage, known, weight = beside_a_wall(), np.zeros(ABOVE.shape, np.float32), np.array([1.0, 0.0])
+
+    def shared(rays: int):
+        limits = {"rays": rays, "most": rays}
+        effort = Effort(bounces=0)
+        return field(stage, ABOVE, effort, known, **limits, allowed=None, weight=weight, seed=seed, run=one_by_one)
+
+    found = shared(16)
+    missed = found.change[..., 0] - np.pi * (sky_seen(ABOVE.smaller(STEP)) - 1.0)
     assert 0.25 < np.mean(missed**2) / found.variance.mean() < 4.0
-    more = field(stage, ABOVE, Effort(bounces=0), known, seed=seed, **(told | {"rays": 128, "most": 128}))
-    assert more.variance.mean() < found.variance.mean() / 4.0
+    assert shared(128).variance.mean() < found.variance.mean() / 4.0
 
 
 def test_nodes_that_miss_more_than_is_allowed_send_more_rays(seed):
     stage, known = beside_a_wall(), np.ones(ABOVE.shape, np.float32)
-    told = {"rays": 4, "most": 64, "weight": np.array([1.0, 0.0]), "seed": seed, "run": one_by_one}
-    strict = field(stage, ABOVE, Effort(bounces=0), known, allowed=lambda signal: (1e-3 * signal) ** 2, **told)
-    loose = field(stage, ABOVE, Effort(bounces=0), known, allowed=lambda signal: signal**2, **told)
+    weight, limits = np.array([1.0, 0.0]), {"rays": 4, "most": 64}
+
+    def shared(share: float):
+        allowed, effort = partial(squared, share), Effort(bounces=0)
+        return field(stage, ABOVE, effort, known, **limits, allowed=allowed, weight=weight, seed=seed, run=one_by_one)
+
+    strict, loose = shared(1e-3), shared(1.0)
     assert (loose.rays == 4).all()
     assert strict.rays.max() == 60
     # Near the wall, where the sky is hidden, rays differ most.
