@@ -25,7 +25,7 @@ from simulate.radiance.transport.workers import workers
 
 KEPT = Path("study/radiance")
 RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")
-THREADS, REPEATS = 2, 2
+THREADS, REPEATS = 2, 1
 # What a pixel may err by chance, as a share of its signal; and samples of the path tracer's pixels.
 OURS = (0.3, 0.1, 0.03, 0.01, 0.004)
 THEIRS = (4, 16, 64, 256)
@@ -68,24 +68,27 @@ def measured(case: Case, tracer: PathTracer, truth: Reference) -> Iterator[dict]
 def main() -> None:
     """Measure the scenes named, or all; draw, and write the table into the page."""
     chosen = [case for case in cases() if not sys.argv[1:] or case.name in sys.argv[1:]]
-    told = json.loads(RESULTS.read_text()) if RESULTS.exists() else {"rows": [], "references": {}}
     with PathTracer(KEPT / "scenes") as tracer:
         for case in chosen:
             export(case, KEPT / "scenes")
             truth = reference(case, tracer, KEPT / "references", REFERENCE_SAMPLES[case.name])
-            told["references"][case.name] = {"samples": truth.samples, "median_noise": truth.noise}
-            rows = list(measured(case, tracer, truth))
-            for row in rows:
-                print(json.dumps(row), flush=True)
-            told["rows"] = [row for row in told["rows"] if row["scene"] != case.name] + rows
-            told["peer"], told["load"] = tracer.version, os.getloadavg()[0]
-            RESULTS.parent.mkdir(exist_ok=True)
-            RESULTS.write_text(json.dumps(told, indent=1) + "\n")
+            _keep(case.name, truth, list(measured(case, tracer, truth)), tracer.version)
+    told = json.loads(RESULTS.read_text())
     draw(told, CHART)
     begin, end = "<!-- peers -->", "<!-- end peers -->"
     body = "\n\n".join((begin, table(told), end))
     PAGE.write_text(re.sub(f"{begin}.*{end}", lambda _: body, PAGE.read_text(), flags=re.S))
     print(table(told))
+
+
+def _keep(scene: str, truth: Reference, rows: list[dict], peer: str) -> None:
+    """Put a scene's results in the place of older ones."""
+    told = json.loads(RESULTS.read_text()) if RESULTS.exists() else {"rows": [], "references": {}, "load": {}}
+    told["references"][scene] = {"samples": truth.samples, "median_noise": truth.noise}
+    told["rows"] = [row for row in told["rows"] if row["scene"] != scene] + rows
+    told["peer"], told["load"][scene] = peer, round(os.getloadavg()[0], 1)
+    RESULTS.parent.mkdir(exist_ok=True)
+    RESULTS.write_text(json.dumps(told, indent=1) + "\n")
 
 
 if __name__ == "__main__":

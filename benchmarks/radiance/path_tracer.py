@@ -56,7 +56,7 @@ class PathTracer:
     def picture(self, scene: str, samples: int, seed: int) -> Timed:
         """Return a picture of a scene by so many samples a pixel."""
         assert self._process.stdin is not None
-        path = self._folder / "picture.npy"
+        path = self._folder / f"{scene}.npy"
         asked = {"scene": scene, "samples": samples, "seed": seed, "path": str(path)}
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()
