@@ -83,7 +83,8 @@ class Found:
         "errors. A camera that is not described is taken to have a transfer near exp(-(f/fc)^n) and no halo. Broken by "
         "clipping, motion between fields (not told of bars along rows) and a curved response: an exponent within 0.9 "
         "to 1.1 changes the MTF by up to 8 % and shows only where the fundamental stands over 300 standard errors. "
-        "Untilted bars near the sampling limit are refused."
+        "Untilted bars near the sampling limit are refused; one bar more or fewer than asked for is told where each "
+        "can be seen."
     ),
 )
 def bars_forward(

@@ -82,10 +82,11 @@ class Picture:
         self.problem, self.target = problem, target
         row, col = np.nonzero(problem.window)
         self.x, self.y = col - target.col, (row - target.row) * target.pitch_ratio
-        across, along = self._places(target.angle_rad, 0.0, 0.0)
+        across, along = self.places(target.angle_rad, 0.0, 0.0)
         self.reach = (float(np.abs(across).max()) + 3.0, float(np.abs(along).max()) + 3.0)
 
-    def _places(self, angle_rad: float, across_px: float, along_px: float) -> tuple[Array, Array]:
+    def places(self, angle_rad: float, across_px: float, along_px: float) -> tuple[Array, Array]:
+        """Return distances of the window's pixels across and along bars moved by so much, shape (pixel,), px."""
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         return self.x * cosine + self.y * sine - across_px, self.y * cosine - self.x * sine - along_px
 
@@ -105,7 +106,7 @@ class Picture:
 
     def __call__(self, theta: dict[str, float]) -> tuple[Array, Array]:
         """Return picture, shape (pixel,), and its derivatives, shape (parameter, pixel)."""
-        across, along = self._places(theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0))
+        across, along = self.places(theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0))
         found = table_of(self.shape(theta), *self.reach).at(across, along)
         level = theta["level_dn"]
         slopes = level * found[6], level * found[7]
