@@ -129,8 +129,8 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
 def _autocorrelation(field: Array, shape: tuple[int, int]) -> Array:
     """Return the sums of products at all lags; those up to what the shape adds to the field's are free of wrapping."""
     fast = tuple(next_fast_len(size, real=True) for size in shape)
-    spectrum = np.asarray(rfft2(field, fast))
-    return np.asarray(irfft2(spectrum.real**2 + spectrum.imag**2, fast))
+    spectrum = np.asarray(rfft2(field, fast), np.complex128)
+    return np.asarray(irfft2(spectrum.real**2 + spectrum.imag**2, fast), np.float64)
 
 
 def _smoothed(field: Array) -> Array:
