@@ -79,6 +79,8 @@ class DoseLedger:
         """Return the dose of a line; None of one that was cut off."""
         try:
             values = json.loads(line)
+        except RecursionError:
+            raise self._damaged(number) from None
         except ValueError:
             if line.startswith(b"{") and not line.rstrip().endswith(b"}"):
                 return None

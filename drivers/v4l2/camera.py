@@ -17,6 +17,9 @@ from drivers.v4l2.structures import words
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
+BEGINS = 3.0
+"""Silence allowed before the first frame, besides, over that between frames."""
+
 LONGEST_WAIT_S = 600.0
 """Longest wait for a frame beyond the silence allowed, whatever period and exposure a driver tells, s."""
 
@@ -37,7 +40,7 @@ class V4l2Camera:
         Lines of the analogue video on that input, 525 (NTSC) or 625 (PAL); None leaves them as they are.
     silence_s
         Longest time without a frame before the camera is taken for dead, s; the exposure and four frame periods come
-        on top.
+        on top, and before the first frame three times as much: cameras on USB take a second and more to begin.
     open_device
         Opens the device; another one in tests.
 
@@ -53,7 +56,7 @@ class V4l2Camera:
         *,
         input_number: int | None = None,
         video_lines: Literal[525, 625] | None = None,
-        silence_s: float = 2.0,
+        silence_s: float = 0.5,
         open_device: Callable[[str], Device] = KernelDevice,
     ) -> None:
         self._path, self._input, self._silence_s = path, input_number, silence_s
@@ -127,6 +130,7 @@ class V4l2Camera:
             frames=frames,
             discard=discard,
             patience_s=self._silence_s + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
+            start_s=BEGINS * self._silence_s,
             identifier=self.identifier,
         )
 

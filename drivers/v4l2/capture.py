@@ -46,6 +46,8 @@ class V4l2Capture:
         Whole frames to throw away first: those that may have been exposed under earlier conditions.
     patience_s
         Longest wait for a frame, s.
+    start_s
+        What the first frame may take besides, s.
     identifier
         The camera's name, for sentences.
     """
@@ -60,11 +62,12 @@ class V4l2Capture:
         frames: int,
         discard: int,
         patience_s: float,
+        start_s: float,
         identifier: str,
     ) -> None:
         self._device, self._picture, self._standard = device, picture, standard
         self._alternate = alternate
-        self._patience_s, self._identifier = patience_s, identifier
+        self._patience_s, self._start_s, self._identifier = patience_s, start_s, identifier
         self._memory: list[Mapped] = []
         self._numbers = RunningNumbers()
         self._whole = WholeFrames(wanted=frames, discard=discard, identifier=identifier)
@@ -141,18 +144,20 @@ class V4l2Capture:
 
     def _next_buffer(self) -> Buffer:
         """Wait for a filled buffer; a device that is unplugged says so at once."""
-        until_s = time.monotonic() + self._patience_s
+        patience_s = self._patience_s + self._start_s
+        until_s = time.monotonic() + patience_s
         while True:
             buffer = Buffer(type=CAPTURE, memory=MEMORY_MAPPED)
             try:
                 self._device.ask(requests.TAKE_BUFFER, buffer)
+                self._start_s = 0.0
                 return buffer
             except OSError as error:
                 if error.errno not in (errno.EAGAIN, errno.EINTR):
                     raise CameraError(f"camera {self._identifier} has gone or failed ({error.strerror})") from None
             left_s = until_s - time.monotonic()
             if left_s <= 0 or not self._device.wait(left_s):
-                raise CameraError(f"camera {self._identifier} has sent no frame for {self._patience_s:.1f} s")
+                raise CameraError(f"camera {self._identifier} has sent no frame for {patience_s:.1f} s")
 
     def _request_buffers(self) -> int:
         wanted = BufferRequest(count=BUFFERS, type=CAPTURE, memory=MEMORY_MAPPED)

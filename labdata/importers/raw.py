@@ -22,7 +22,7 @@ def read(path: Path, plane: str | None = None) -> FrameStack:
     try:
         with rawpy.imread(str(path)) as raw:
             return _plane(raw, plane, path)
-    except rawpy.LibRawError as error:
+    except (rawpy.LibRawError, NotImplementedError) as error:  # the latter of a mosaic that is told by no pattern
         reason = error.args[0] if error.args else "unknown"
         reason = reason.decode(errors="replace") if isinstance(reason, bytes) else reason
         raise BadInput(f"a raw file must be whole and of a known camera, got {path}: {reason}") from None

@@ -59,7 +59,7 @@ def acknowledged(lines: Iterable[bytes], *, first: int = 0) -> tuple[Acknowledge
     for line in lines:
         try:
             entry = Acknowledged(**json.loads(line))
-        except (ValueError, TypeError):
+        except (ValueError, TypeError, RecursionError):
             break
         if not line.endswith(b"\n") or entry.index != first + len(frames):
             break

@@ -43,6 +43,28 @@ def test_silence_ends_in_the_time_allowed():
     assert device.is_closed
 
 
+def test_a_camera_may_take_long_to_begin_and_not_to_go_on():
+    begins_s = time.monotonic() + 0.6
+
+    def one():
+        while time.monotonic() < begins_s:
+            yield Sent(error=errno.EAGAIN)
+        yield Sent(sequence=0)
+        while True:
+            yield Sent(error=errno.EAGAIN)
+
+    device = FakeDevice(one)
+    device.wait = lambda timeout_s: not time.sleep(min(timeout_s, 0.01))
+    with (
+        camera_on(device, silence_s=0.2) as camera,
+        camera.capture(frames=2) as capture,
+        pytest.raises(CameraError, match=r"has sent no frame for 0\.[34] s"),
+    ):
+        frames = iter(capture)
+        assert next(frames).number == 0
+        next(frames)
+
+
 def test_a_driver_that_tells_a_frame_period_of_a_century_is_not_waited_for_as_long(monkeypatch):
     monkeypatch.setattr("drivers.v4l2.camera.LONGEST_WAIT_S", 0.1)
     device = FakeDevice(list)

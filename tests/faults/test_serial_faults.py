@@ -23,7 +23,7 @@ LIMITS = Limits(ramp_v_per_s=8000.0)
 
 @pytest.fixture
 def virtual(tmp_path):
-    with VirtualInstruments(tmp_path / "bench", time_scale=10.0) as instruments:
+    with VirtualInstruments(tmp_path / "bench", time_scale=30.0) as instruments:
         yield instruments
 
 

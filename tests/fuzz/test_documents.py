@@ -80,3 +80,7 @@ def test_the_least_voltage_that_a_number_can_hold_has_a_forecast(folder):
 def test_a_descriptor_with_an_image_that_no_file_can_be_called_is_refused_in_a_sentence(folder):
     for name in (b"a\0.npy", b"x" * 5000 + b".npy"):
         assert not documents.read("EMVA 1288 descriptor", b"v 4.0\nn 12 4 4\nd 1\ni " + name + b"\ni a.npy\n", folder)
+
+
+def test_a_ledger_with_a_line_of_nothing_but_brackets_is_refused_in_a_sentence(folder):
+    assert not documents.read("ledger", documents.sound("ledger")[0] + b"[" * 100_000 + b"\n", folder)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -96,6 +97,7 @@ def _acquire(rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, t
         file = told.open("a", buffering=1)
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
+        sys.stdout = sys.stderr = file  # a test runner may have put something else there
         signal.signal(signal.SIGUSR2, _clock_jumps)
         code = _exit_code(rig, plan, session, silence_s)
     except BaseException as error:  # the campaign counts it as what it is: a traceback

@@ -100,7 +100,10 @@ class CampaignRig:
             self.provoke(instrument, Faults())
 
     def switch_off_what_is_on(self) -> None:
-        """Do what a person does after a fault that left an instrument deaf with its output on: off and on again."""
+        """Do what a person does after a fault that left an instrument deaf with its output on: off and on again.
+
+        Wait until the tube is at rest: what is left of a voltage would pass for one that is on.
+        """
         for instrument, is_on in (
             ("delay_generator", self.outputs().gate_open),
             ("high_voltage", self.outputs().mcp_v > DANGEROUS_V),
@@ -108,6 +111,11 @@ class CampaignRig:
             if is_on:
                 self.unplug(instrument)
                 self.plug_in(instrument)
+        until_s = time.monotonic() + FREE_S
+        while self.outputs().gate_open or self.outputs().mcp_v > DANGEROUS_V:
+            if time.monotonic() > until_s:
+                raise TimeoutError(f"the tube must come to rest within {FREE_S:g} s, got {self.outputs()}")
+            time.sleep(0.02)
 
     def await_free(self) -> None:
         """Wait until the watchdog of the last client has ended: it holds the ports until the voltage is down."""
