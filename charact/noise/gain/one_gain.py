@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import exposure_findings
+from charact.noise.checks import QUANTISED_DN2, exposure_findings
 from charact.noise.findings import Finding
 from charact.noise.gain import model, standard
 from charact.noise.gain.reach import with_power
 from charact.noise.gain.series import Series
-from charact.noise.gain.summary import Summary, summarise
+from charact.noise.gain.summary import Summary, pooling, summarise
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
 from charact.noise.verdict import lit
 from labdata.measurement import Posterior
@@ -104,12 +104,30 @@ def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimat
     fit = model.fit(summary, seed=context.seed, quick=quick, exponent=blur_exponent(context))
     if estimate is not None:
         fit = with_power(fit, summary, *estimate(series, summary), seed=context.seed)
+    if share := stepped_share(series, summary):
+        rng = np.random.default_rng([context.seed, 17])
+        fit = replace(fit, posterior=standard.widened(fit.posterior, "blur_factor", share, rng))
     levels, spread = _level_gains(series, summary, fit)
     exposures = shared_by_exposures(series)
     if not summary.lag.tested and exposures.allowance:
         fit = replace(fit, posterior=_allowing(fit.posterior, exposures, context))
     return OneGain(series=series, summary=summary, fit=fit, levels_dn=levels, levels_sd_dn=spread,
                    neighbours=shared_by_neighbours(lit(series)), exposures=exposures)  # fmt: skip
+
+
+def stepped_share(series: Series, summary: Summary) -> float:
+    """Share of the pooled variance that the steps of the digitiser may have added, relative; 0 where they cannot.
+
+    Notes
+    -----
+    Rounding adds 1/12 DN^2 to noise of half a step and more. A quieter dark shows another amount, or none, so that
+    what is left above it is too much by as much; over the signal it weighs most in the dimmest flats.
+    """
+    chosen, weight = pooling(series)
+    levels = [level for i in chosen for level in (series.flats[i], series.darks[i])]
+    if min(level.variance_dn2 for level in levels) >= QUANTISED_DN2:
+        return 0.0
+    return float(standard.QUANTISATION_DN2 * weight.sum() / max(summary.variance_dn, 1e-12))
 
 
 def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context: Context) -> Posterior:

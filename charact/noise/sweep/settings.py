@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import QUANTISED_DN2, series_findings
+from charact.noise.checks import series_findings
 from charact.noise.findings import Finding
 from charact.noise.gain import standard
-from charact.noise.gain.one_gain import LEAST_BINS, OneGain, one_gain
+from charact.noise.gain.one_gain import LEAST_BINS, OneGain, one_gain, stepped_share
 from charact.noise.gain.series import longest_series, series_of_one_gain
-from charact.noise.gain.standard import QUANTISATION_DN2
 from charact.noise.light.stated import relative_sd_of
 from charact.noise.stack.level import Level
 from charact.noise.sweep.knob import KNOBS, Knob, rounded, turned
@@ -181,7 +180,6 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
     own = [dark for dark in series.darks if series.reference == "dark" and _own(dark, flats[0], knob)]
     own = [dark for dark in own if dark.variance_dn2 > 0]
     dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
-    least = min(level.variance_dn2 for level in (*series.darks, *flats))
     setting = Setting(
         value=value,
         labels=tuple(flat.label for flat in flats),
@@ -207,18 +205,18 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
         dark=None if dark is None else dark.label,
         findings=tuple(_findings(one, value, knob, context)),
     )
-    return setting if least >= QUANTISED_DN2 else _quantised(setting, least, knob)
+    least = min(level.variance_dn2 for level in (*series.darks, *flats))
+    share = stepped_share(series, one.summary)
+    return _quantised(setting, share, least, knob) if share else setting
 
 
-def _quantised(s: Setting, least_dn2: float, knob: Knob) -> Setting:
+def _quantised(s: Setting, share: float, least_dn2: float, knob: Knob) -> Setting:
     """Return a setting whose noise is smaller than the digitiser's steps, with what these may have added to it."""
-    unsure = QUANTISATION_DN2 / s.mean_signal_dn
-    share = unsure / float(np.exp(s.log_variance))
     told = f"noise of {np.sqrt(least_dn2):.2g} DN is less than the digitiser's steps, which add {100 * share:.2g} %"
     found = (("quantised", f"at {knob.text(s.value)}: {told}"),) if share > QUANTISED_SHARE else ()
     return replace(
         s,
-        unsure_dn=unsure,
+        unsure_dn=share * float(np.exp(s.log_variance)),
         log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
         findings=(*s.findings, *found),
     )
