@@ -1,13 +1,11 @@
 """The line to an iseg supply: it echoes what it hears, and each exchange is two lines, the echo and then the answer."""
 
 import re
-import threading
 import time
 
-from drivers.errors import BenchError, InstrumentSilent
-from drivers.wire.answers import confused, refused
-from drivers.wire.incoming import Incoming
-from drivers.wire.port import ANSWER_S, Port
+from drivers.errors import InstrumentSilent
+from drivers.wire.answers import confused
+from drivers.wire.echoing_line import EchoingLine
 
 END = b"\r\n"
 IDENTITY = r"\d+;[\w.]+;\d+V;\d+(\.\d+)?[um]A"
@@ -25,63 +23,11 @@ REFUSALS = (
 )
 
 
-class EchoLine:
-    """Commands and answers over a line that echoes.
+class EchoLine(EchoingLine):
+    """Commands and answers of an iseg supply, two lines an exchange; its parameters are those of `EchoingLine`.
 
     Whoever takes the echo for the answer is one exchange behind for ever, so the echo is compared every time.
-
-    Parameters
-    ----------
-    port
-        The port.
-    name
-        Name of the instrument.
-    answer_s
-        Time that echo and answer may each take, s.
-
-    Raises
-    ------
-    InstrumentSilent
-        If nothing on the port gets into step.
     """
-
-    def __init__(self, port: Port, *, name: str, answer_s: float = ANSWER_S) -> None:
-        self.name = name
-        self.hurry = threading.Event()
-        self._port, self._answer_s = port, answer_s
-        self._incoming = Incoming(port, name=name, hurry=self.hurry, answer_s=answer_s)
-        self._out_of_step = True
-        self._owner = threading.RLock()
-
-    def write(self, command: str) -> None:
-        """Send a setting, which is answered by an empty line; another answer is InstrumentRefused."""
-        if answer := self.ask(command):
-            raise refused(self, f"accept {command!r} in silence", repr(answer))
-
-    def ask(self, question: str) -> str:
-        """Send a question and return the line after its echo.
-
-        Raises
-        ------
-        InstrumentSilent
-            If echo or answer do not come in time; the next exchange gets into step first.
-        InstrumentConfused
-            If the echo is of another command.
-        InstrumentRefused
-            If the unit answers with one of its errors.
-        """
-        with self._owner:
-            if self._out_of_step:
-                self.get_into_step()
-            try:
-                answer = self._exchange(question)
-            except BenchError:
-                self._out_of_step = True
-                raise
-        for form, meaning in REFUSALS:
-            if re.fullmatch(form, answer):
-                raise refused(self, f"accept {question!r}", f"{answer}: {meaning}")
-        return answer
 
     def order(self, command: str) -> None:
         """Send a command that must go out; an empty line before it ends what another may have left half said."""
@@ -89,10 +35,6 @@ class EchoLine:
             self._out_of_step = True
             self._port.send(END + command.encode("ascii") + END)
             self._incoming.drain()  # it takes the next command when it has echoed this one
-
-    def close(self) -> None:
-        """Let go of the port."""
-        self._port.close()
 
     def get_into_step(self) -> None:
         """Have the unit answer quickly, throw away what is late, and wait until it says who it is."""
@@ -113,3 +55,7 @@ class EchoLine:
         if echo != command:
             raise confused(self, f"echo {command!r}", repr(echo[:80]))
         return self._incoming.until(END, command).strip()
+
+    def _refusal(self, answer: str) -> str | None:
+        meanings = (meaning for form, meaning in REFUSALS if re.fullmatch(form, answer))
+        return next((f"{answer}: {meaning}" for meaning in meanings), None)
