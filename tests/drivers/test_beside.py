@@ -71,6 +71,14 @@ def test_a_silent_meter_that_is_needed_ends_the_work(virtual, tmp_path, role, ke
         pass
 
 
+@pytest.mark.parametrize(("role", "key"), [("light-meter", "light_needed"), ("thermometer", "temperature_needed")])
+def test_a_meter_that_is_needed_may_not_fall_silent_either(virtual, tmp_path, role, key):
+    with opened(virtual, tmp_path, **{key: True}) as bench:
+        virtual.ports[role].faults = Faults(silent=True)
+        with pytest.raises(InstrumentSilent):
+            bench.read_beside()
+
+
 def test_a_meter_that_is_needed_must_be_there():
     step = Step(label="a", kind="dark", frames=1, conditions=Conditions())
     with pytest.raises(BadInput, match="a light_meter that a plan needs must be named in its wires, got none"):
