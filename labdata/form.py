@@ -9,15 +9,12 @@ from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gain_table import GainTable
-from labdata.gating import Gating
 from labdata.lamp import Lamp
-from labdata.limits import Limits, Override
-from labdata.meters import Meters
-from labdata.plan import Plan, Settle, Step
+from labdata.limits import Override
+from labdata.plan import Plan, PlanHead, Step
 from labdata.session import Kind
 from labdata.sweep import MOST_STEPS, SweepForm
 from labdata.target import Target
-from labdata.wires import Wires
 
 T = TypeVar("T")
 
@@ -140,56 +137,26 @@ class StepForm(Conditions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanForm:
+class PlanForm(PlanHead):
     """A plan file.
 
     Parameters
     ----------
-    name
-        Name of the plan and of the session that it makes.
-    sensor
-        Name of a shipped sensor description, or the path of one.
-    tube
-        Name of the tube, such as its serial number, under which its dose is kept over sessions.
-    seed
-        Seed of the virtual bench.
-    scene
-        Lab scene of the virtual bench.
-    wires
-        How the instruments are reached.
-    limits
-        What the plan may never exceed, where that is tighter than the tube's limits.
     override
         Limits of the tube that are set aside, with reasons.
-    settle
-        How long to wait after a change.
     gain_table
         Calibration of the tube, by which steps may ask for a luminous gain, or the TOML file that holds it.
     lamp
         Calibration of the light source and of the filters before it, or the TOML file that holds it.
-    meters
-        How the meters beside the tube are read.
-    gating
-        What triggers the gate, and so whether it keeps step with the camera's fields.
     step
         The stacks to take, in order.
     sweep
         Series of stacks, taken after the single steps, in order.
     """
 
-    name: str
-    sensor: str | None = None
-    tube: str | None = None
-    seed: int = 0
-    scene: str | None = None
-    wires: Wires = field(default_factory=Wires)
-    limits: Limits = field(default_factory=Limits)
     override: tuple[Override, ...] = ()
-    settle: Settle = field(default_factory=Settle)
     gain_table: GainTable | str | None = None
     lamp: Lamp | str | None = None
-    meters: Meters = field(default_factory=Meters)
-    gating: Gating = field(default_factory=Gating)
     step: tuple[StepForm, ...] = ()
     sweep: tuple[SweepForm, ...] = ()
 
@@ -198,19 +165,10 @@ class PlanForm:
         if (steps := len(self.step) + sum(sweep.count for sweep in self.sweep)) > MOST_STEPS:
             raise BadInput(f"a plan must have at most {MOST_STEPS} steps, got {steps}")
         return Plan(
-            name=self.name,
-            sensor=self.sensor,
-            tube=self.tube,
-            seed=self.seed,
-            scene=self.scene,
-            wires=self.wires,
-            limits=self.limits,
+            **self.head,
             overrides=self.override,
-            settle=self.settle,
             gain_table=_read(self.gain_table, GainTable),
             lamp=_read(self.lamp, Lamp),
-            meters=self.meters,
-            gating=self.gating,
             steps=(*(step.step() for step in self.step), *(step for sweep in self.sweep for step in sweep.steps())),
         )
 
@@ -218,19 +176,10 @@ class PlanForm:
     def written(cls, plan: Plan) -> "PlanForm":
         """Return the file form of a plan."""
         return cls(
-            name=plan.name,
-            sensor=plan.sensor,
-            tube=plan.tube,
-            seed=plan.seed,
-            scene=plan.scene,
-            wires=plan.wires,
-            limits=plan.limits,
+            **plan.head,
             override=plan.overrides,
-            settle=plan.settle,
             gain_table=plan.gain_table,
             lamp=plan.lamp,
-            meters=plan.meters,
-            gating=plan.gating,
             step=tuple(_step_form(step) for step in plan.steps),
         )
 

@@ -1,7 +1,7 @@
 """An acquisition plan: which stacks to take, at which settings, within which limits."""
 
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
@@ -117,8 +117,8 @@ class Settle:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
-    """An acquisition plan.
+class PlanHead:
+    """What a plan says of itself and of its bench, in a file as in memory.
 
     Parameters
     ----------
@@ -136,20 +136,12 @@ class Plan:
         How the instruments are reached.
     limits
         What the plan may never exceed, where that is tighter than the tube's limits.
-    overrides
-        Limits of the tube that are set aside, with reasons.
     settle
         How long to wait after a change.
-    gain_table
-        Calibration of the tube, by which steps may ask for a luminous gain; None: that of the sensor, if it has one.
-    lamp
-        Calibration of the light source and of the filters before it; a plan whose wires name a light source has one.
     meters
         How the meters beside the tube are read.
     gating
         What triggers the gate, and so whether it keeps step with the camera's fields.
-    steps
-        The stacks to take, in order.
     """
 
     name: str
@@ -159,12 +151,35 @@ class Plan:
     scene: str | None = None
     wires: Wires = field(default_factory=Wires)
     limits: Limits = field(default_factory=Limits)
-    overrides: tuple[Override, ...] = ()
     settle: Settle = field(default_factory=Settle)
-    gain_table: GainTable | None = None
-    lamp: Lamp | None = None
     meters: Meters = field(default_factory=Meters)
     gating: Gating = field(default_factory=Gating)
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """All of this by name."""
+        return {item.name: getattr(self, item.name) for item in fields(PlanHead)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan(PlanHead):
+    """An acquisition plan.
+
+    Parameters
+    ----------
+    overrides
+        Limits of the tube that are set aside, with reasons.
+    gain_table
+        Calibration of the tube, by which steps may ask for a luminous gain; None: that of the sensor, if it has one.
+    lamp
+        Calibration of the light source and of the filters before it; a plan whose wires name a light source has one.
+    steps
+        The stacks to take, in order.
+    """
+
+    overrides: tuple[Override, ...] = ()
+    gain_table: GainTable | None = None
+    lamp: Lamp | None = None
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:
