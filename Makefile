@@ -115,6 +115,17 @@ bloom-pictures: $(READY)
 night-light: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python docs/night_light.py
 
+.PHONY: radiance-economy night-scenes
+# Plans of light beside the exact mode, 100 random scenes before random cameras: table and figure; goes on where it was
+# interrupted; fifteen minutes on one core.
+radiance-economy: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light_economy
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light_economy_figure
+
+# Pictures of docs/night-scenes.md: the shipped scenes and what the default camera makes of them; some minutes.
+night-scenes: $(READY)
+	OPENBLAS_NUM_THREADS=1 PYTHONPATH=. $(BIN)/python docs/night_scenes.py
+
 # The simulator's tiers: worst moment error against frames a second, chart and tables into docs.
 frontier: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.frontier

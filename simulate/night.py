@@ -122,6 +122,7 @@ class Night:
         preview: bool = False,
         threads: int | None = None,
         progress: Callable[[float], None] = lambda share: None,
+        announce: Callable[[float], None] = lambda seconds: None,
     ) -> Seen:
         """Return what the camera has before it.
 
@@ -138,6 +139,8 @@ class Night:
             Threads that share the work; None: one for each of up to two processors.
         progress
             Told the share done.
+        announce
+            Told how long the picture will take, s, before it begins.
         """
         view, eye = self.view, eye_of(self.camera, self.conditions)
         if preview:
@@ -158,6 +161,7 @@ class Night:
                 seed=seed,
                 run=run,
                 progress=progress,
+                announce=lambda seconds: announce(seconds / count),
             )
         return Seen(picture=found, plan=plan, eye=eye, title=self._title())
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     Description = Sensor | SolidStateCamera
 
 Progress = Callable[[str, float], None]
+# Light that takes longer than this says so before it begins, s.
+LONG_S = 60.0
 # Illuminance of the bench where none is asked for, lux.
 BENCH_LUX = 1e-4
 
@@ -179,8 +181,18 @@ def _of_night(
 
     _no_bench(asked, conditions)
     camera = camera_of(description)
+    sentence = "light"
+
+    def announce(seconds: float) -> None:
+        nonlocal sentence
+        sentence = f"light, about {seconds / 60.0:.0f} min" if seconds > LONG_S else "light"
+        progress(sentence, 0.0)
+
     view = Night(scene, camera, conditions).seen(
-        tolerance=asked.tolerance, seed=asked.seed, progress=lambda share: progress("light", share)
+        tolerance=asked.tolerance,
+        seed=asked.seed,
+        progress=lambda share: progress(sentence, share),
+        announce=announce,
     )
     cube = view.picture.cube
     freed = freed_by_radiance(camera, cube, conditions)

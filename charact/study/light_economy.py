@@ -124,7 +124,7 @@ def pair_of(number: int) -> Pair:
 
 def _timed(case: Case, tolerance: float | None, seed: int) -> tuple[Seen, float]:
     start = time.process_time()
-    seen = case.night.seen(tolerance=tolerance, seed=seed, processes=1)
+    seen = case.night.seen(tolerance=tolerance, seed=seed, threads=1)
     return seen, time.process_time() - start
 
 

@@ -10,6 +10,7 @@ from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from simulate.cameras import camera_of
+from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.eye import eye_of
 from simulate.night import Night
 from simulate.radiance.lamps import KINDS
@@ -67,7 +68,7 @@ def case_of(number: int) -> Case:
     light, sensor = str(rng.choice(list(LIGHTS))), str(rng.choice(CAMERAS))
     scene = _scene(rng, light)
     camera = camera_of(_small(sensor))
-    longest_s = camera.field_s if hasattr(camera, "field_s") else camera.frame_s
+    longest_s = camera.field_s if isinstance(camera, IntensifiedCamera) else camera.frame_s
     night = Night(scene, camera, _exposed(sensor, longest_s))
     wanted, found = _between(rng, *LEVELS_PE), _median_pe(night)
     open_s = float(np.clip(longest_s * wanted / max(found, 1e-30), SHORTEST_S, longest_s))

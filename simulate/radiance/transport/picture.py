@@ -4,6 +4,7 @@ A first look along the middle of each pixel finds what is where (`truth`); a tri
 decides how many rays a pixel gets (`allotment`). The picture is made of rays drawn afresh.
 """
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.trace import NOTHING
-from simulate.radiance.transport.allotment import Rays, Trial, allotted
+from simulate.radiance.transport.allotment import Rays, allotted
 from simulate.radiance.transport.even import R2
 from simulate.radiance.transport.field import Field, field
 from simulate.radiance.transport.gather import Effort, Parts, Stage
@@ -161,6 +162,7 @@ def picture(
     seed: int,
     run: Run = one_by_one,
     progress: Callable[[float], None] = lambda share: None,
+    announce: Callable[[float], None] = lambda seconds: None,
 ) -> Picture:
     """Return the picture of a scene.
 
@@ -180,6 +182,12 @@ def picture(
         Does parts of the work, see `workers`.
     progress
         Told the share done.
+    announce
+        Told how long it will take in one process, s, by how long the trials took.
+
+    Notes
+    -----
+    Memory is that of two cubes and of `BATCH` rays, whatever the number of rays.
     """
     look = Look(
         stage=stage,
@@ -195,7 +203,9 @@ def picture(
         sent = {"rays": rays.shared, "most": rays.shared_most, "allowed": _part(rays.allowed, SHARED_CHANCE)}
         around = field(stage, view, effort, known, **sent, weight=look.weight, seed=seed, run=run)
         look, rays = replace(look, field=around), replace(rays, allowed=_part(rays.allowed, 1.0 - SHARED_CHANCE))
-    wanted = allotted(here, rays, _tried(look, known), seed)
+    tried = _Tried(look, known)
+    wanted = allotted(here, rays, tried, seed)
+    announce(tried.seconds_a_ray * float(wanted.sum()))
     jobs = list(_jobs(wanted, known, rays.gathered))
     bands, size = len(look.weight), wanted.size
     radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
@@ -247,18 +257,28 @@ def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:
     return _of_tiles(1.0 - share, OPEN_TILE, view.shape).astype(np.float32)
 
 
-def _tried(look: Look, known: NDArray[np.float32]) -> Trial:
-    """Trials of pixels, a batch at a time."""
+class _Tried:
+    """Follows pixels for trials, a batch at a time, and takes its own time."""
 
-    def trial(pixels: NDArray[np.int64], rays: int) -> tuple[Array, Array]:
+    def __init__(self, look: Look, known: NDArray[np.float32]) -> None:
+        self._look, self._known = look, known.ravel()
+        self._rays, self._seconds = 0, 0.0
+
+    def __call__(self, pixels: NDArray[np.int64], rays: int) -> tuple[Array, Array]:
+        start = time.perf_counter()
         signal, single = np.empty(len(pixels)), np.empty(len(pixels))
-        for start in range(0, len(pixels), BATCH // rays):
-            part = slice(start, start + BATCH // rays)
-            light, variance = look.seen(Job(pixels[part], rays, known.ravel()[pixels[part]]))
-            signal[part], single[part] = light @ look.weight, variance * rays
+        for first in range(0, len(pixels), BATCH // rays):
+            part = slice(first, first + BATCH // rays)
+            light, variance = self._look.seen(Job(pixels[part], rays, self._known[pixels[part]]))
+            signal[part], single[part] = light @ self._look.weight, variance * rays
+        self._rays += rays * len(pixels)
+        self._seconds += time.perf_counter() - start
         return signal, single
 
-    return trial
+    @property
+    def seconds_a_ray(self) -> float:
+        """Time of one ray with all that it gathers, s; 0 before any was followed."""
+        return self._seconds / max(self._rays, 1)
 
 
 def _some_pixels(

@@ -173,6 +173,9 @@ class Surface:
         Name on the shelf (`simulate.radiance.materials.library`); or else:
     wavelength_nm, reflectance, finish, roughness, refractive_index, retroreflected_share, half_width_deg
         As of `simulate.radiance.materials.material.Material`.
+    measured
+        An .npz file of a measured BRDF (`simulate.radiance.world.measured_surface`), relative to the scene's, in place
+        of library and numbers.
     glow_lm_per_m2
         Luminous exitance of a surface that glows, lm/m2; its spectrum is that of `lamp`.
     lamp
@@ -188,12 +191,15 @@ class Surface:
     refractive_index: float | None = None
     retroreflected_share: float | None = None
     half_width_deg: float | None = None
+    measured: str | None = None
     glow_lm_per_m2: float = 0.0
     lamp: str = "incandescent"
 
     def __post_init__(self) -> None:
-        if (self.library is None) == (self.reflectance is None):
-            raise BadInput(f"a material must have either a library entry or a reflectance, got {self.label!r}")
+        if sum(given is not None for given in (self.library, self.reflectance, self.measured)) != 1:
+            raise BadInput(
+                f"a material must have either a library entry, a reflectance or a measured file, got {self.label!r}"
+            )
         if not self.glow_lm_per_m2 >= 0.0:
             raise BadInput(f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of {self.label!r}")
         if any(self.made.transmittance):
@@ -203,12 +209,12 @@ class Surface:
 
     @cached_property
     def made(self) -> Material:
-        """The material."""
+        """The material; of a measured one only what glows."""
         if self.library is not None:
             return material(self.library)
         return Material(
             wavelength_nm=self.wavelength_nm,
-            reflectance=self.reflectance or (),
+            reflectance=self.reflectance or (0.0,),
             finish=self.finish,
             roughness=self.roughness,
             refractive_index=self.refractive_index,

@@ -1,5 +1,6 @@
 """A scene made ready for light: surfaces built, sky and lamps lit, all of it on the bands that are computed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -8,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere.air import Atmosphere
+from simulate.radiance.brdf.protocol import Brdf
 from simulate.radiance.lamps import Cosine, Isotropic, Lamp, Spot, read_ies, read_spectrum, spectrum
 from simulate.radiance.sky.disc import Disc
 from simulate.radiance.sky.ephemeris import Place
@@ -21,7 +23,8 @@ from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Panels, panels_of
 from simulate.radiance.transport.points import Coats, frames
 from simulate.radiance.world.build import built
-from simulate.radiance.world.description import LampPost, Scene, Weather
+from simulate.radiance.world.description import LampPost, Scene, Surface, Weather
+from simulate.radiance.world.measured_surface import read_measured
 from simulate.radiance.world.surfaces import Surfaces
 
 Array = NDArray[np.floating]
@@ -86,8 +89,8 @@ class Site:
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
         """Return wavelengths that follow light, materials and a sensor, see `spectral_grid`."""
         used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
-        made = [surface.made for surface in self.scene.material if surface.label in used]
-        spectra = [(m.wavelength_nm, m.reflected(m.wavelength_nm)) for m in made if len(m.wavelength_nm) > 1]
+        spectra = [self._spectrum(surface) for surface in self.scene.material if surface.label in used]
+        spectra = [(nm, share) for nm, share in spectra if len(nm) > 1]
         return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)[0]
 
     def on(self, wavelength_nm: NDArray[np.floating]) -> Stage:
@@ -95,8 +98,19 @@ class Site:
         grid = np.asarray(wavelength_nm, float)
         surfaces = self.surfaces
         by_label = {surface.label: surface for surface in self.scene.material}
-        coats = Coats.of(tuple(by_label[name].made.brdf() for name in surfaces.materials), grid)
+        coats = Coats.of(tuple(self._brdf(by_label[name]) for name in surfaces.materials), grid)
         return Stage(surfaces=surfaces, coats=coats, lighting=self._lighting(grid), air=self._air(grid))
+
+    def _brdf(self, surface: Surface) -> Brdf:
+        return surface.made.brdf() if surface.measured is None else read_measured(self.scene.file(surface.measured))
+
+    def _spectrum(self, surface: Surface) -> tuple[Sequence[float], Array]:
+        """Wavelengths of a material's table, and what it reflects there: of a measured one, back along its normal."""
+        if surface.measured is None:
+            return surface.made.wavelength_nm, surface.made.reflected(surface.made.wavelength_nm)
+        table = read_measured(self.scene.file(surface.measured))
+        upright = table.albedo(np.array([[0.0, 0.0, 1.0]]), table.wavelength_nm)[:, 0]
+        return tuple(float(nm) for nm in table.wavelength_nm), upright
 
     def _lighting(self, grid: NDArray[np.float64]) -> Lighting:
         sky = self.sky

@@ -29,7 +29,7 @@ material = "lawn"
 [[object]]
 label = "ball"
 shape = "sphere"
-size_m = [0.25]
+size_m = [0.15]
 material = "paint"
 position_m = [0, 0, 1]
 """
@@ -59,7 +59,7 @@ def test_a_scene_becomes_frames_with_radiance_truth_and_plan_beside_them(tmp_pat
     with np.load(out / "truth.npz") as truth:
         ball = truth["object"] == list(truth["objects"]).index("ball")
         lawn = truth["object"] == list(truth["objects"]).index("ground")
-        assert truth["range_m"][ball].min() == pytest.approx(np.hypot(9.0, 0.5) - 0.25, abs=0.05)
+        assert truth["range_m"][ball].min() == pytest.approx(np.hypot(9.0, 0.5) - 0.15, abs=0.05)
         assert list(truth["sources"]) == ["moon"]
     assert frames.shape[1:] == ball.shape
     mean = frames.mean(axis=0)
@@ -81,5 +81,7 @@ def test_what_does_not_belong_to_a_scene_is_refused_in_one_sentence(tmp_path, fi
     done = charact("simulate", "bench", tmp_path / "out", "--sensor", files / "camera.toml", "--preview")
     assert done.exit_code == 1 and "a preview shows a scene with a camera in it" in done.stderr
     done = charact("simulate", "nowhere", tmp_path / "out", "--sensor", files / "camera.toml")
-    assert done.exit_code == 1 and "must be a .toml file or one of airfield, bench, hangar, road" in done.stderr
+    assert (
+        done.exit_code == 1 and "must be a .toml file or one of airfield, bench, bench-lit, hangar, road" in done.stderr
+    )
     assert not (tmp_path / "out").exists()

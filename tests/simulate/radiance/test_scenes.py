@@ -91,6 +91,44 @@ def test_a_mesh_file_is_read_in_its_unit_and_one_that_glows_must_be_closed(tmp_p
         built(scene_of(tmp_path, CAMERA + GREY + mesh + '"letter.obj"\n'))
 
 
+def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
+    polar, azimuth = np.linspace(0.0, 90.0, 10), np.linspace(0.0, 180.0, 7)
+    table = np.broadcast_to(np.array([0.2, 0.6]).reshape(2, 1, 1, 1) / np.pi, (2, 10, 10, 7))
+    np.savez(tmp_path / "paint.npz", wavelength_nm=[500.0, 700.0], polar_deg=polar, azimuth_deg=azimuth, table=table)
+    paint = '[[material]]\nlabel = "grey"\nmeasured = "paint.npz"\n'
+    site = Site(scene_of(tmp_path, CAMERA + paint + BALL))
+    stage = site.on(np.array([500.0, 600.0]))
+    albedo = stage.coats.brdfs[0].albedo(np.array([[0.0, 0.6, 0.8]]), stage.coats.wavelength_nm)[:, 0]
+    assert albedo == pytest.approx([0.2, 0.4], rel=1e-3)
+    for name, content, words in (
+        ("letter.npz", b"Dear lab", r"readable \.npz file, got .*letter\.npz"),
+        ("nothing.npz", None, r"readable \.npz file"),
+    ):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(BadInput, match=words):
+            Site(scene_of(tmp_path, CAMERA + paint.replace("paint.npz", name) + BALL)).on(NM)
+    np.savez(tmp_path / "part.npz", wavelength_nm=[500.0])
+    with pytest.raises(BadInput, match=r"must hold .* got no polar_deg in part\.npz"):
+        Site(scene_of(tmp_path, CAMERA + paint.replace("paint.npz", "part.npz") + BALL)).on(NM)
+
+
+def test_the_bench_ships_in_a_dark_room_and_in_a_lit_one():
+    dark, lit = load_bench("bench"), load_bench("bench-lit")
+    assert lit.room_light.relative_illuminance == pytest.approx(100.0 * dark.room_light.relative_illuminance)
+    assert replace(lit, name=dark.name, room_light=dark.room_light) == dark
+
+
+def test_a_picture_says_how_long_it_will_take_before_it_begins():
+    stage = staged([("floor", "m", plane(40, 40))], {"m": 0.5}, sky=UNIFORM)
+    told: list[tuple[str, float]] = []
+    rays = Rays(allowed=lambda signal: 1e-3 * np.ones_like(signal))
+    announce, progress = (lambda value, name=name: told.append((name, value)) for name in ("expected", "done"))
+    picture(stage, VIEW, rays, Effort(), weight=WEIGHT, seed=0, announce=announce, progress=progress)
+    assert [name for name, _ in told].index("expected") == 0
+    assert told[0][1] > 0.0 and told[-1] == ("done", 1.0)
+
+
 def test_a_crown_with_gaps_lets_through_what_they_leave_open(tmp_path):
     leaves = BALL + "gaps = 0.4\n"
     crown = built(scene_of(tmp_path, CAMERA + GREY + leaves))
@@ -271,6 +309,27 @@ def test_a_scene_without_a_triangle_is_all_sky():
     stage = staged([], {}, sky=UNIFORM)
     found = picture(stage, replace(VIEW, forward=(0, 1, 1)), Rays(), Effort(), weight=WEIGHT, seed=0)
     assert found.signal == pytest.approx(2.0, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("where", "when", "darker_than"),
+    [((43.16, -77.61), "1998-06-24T02:00:00-04:00", 1e-3), ((78.2, 15.6), "2024-12-30T12:00:00Z", 1e-2)],
+    ids=["moon below the horizon", "polar night at noon"],
+)
+def test_without_sun_and_moon_a_lawn_is_planned_and_seen_by_the_sky_alone(tmp_path, where, when, darker_than):
+    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e6, 4e6, 3e6), dark_variance=0.1, variance_per_signal=3.0)
+    there = f"[place]\nlatitude_deg = {where[0]}\nlongitude_deg = {where[1]}\ntime = {when}\n"
+    lawn = '[[object]]\nlabel = "lawn"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
+    for objects in (lawn, ""):
+        site = Site(scene_of(tmp_path, CAMERA + there + GREY + objects))
+        assert site.sky is not None and site.sky.discs() == ()
+        plan, stage = planned(site, VIEW, eye, 0.1, 1)
+        assert not {"sun", "moon"} & {effect.name for effect in plan.plan.kept}
+        weight = eye.weight(plan.wavelength_nm)
+        found = picture(stage, VIEW, plan.rays, plan.effort, weight=weight, seed=0)
+        assert np.isfinite(found.signal).all() and found.signal[0].min() > 0.0
+        radiance = found.cube.weighted(np.gradient(plan.wavelength_nm))
+        assert radiance.min() >= 0.0 and radiance.max() < darker_than
 
 
 def test_a_million_triangles():
