@@ -1,19 +1,22 @@
 """A GigE Vision or USB3 Vision camera through Aravis: settings read back, and frames that are whole or counted lost."""
 
+import queue
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar, cast
 
 from drivers.aravis import gige
-from drivers.aravis.capture import AravisCapture
+from drivers.aravis.capture import SUSPICION_S, AravisCapture
 from drivers.aravis.library import PACKET_SOCKET_DISABLED, Aravis, aravis
 from drivers.aravis.settings import AravisSettings
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
+
+T = TypeVar("T")
 
 UNANSWERED = 5  # questions on the control port, 0.1 s each, before a camera is taken for dead
 HEARTBEAT_S = 3.0  # a camera stays locked this long after its client died
@@ -80,6 +83,7 @@ class AravisCamera:
         self._address: str | None = None
         self._dead = False
         self._unanswered = 0
+        self._act: threading.Thread | None = None
 
     @property
     def is_dead(self) -> bool:
@@ -125,15 +129,20 @@ class AravisCamera:
             If the camera refuses, or reads back something else than was asked.
         """
         self.require_alive()
-        self._features.apply(settings)
-        return self._features.read()
+        features = self._features
+
+        def applied() -> CameraSettings:
+            features.apply(settings)
+            return features.read()
+
+        return self.while_alive(applied)
 
     def capture(self, *, frames: int, discard: int = 0) -> AravisCapture:
         """Return a capture of `frames` whole frames after `discard` whole ones that are thrown away."""
         if frames < 1 or discard < 0:
             raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
         self.require_alive()
-        settings = self._features.read()
+        settings = self.while_alive(self._features.read)
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
         return AravisCapture(
             self._library,
@@ -160,6 +169,32 @@ class AravisCamera:
         self._unanswered = self._unanswered + 1 if answer == "silent" else 0
         if self._unanswered >= UNANSWERED:
             raise self.died(f"no longer answers: it left {self._unanswered} questions in a row without reply")
+
+    def while_alive(self, act: Callable[[], T]) -> T:
+        """Return what an act that speaks to the camera returns, or raise what it raises.
+
+        The library repeats for seconds what is not answered, and the gate must not stay open for as long: where the
+        camera is found dead meanwhile, that is raised and the act left to end by itself.
+        """
+        done: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
+
+        def tried() -> None:
+            try:
+                done.put((act(), None))
+            except BaseException as error:  # whoever waits raises it
+                done.put((None, error))
+
+        self._act = threading.Thread(target=tried, daemon=True)
+        self._act.start()
+        while True:
+            try:
+                result, error = done.get(timeout=SUSPICION_S)
+            except queue.Empty:
+                self.require_alive()
+                continue
+            if error is not None:
+                raise error
+            return cast(T, result)
 
     def died(self, how: str) -> CameraError:
         """Mark the camera as dead, so that nothing waits for it any more, and return the error to raise."""
@@ -200,9 +235,15 @@ class AravisCamera:
         """Give up a camera or a stream; a dead camera's in the background."""
         if self._dead:
             # Letting go of a dead camera repeats its farewell for seconds; the gate must not wait for that.
-            threading.Thread(target=self._library.release, args=(thing,), daemon=True).start()
+            threading.Thread(target=self._release_last, args=(thing, self._act), daemon=True).start()
         else:
-            self._library.release(thing)
+            self._release_last(thing, self._act)
+
+    def _release_last(self, thing: int, act: threading.Thread | None) -> None:
+        """Give up a thing once the last act, which may still use it, has ended."""
+        if act is not None:
+            act.join()
+        self._library.release(thing)
 
 
 def _only_camera() -> str:

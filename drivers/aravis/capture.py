@@ -3,7 +3,7 @@
 import ctypes
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any, Protocol, Self
 
@@ -26,7 +26,8 @@ MOST_BUFFER_BYTES = 256 << 20
 LATE_PACKET_S = 0.4
 LATE_READER_S = 2.0  # so long a busy machine may keep a reader from its frames
 _POLL_S = 0.05
-_SUSPICION_S = 0.2
+SUSPICION_S = 0.2
+"""Silence after which a camera is asked whether it is there, s."""
 
 
 class Owner(Protocol):
@@ -42,6 +43,8 @@ class Owner(Protocol):
     def is_gige(self) -> bool: ...
 
     def require_alive(self) -> None: ...
+
+    def while_alive(self, act: Callable[[], None]) -> None: ...
 
     def died(self, how: str) -> CameraError: ...
 
@@ -111,6 +114,10 @@ class AravisCapture:
         return self._whole.losses
 
     def __enter__(self) -> Self:
+        self._owner.while_alive(self._start)
+        return self
+
+    def _start(self) -> None:
         # A stream of its own, on a port of its own: no frame sent before can arrive in it.
         self._stream = stream = self._library.call("arv_camera_create_stream", self._camera, None, None)
         if self._owner.is_gige:
@@ -121,7 +128,6 @@ class AravisCapture:
         for _ in range(self._buffers(payload)):
             self._give_back(self._library.plain("arv_buffer_new", payload, None))
         self._library.call("arv_camera_start_acquisition", self._camera)
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -174,7 +180,7 @@ class AravisCapture:
             if buffer:
                 return buffer
             silent_s = time.monotonic() - began_s
-            if silent_s > _SUSPICION_S:
+            if silent_s > SUSPICION_S:
                 self._owner.require_alive()
             if silent_s > self._patience_s:
                 raise self._owner.died(f"has sent no frame for {silent_s:.1f} s")

@@ -102,3 +102,18 @@ def test_a_camera_that_is_gone_before_a_run_is_noticed_at_once(tmp_path):
         with pytest.raises(CameraError, match="nothing listens on its control port"):
             camera.configure(CameraSettings(gain_db=1.0))
         assert time.monotonic() - began_s < 0.5
+
+
+def test_a_camera_that_goes_while_it_is_spoken_to_is_not_spoken_to_for_seconds(tmp_path):
+    folder, wires = wired_bench(tmp_path / "bench", rows=61, columns=84)
+    with CameraProcess(folder, wires) as process, opened(process) as camera:
+
+        def killed() -> None:
+            process.kill()
+            time.sleep(3.0)  # as long as the library repeats a command that nobody answers
+
+        began_s = time.monotonic()
+        with pytest.raises(CameraError, match="nothing listens on its control port"):
+            camera.while_alive(killed)
+        assert time.monotonic() - began_s < 1.0
+        assert camera.is_dead
