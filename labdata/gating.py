@@ -131,5 +131,6 @@ def out_of_step(gating: Gating, *, width_ns: float, exposure_s: float, field_hz:
     often = f", a beat of {beat_hz:.3g} Hz" if beat_hz and math.isfinite(beat_hz) else ""
     return (
         f"gate and fields are not in step ({gating.sync}, {rate_hz:g} openings and {field_hz:g} fields a second): the "
-        f'open time of a field varies by {uneven:.0%} of the opening{often}; sync = "triggered" keeps them in step'
+        f"open time of a field varies by {100.0 * uneven:.3g}% of the opening{often}; "
+        'sync = "triggered" keeps them in step'
     )

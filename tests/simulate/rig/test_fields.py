@@ -35,7 +35,7 @@ def test_the_time_open_in_each_exposure_is_that_of_a_picture_of_it():
     [
         (Gating(), 1 / 59.94, None),  # one opening a field, wherever it falls
         (Gating(), 0.004, "100%"),  # an opening that may miss the exposure
-        (Gating(sync="line-locked"), 1 / 59.94, "2%"),  # a field is 17 us longer than the mains' period
+        (Gating(sync="line-locked"), 1 / 59.94, "1.67%"),  # a field is 17 us longer than the mains' period
         (Gating(sync="line-locked", line_hz=50.0), 1 / 59.94, "100%"),  # one field in six has none
         (Gating(sync="triggered"), 1 / 59.94, None),
         (Gating(sync="triggered", delay_ns=1.3e7), 0.004, None),
@@ -72,8 +72,8 @@ def test_a_gate_locked_to_the_mains_before_a_50_hz_camera_bands_and_beats_and_a_
     pulse = {"gate_open": True, "gate_ns": 4e6, "gate_hz": 60.0}
     mains = frames_of(tmp_path / "mains", gate_trigger="mains", **pulse)
     triggered = frames_of(tmp_path / "camera", gate_trigger="camera", **pulse)
-    banded = np.abs(bands(mains)) > 0.2
-    assert banded.any() and not banded.all()
+    banded = np.abs(bands(mains)) > 0.1
+    assert np.count_nonzero(banded) == 4
     assert np.array_equal(banded[:5], banded[5:])
     assert np.abs(bands(triggered)).max() < 0.05
     dark = frames_of(tmp_path / "dark", gate_open=False, gate_ns=0.0, gate_hz=0.0).mean()
