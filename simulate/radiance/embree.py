@@ -145,6 +145,14 @@ def _set(ray, centre, origin, direction, reach):
 
 
 @numba.njit(**COMPILED)
+def stopped(scene, ray, centre, origin, direction):
+    """Return whether anything stands in a ray's way, however far."""
+    _set(ray, centre, origin, direction, np.inf)
+    _occluded(scene, ray.ctypes.data, 0)
+    return ray[8] < 0.0
+
+
+@numba.njit(**COMPILED)
 def _hits(scene, centre, corner, normal, origin, direction, face, range_m):
     ray = new_ray()
     for i in range(len(face)):

@@ -101,7 +101,8 @@ def field(
     rays, most
         Rays of each node at first, and at most.
     allowed
-        Variance that a pixel's signal may have, by its signal; None: no node gets more rays.
+        Variance that a pixel's signal may have, by its signal: over the nodes, variances over this are 1 in the mean.
+        None: no node gets more rays.
     weight
         Signal of each band's radiance, shape (band,).
     seed, run
@@ -126,10 +127,10 @@ def field(
         width, variance = _windows(grid, signals, run)
         if budget is None or 2 * (int(sent.max(initial=0)) + 2 * half) > most:
             break
-        short = budget.exceeded(signals.mean(axis=2)[seen.row, seen.col], variance[seen.row, seen.col])
-        which = np.flatnonzero(_around(grid.spread(short))[seen.row, seen.col])
-        if not len(which):
+        excess = budget.excess(signals.mean(axis=2)[seen.row, seen.col], variance[seen.row, seen.col])
+        if not len(excess) or excess.mean() <= 1.0:
             break
+        which = np.flatnonzero(_around(grid.spread(excess > 1.0))[seen.row, seen.col])
         half, turn = 2 * half, turn + 1
     change = grid.fitted(grid.spread(light.mean(axis=0)), width, run)
     return Field(stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent))
@@ -180,10 +181,11 @@ class _Budget:
         direct = stage.lit(points, effort, np.random.default_rng(0)).total() @ weight
         return cls(allowed, reflected, direct + reflected * sky)
 
-    def exceeded(self, change: Array, variance: Array) -> NDArray[np.bool_]:
-        """Return where the errors of nodes are too large, for changes of their irradiance's signal."""
+    def excess(self, change: Array, variance: Array) -> Array:
+        """Return the variances of nodes over what is allowed, for changes of their irradiance's signal."""
         signal = np.maximum(self.besides + self.reflected * change, 0.0)
-        return np.asarray(self.reflected**2 * variance > self.allowed(signal), np.bool_)
+        spread = self.reflected**2 * variance
+        return np.divide(spread, self.allowed(signal), out=np.zeros_like(spread), where=spread > 0.0)
 
 
 def _around(short: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -16,6 +16,7 @@ from simulate.radiance.transport import direct
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.even import R2
 from simulate.radiance.transport.lights import Lighting
+from simulate.radiance.transport.openness import sky_beyond_known
 from simulate.radiance.transport.points import Coats, Points
 from simulate.radiance.world.surfaces import Surfaces
 
@@ -203,7 +204,13 @@ class Stage:
             if effort.hidden_sky:
                 light *= points.known[:, None]
             parts.add("sky", rows, light)
-        if gathers:
+        last = depth >= effort.bounces and panels is None and not points.glossy
+        if gathers and last and not parts.split:
+            if effort.hidden_sky and not self.lighting.dome.dark:
+                even = _evenly(len(points), rays, rng) if even is None else even
+                light = sky_beyond_known(points, even, self.lighting.dome, self.surfaces.tracer)
+                parts.add("sky", rows, light * self.coats.matt(points))
+        elif gathers:
             self._add_gathered(parts, rows, points, effort, rng, rays, depth, even)
 
     def _between(self, effort: Effort, depth: int) -> direct.Through | None:
@@ -284,7 +291,7 @@ class Stage:
         count = len(points)
         many = points if rays == 1 else points.some(np.repeat(np.arange(count), rays))
         if even is None:
-            even = (rng.random((count, 1, 2)) + np.arange(rays)[:, None] * R2) % 1.0
+            even = _evenly(count, rays, rng)
         direction, density = self.coats.drawn(many, even.reshape(-1, 2), rng)
         cosine = np.einsum("ij,ij->i", many.normal, direction)
         gives = (cosine > 0.0) & (density > 0.0)
@@ -374,6 +381,11 @@ class _Around:
     range_m: Array
     met: NDArray[np.int64]
     open: NDArray[np.bool_]
+
+
+def _evenly(count: int, rays: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Pairs in [0, 1) that fill the square evenly for each place, shape (count, rays, 2)."""
+    return (rng.random((count, 1, 2)) + np.arange(rays)[:, None] * R2) % 1.0
 
 
 def _known_of(points: Points, effort: Effort) -> NDArray[np.float32]:

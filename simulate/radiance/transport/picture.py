@@ -45,7 +45,8 @@ class Picture:
         Spectral radiance.
     signal, variance
         What the eye makes of each pixel, and how far chance may have moved that: an estimate of its variance from the
-        spread of the pixel's own rays, on average too large where rays are spread evenly, shape (row, col).
+        spread of the pixel's own rays, on average too large where rays are spread evenly, shape (row, col); what pixels
+        share (`field.Field.variance`) comes besides.
     rays
         Rays of each pixel, shape (row, col).
     truth

@@ -1,5 +1,6 @@
 """Light that pixels share: as bright as analytic radiometry says, blurred by nothing, and sure of its own error."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -135,3 +136,20 @@ def test_the_rays_of_a_tile_fill_the_square_evenly_together():
     counts = np.bincount(8 * cell[:, 0] + cell[:, 1], minlength=64)
     # 256 at random would leave cells of 4 with a standard deviation of 2.
     assert counts.min() >= 2 and counts.max() <= 6
+
+
+@pytest.mark.parametrize("known", [1.0, 0.3])
+def test_light_asked_for_in_parts_and_all_at_once_is_the_same(seed, known):
+    """Compiled loops gather the sky where nobody asks for parts: they cast the same rays."""
+    stage, rng = beside_a_wall(), np.random.default_rng(seed)
+    tilted = rng.normal((0.0, 0.0, 1.5), 1.0, (200, 3))
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    count = len(tilted)
+    place = np.column_stack([np.zeros(count), np.linspace(0.1, 3.0, count), np.full(count, 0.01)])
+    face, share = np.zeros(count, np.int64), np.full(count, known, np.float32)
+    points = replace(stage.coats.points(stage.surfaces, face, place, -tilted, share), normal=tilted)
+    lit = [
+        stage.leaving(points, Effort(bounces=0), np.random.default_rng(seed), rays=8, split=split).total()
+        for split in (True, False)
+    ]
+    assert lit[1] == pytest.approx(lit[0], rel=1e-4, abs=1e-5)
