@@ -184,8 +184,9 @@ class _Budget:
     def excess(self, change: Array, variance: Array) -> Array:
         """Return the variances of nodes over what is allowed, for changes of their irradiance's signal."""
         signal = np.maximum(self.besides + self.reflected * change, 0.0)
-        spread = self.reflected**2 * variance
-        return np.divide(spread, self.allowed(signal), out=np.zeros_like(spread), where=spread > 0.0)
+        spread, limit = self.reflected**2 * variance, self.allowed(signal)
+        # What came out dark and is allowed nothing asks for nothing: no rays would do.
+        return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
 
 
 def _around(short: NDArray[np.bool_]) -> NDArray[np.bool_]:
