@@ -1,4 +1,4 @@
-"""What a camera does to its pictures before they are seen: sharpening, noise reduction in time, and a gamma curve."""
+"""What a camera does to its pictures before they are seen: sharpening, noise reduction, and a gamma curve."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ OUTER_CY_PER_PX = (0.15, 0.25)
 LEAST_RISE = 0.1
 # Glow of pulses is shared by pixels as well; noise reduction in time leaves pixels alone.
 SHARED_IN_SPACE = 0.25
+# Change over the levels of how much of the light's noise neighbours share: no blur and no gain makes it larger.
+LEAST_CHANGE = 0.05
 # Powers of the light that are no straight line, departure from such a power that still is one, and levels needed.
 LINEAR_POWER = (0.85, 1.15)
 GAMMA_POWER = (0.3, 3.0)
@@ -29,7 +31,7 @@ LEAST_LEVELS = 4
 def processing_findings(series: Series) -> list[Finding]:
     """Return what the noise of a series tells of filters in the camera."""
     lit = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
-    return [*_sharpened(lit), *_averaged(series.all_darks)]
+    return [*_sharpened(lit), *_averaged(series.all_darks), *_smoothed_by_level(series)]
 
 
 def _sharpened(levels: list[Level]) -> list[Finding]:
@@ -76,6 +78,41 @@ def _averaged(darks: tuple[Level, ...]) -> list[Finding]:
         return []
     word = f"successive dark frames hold {100 * value:.2g} % of their noise in common, neighbouring pixels none"
     return [("processed", f"{word}: the camera reduces noise in time")]
+
+
+def _smoothed_by_level(series: Series) -> list[Finding]:
+    """Whether neighbours share more of the light's noise at one level than at another.
+
+    Blur after the gain, and every filter that treats all pictures alike, spread the noise of each level by one form. A
+    filter that spares edges smooths what differs by less than a threshold: weak noise more, strong noise less.
+    """
+    chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
+    if len(chosen) < 2:
+        return []
+    span = np.log(series.signal_dn[chosen])
+    span = (span - span.min()) / max(float(np.ptp(span)), 1e-12)
+    design = np.stack([1.0 - span, span])
+    for place, name in (("in a row", "neighbour"), ("in a column", "below")):
+        share, sd = np.array([_of_light(series, int(i), name) for i in chosen]).T
+        weight = 1.0 / np.maximum(sd, 1e-9) ** 2
+        covariance = np.linalg.pinv(design * weight @ design.T)
+        low, high = covariance @ (design * weight @ share)
+        error = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
+        if abs(high - low) > LEAST_CHANGE + SIGNIFICANT * error:
+            word = f"neighbours {place} share {100 * low:.2g} % of the light's noise in the dimmest flat"
+            return [("processed", f"{word} and {100 * high:.2g} % in the brightest: the camera smooths some more")]
+    return []
+
+
+def _of_light(series: Series, index: int, name: str) -> tuple[float, float]:
+    """Correlation of neighbours in what the light adds to the noise of the dark, and its standard error."""
+    flat, dark = series.flats[index], series.darks[index]
+    variance = series.variance_dn2[index]
+    covariance, sd = (
+        [getattr(level, f"{name}_{what}") * level.variance_dn2 for level in (flat, dark)]
+        for what in ("correlation", "sd")
+    )
+    return float((covariance[0] - covariance[1]) / variance), float(np.hypot(*sd) / variance)
 
 
 def _pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:

@@ -32,6 +32,7 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "noise-against-gain": ("noise", gains.noise_against_gain),
     "noise-by-gain": ("noise", gains.noise_by_gain),
     "autocorrelation": ("noise", noise.autocorrelation),
+    "predictive-frames": ("noise", noise.predictive_frames),
     "snr-light": ("noise", light.snr_light),
     "three-dimensional-noise": ("noise", noise.three_dimensional),
     "pulse-heights": ("noise", pulses.pulse_heights),

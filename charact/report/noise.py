@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from charact.report.generic import array, dots, has, line
-from charact.report.style import DATA, INK, MODEL, THIRD, panels
+from charact.report.style import COLOURS, DATA, INK, MODEL, THIRD, panels
 
 Data = Mapping[str, Any]
 
@@ -131,4 +131,30 @@ def three_dimensional(data: Data) -> Any:
     line(grid[0, 1], frequency, array(data, "power_dn2"), color=THIRD)
     unit = "Hz" if period else "cycles per exposure"
     grid[0, 1].set(xlabel=f"temporal frequency ({unit})", ylabel="power of the means (DN²)")
+    return figure
+
+
+def predictive_frames(data: Data) -> Any:
+    """How far each sign of the flats lies from that of frames drawn from the posterior, in standard deviations."""
+    figure, grid = panels(size=(5.8, 3.6))
+    axes = grid[0, 0]
+    signs = list(dict.fromkeys(data["sign"]))
+    away = (array(data, "measured") - array(data, "expected")) / array(data, "sd")
+    row = np.array([signs.index(sign) for sign in data["sign"]], float)
+    axes.axvspan(-2.0, 2.0, color=MODEL, alpha=0.15, linewidth=0, label="95 % of frames drawn")
+    stacks = list(dict.fromkeys(data["stack"]))
+    for number, stack in enumerate(stacks):
+        own = np.array([one == stack for one in data["stack"]])
+        place = row[own] + 0.16 * (number - 0.5 * (len(stacks) - 1))
+        dots(axes, away[own], place, color=COLOURS[number % len(COLOURS)], markersize=4.5, label=stack)
+    axes.set_xscale("symlog", linthresh=3.0)
+    most = float(np.abs(away).max())
+    ticks = [tick for tick in (1, 3, 10, 30, 100, 300) if tick < 2.0 * most or tick <= 3]
+    axes.set_xticks([-tick for tick in ticks[::-1]] + [0, *ticks])
+    axes.set(xlim=(-1.3 * max(most, 3.0), 1.3 * max(most, 3.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_yticks(range(len(signs)), signs)
+    axes.set(xlabel="measured less expected (standard deviations)", ylim=(len(signs) - 0.5, -0.5))
+    axes.axvline(0, color=INK, linewidth=0.8)
+    axes.legend(fontsize=7)
     return figure

@@ -27,6 +27,7 @@ from charact.noise.gain.series import Series, read_levels, series_of
 from charact.noise.gain.summary import summarise
 from charact.noise.light.separation import separated
 from charact.noise.light.snr import snr_against_light
+from charact.noise.predictive.check import Told, findings_of, predictive, predictive_evidence
 from charact.noise.provenance import provenance
 from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.stack.level import Level
@@ -70,7 +71,7 @@ def measured(session: Session, *, context: Context, method: str, estimate: Estim
     began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
     fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
-    result = _of_levels(darks, flats, single, context, fields, estimate, began)
+    result = _of_levels(session, darks, flats, single, context, fields, estimate, began)
     result += three_dimensional([*darks, *flats], context=context)
     result += dark_current(darks, result, context=context) + defect_pixels([*darks, *flats], context=context)
     result += gain_sweep(darks, flats, context=context)
@@ -78,8 +79,8 @@ def measured(session: Session, *, context: Context, method: str, estimate: Estim
     return result + snr_against_light(darks, flats, context=context)
 
 
-def _of_levels(darks: list[Level], flats: list[Level], single: list[str], context: Context, fields: dict[str, Any],
-               estimate: Estimate | None, began: float) -> Result:  # fmt: skip
+def _of_levels(session: Session, darks: list[Level], flats: list[Level], single: list[str], context: Context,
+               fields: dict[str, Any], estimate: Estimate | None, began: float) -> Result:  # fmt: skip
     """Gains and all that follows from them, or why there are none."""
     small = too_small([*darks, *flats])
     if small is not None:
@@ -92,7 +93,7 @@ def _of_levels(darks: list[Level], flats: list[Level], single: list[str], contex
         # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=timed([*out, *alone.measurements], began), evidence=alone.evidence)
-    return _of_series(series, context, fields, estimate, began)
+    return _of_series(session, series, context, fields, estimate, began)
 
 
 def too_small(levels: list[Level]) -> str | None:
@@ -106,8 +107,8 @@ def too_small(levels: list[Level]) -> str | None:
     )
 
 
-def _of_series(series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None, began: float
-               ) -> Result:  # fmt: skip
+def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None,
+               began: float) -> Result:  # fmt: skip
     """All quantities of a series of flats."""
     context.progress("posterior of the covariance gain", 0.9)
     pooled = one_gain(series, context=context, quick=context.quick, estimate=estimate)
@@ -116,7 +117,17 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], estimat
         pooled = pooled.at_low_signal(context)
     fit = pooled.fit
     common = series_findings(series, context=context)
-    findings = common + pooled.findings() + (bent(series) if white else coarse_findings(series)) + pooled.departures()
+    hidden = bent(series) + hidden_findings(pooled.neighbours, pooled.exposures)
+    allowance = float(np.hypot(pooled.neighbours.allowance, pooled.exposures.allowance))
+    gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
+    told = _told(session, pooled, gain, context)
+    findings = (
+        common
+        + findings_of(told)
+        + pooled.findings()
+        + (bent(series) if white else coarse_findings(series))
+        + pooled.departures()
+    )
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
     out = [
@@ -124,20 +135,26 @@ def _of_series(series: Series, context: Context, fields: dict[str, Any], estimat
         from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
     plain = flags_of(common)
-    hidden = flags_of(bent(series) + hidden_findings(pooled.neighbours, pooled.exposures))
-    allowance = float(np.hypot(pooled.neighbours.allowance, pooled.exposures.allowance))
-    gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
+    own_flags = flags_of(hidden + findings_of(told))
     out += (
-        _white_quantities(series, gain, context, plain + hidden, fields)
+        _white_quantities(series, gain, context, plain + own_flags, fields)
         if gain is not None
         else _intensified_quantities(series, fit, context, plain, flags, fields)
     )
     out.append(saturation(series, flags=plain, **fields))
     out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
-    out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=hidden,
+    out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=own_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
-    evidence = _evidence(pooled, gain)
+    evidence = _evidence(pooled, gain) | ({"predictive-frames": predictive_evidence(told)} if told else {})
     return Result(measurements=timed(out, began), evidence=evidence)
+
+
+def _told(session: Session, pooled: OneGain, gain: standard.Line | None, context: Context) -> list[Told]:
+    """Frames drawn from the posterior beside those measured; no quick number waits for that."""
+    if context.quick:
+        return []
+    context.progress("frames drawn from the posterior", 0.95)
+    return predictive(session.stacks, pooled, None if gain is None else gain.slope, context=context)
 
 
 def _evidence(pooled: OneGain, gain: standard.Line | None) -> dict[str, Any]:

@@ -71,6 +71,14 @@ class OneGain:
         posterior = _at_low_signal(self.posterior, self.series, self.levels_dn, self.levels_sd_dn, context)
         return replace(self, fit=replace(self.fit, posterior=posterior))
 
+    def level_share(self, index: int) -> float:
+        """Covariance over signal of a flat, by the straight line along the levels, over that of all."""
+        if self.series.fitted.sum() < 3:
+            return 1.0
+        trend = _trend(self.series, self.levels_dn, self.levels_sd_dn)
+        signal = self.series.signal_dn
+        return float((trend.first + trend.rise * signal[index] / signal[self.series.fitted].max()) / trend.pooled)
+
     def findings(self) -> list[Finding]:
         """What spectrum and lag say against or about the covariance gain."""
         return _model_findings(self.summary, self.fit) + _lag_findings(self.summary, self.exposures)

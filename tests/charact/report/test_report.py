@@ -247,6 +247,10 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "neighbour_correlation": spread, "neighbour_sd": spread, "lag_exposures": spread,
             "lag_correlation": spread, "lag_correlation_sd": spread,
         },
+        "predictive-frames": {
+            "stack": ["a", "a", "b"], "sign": ["tail", "rows", "tail"], "measured": spread, "expected": [0.1] * 3,
+            "sd": [0.1] * 3,
+        },
         "snr-light": {
             "least_snr": 1.0, "unit": "lux", "gains": [{
                 "gain": "plate at 800 V", "unit": "lux", "amount": [1e-5, 1e-4], "fitted": [True, False], "scopes": [{
@@ -306,4 +310,5 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
         figure = figure_of(kind, {"figure": kind, **data})
         assert figure.svg is not None, (kind, figure.why_not)
         texts = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
-        assert sum(bool(re.search(r"\((px|DN|DN²|1|.*px\)?|.*cycles.*|.*fitted.*)", text)) for text in texts) >= 1, kind
+        unit = r"\((px|DN|DN²|1|.*px\)?|.*cycles.*|.*fitted.*|standard deviations\))"
+        assert any(re.search(unit, text) for text in texts), kind

@@ -1,0 +1,187 @@
+"""Flats drawn from the posterior beside those measured: the signs in which they differ say that the model is wrong.
+
+A gain is fitted to means, variances and low spatial frequencies. Frames have more: were the model right, frames drawn
+from its posterior would have the same skewness, tails, row and column means, flicker and patches as those measured.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.findings import Finding
+from charact.noise.gain.one_gain import OneGain
+from charact.noise.predictive.light import LightNoise, of_electrons, of_pulses
+from charact.noise.predictive.signs import SIDE_PX, SIGNS, signs_of
+from charact.noise.stack.fields import fields_of
+from labdata.opened import open_stack
+from labdata.session import StackEntry
+
+Array = NDArray[np.float64]
+
+# Chance of calling a right model wrong, shared out over all signs of all levels.
+LEVEL = 0.01
+# Sets of frames drawn, exposures of each, side of the middle of the image that is looked at, and levels.
+REPLICATES = 24
+EXPOSURES = 8
+SIDE = 192
+LEVELS = 3
+# Smallest middle that has patches to compare.
+LEAST_SIDE = 96
+# Light is taken to be even over so many pixels.
+EVEN_PX = 17
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """One sign of one stack.
+
+    Parameters
+    ----------
+    stack, sign
+        The stack's label and the name of the sign.
+    measured, expected, sd
+        The sign of the frames measured, mean of those drawn and their standard deviation.
+    chance
+        Probability of one as far off beyond what is harmless, were the model right.
+    """
+
+    stack: str
+    sign: str
+    measured: float
+    expected: float
+    sd: float
+    chance: float
+
+
+def predictive(entries: tuple[StackEntry, ...], pooled: OneGain, gain_dn: Array | None, *, context: Context
+               ) -> list[Told]:  # fmt: skip
+    """Return the signs of some flats beside those of frames drawn from the posterior.
+
+    Parameters
+    ----------
+    entries
+        The session's stacks.
+    pooled
+        What was fitted.
+    gain_dn
+        Draws of K where noise is white, DN per electron, shape (draw,); None: the blur and the gain as fitted.
+    context
+        Seed, and whether frames are interlaced.
+
+    Notes
+    -----
+    Noise of the dark is not modelled: frames of the dark, turned over and shifted at random, are added. Light that is
+    uneven over the image stays so. Replicates scatter with chance and with the posterior; what the spectrum does not
+    tell, how unequal the pulses are, scatters over its prior. Gelman, Meng & Stern, Statistica Sinica 6, 733 (1996).
+    """
+    by_label = {entry.label: entry for entry in entries}
+    rng = np.random.default_rng([context.seed, 61])
+    out: list[Told] = []
+    for index in _levels(pooled):
+        flat, dark = pooled.series.flats[index], pooled.series.darks[index]
+        frames, base = (_middle(by_label[label], context) for label in (flat.label, dark.label))
+        if frames is None or base is None:
+            continue
+        law = _laws(pooled, index, gain_dn, rng)
+        out += _told(flat.label, frames, base, law, 2 if context.interlaced else 1, rng)
+    return out
+
+
+def findings_of(told: list[Told]) -> list[Finding]:
+    """Return what frames drawn from the posterior have otherwise, beyond chance."""
+    odd = [one for one in told if one.chance * len(told) < LEVEL]
+    worst = sorted(odd, key=lambda one: one.chance)[:3]
+    return [
+        (
+            "model-misfit",
+            f"{one.stack} is unlike frames drawn from the posterior: {SIGNS[one.sign].words} is {one.measured:.3g}, "
+            f"expected {one.expected:.3g} ± {one.sd:.2g}",
+        )
+        for one in worst
+    ]
+
+
+def predictive_evidence(told: list[Told]) -> dict[str, Any]:
+    """Return what the report draws of it."""
+    return {
+        "figure": "predictive-frames",
+        "stack": [one.stack for one in told],
+        "sign": [one.sign for one in told],
+        "measured": [one.measured for one in told],
+        "expected": [one.expected for one in told],
+        "sd": [one.sd for one in told],
+        "harmless": [SIGNS[one.sign].harmless for one in told],
+        "chance": [one.chance for one in told],
+    }
+
+
+def _levels(pooled: OneGain) -> list[int]:
+    """The dimmest, the middle and the brightest of the flats fitted."""
+    fitted = np.flatnonzero(pooled.series.fitted)
+    some = np.unique(np.linspace(0, len(fitted) - 1, min(LEVELS, len(fitted))).round().astype(int))
+    return [int(fitted[i]) for i in some]
+
+
+def _middle(entry: StackEntry, context: Context) -> Array | None:
+    """The middle of some exposures of the even field, or of whole frames, shape (exposure, row, col); None: too small.
+
+    Exposures that follow one another: glow is compared too.
+    """
+    stack = open_stack(entry)
+    data = stack.frames(0, min(len(stack), EXPOSURES))
+    field = fields_of(data, 2 if context.interlaced else 1)[0]
+    rows, cols = (SIDE_PX * (min(length, SIDE) // SIDE_PX) for length in field.shape[1:])
+    if min(rows, cols) < LEAST_SIDE or len(field) < 2:
+        return None
+    top, left = (field.shape[1] - rows) // 2, (field.shape[2] - cols) // 2
+    return field[:, top : top + rows, left : left + cols].astype(np.float64)
+
+
+def _laws(pooled: OneGain, index: int, gain_dn: Array | None, rng: np.random.Generator) -> Callable[[], LightNoise]:
+    """What gives the noise of a level by one draw of the posterior after another."""
+    if gain_dn is not None:
+        return lambda: of_electrons(float(rng.choice(gain_dn)))
+    posterior, pitch = pooled.posterior, pooled.series.flats[index].bins.row_pitch
+    share = pooled.level_share(index)
+    return lambda: of_pulses(posterior, int(rng.integers(len(posterior.draws))), share, pitch, rng)
+
+
+def _told(label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator
+          ) -> list[Told]:  # fmt: skip
+    """Signs of one stack beside those of its replicates."""
+    from scipy.ndimage import uniform_filter
+
+    light = np.maximum(uniform_filter(frames.mean(axis=0) - base.mean(axis=0), EVEN_PX, mode="nearest"), 0.0)
+    change = (base - base.mean(axis=0)) * np.sqrt(len(base) / (len(base) - 1))
+    drawn = [
+        signs_of(law().frames(light, len(frames), every, rng) + _turned(change, len(frames), rng))
+        for _ in range(REPLICATES)
+    ]
+    ours = signs_of(frames)
+    return [_one(label, name, value, np.array([one[name] for one in drawn])) for name, value in ours.items()]
+
+
+def _turned(change: Array, count: int, rng: np.random.Generator) -> Array:
+    """Frames of the dark's noise, drawn with repeats, mirrored and shifted at random."""
+    rows, cols = change.shape[1:]
+    out = []
+    for index in rng.integers(len(change), size=count):
+        image = change[index, :: rng.choice([-1, 1]), :: rng.choice([-1, 1])]
+        out.append(np.roll(image, (rng.integers(rows), rng.integers(cols)), axis=(0, 1)))
+    return np.array(out)
+
+
+def _one(label: str, name: str, measured: float, drawn: Array) -> Told:
+    """How far off one sign is, by Student's law: mean and scatter are those of a few replicates."""
+    from scipy.stats import t as student
+
+    expected, sd = float(drawn.mean()), max(float(drawn.std(ddof=1)), 1e-12)
+    away = measured - expected if SIGNS[name].upwards else abs(measured - expected)
+    beyond = max(away - SIGNS[name].harmless, 0.0) / (sd * np.sqrt(1.0 + 1.0 / len(drawn)))
+    sides = 1.0 if SIGNS[name].upwards else 2.0
+    chance = min(1.0, sides * float(student.sf(beyond, len(drawn) - 1))) if beyond > 0 else 1.0
+    return Told(stack=label, sign=name, measured=measured, expected=expected, sd=sd, chance=chance)
