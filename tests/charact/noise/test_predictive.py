@@ -51,7 +51,7 @@ def test_a_camera_that_is_as_the_model_has_it_is_not_called_wrong(pulses, keepin
         "white": pulses(gain_dn=0.0, electron_gain_dn=0.5, shape=SHAPE),
     }[kind]
     levels = tuple(100.0 * level for level in LEVELS) if kind == "white" else LEVELS
-    found = told(series(camera, np.random.default_rng(seed), levels))
+    found = told(series(camera, np.random.default_rng(seed), levels, frames=6, dark_frames=6))
     assert {one.stack for one in found} == {"flat-0", "flat-2", "flat-3"}
     assert not check.findings_of(found)
 
@@ -80,7 +80,9 @@ def test_what_the_model_has_not_is_found_by_its_own_sign(pulses, series, in_memo
         "patches": (patches, "patches"),
     }[wrong]  # fmt: skip
     camera = pulses(transfer=gauss, shape=SHAPE)
-    found = told(changed(series(camera, rng, LEVELS), in_memory, change))
+    # Few frames tell little of how their means vary.
+    frames = 8 if wrong == "flicker" else 5
+    found = told(changed(series(camera, rng, LEVELS, frames=frames, dark_frames=5), in_memory, change))
     flags = check.findings_of(found)
     assert [flag for flag, _ in flags] == ["model-misfit"] * len(flags) and flags
     assert any(one.sign == sign and one.chance * len(found) < check.LEVEL for one in found)
@@ -107,7 +109,8 @@ def test_a_number_that_is_not_quick_carries_what_its_frames_say(pulses, series, 
     def flashes(data):
         return data + gaussian_filter(200.0 * 20.0 * rng.poisson(2e-4, data.shape), (0, 3, 3))
 
-    session = changed(series(pulses(transfer=gauss, shape=SHAPE), rng, LEVELS[:3]), in_memory, flashes)
+    camera = pulses(transfer=gauss, shape=SHAPE)
+    session = changed(series(camera, rng, LEVELS[:3], frames=5, dark_frames=5), in_memory, flashes)
     result = noise.measure(session, method="covariance-sum", context=replace(CONTEXT, quick=False))
     (gain,) = result.find("covariance_gain")
     assert "model-misfit" in gain.flags
