@@ -139,6 +139,9 @@ class SessionWriter:
             entry = _continued(known, entry)
         if is_ours(path) and not journal(path):
             shutil.rmtree(path)
+        elif is_ours(path) and known is None:
+            # A kill between the first frames and the manifest leaves frames that nobody was promised and no stack owns.
+            path.rename(_aside(path))
         return StackWriter(ArrayWriter(path, shape, dtype), entry, self._enter)
 
     @property
@@ -155,9 +158,7 @@ class SessionWriter:
             Where its frames are now.
         """
         path = self._path(label)
-        aside = next(
-            other for number in count(1) if not (other := path.with_name(f"{label}.aside-{number}.zarr")).exists()
-        )
+        aside = _aside(path)
         self._forget(label)
         path.rename(aside)
         return aside
@@ -196,6 +197,13 @@ class SessionWriter:
         if not label or label.startswith(".") or set(label) & set("/\\\0"):
             raise BadInput(f"a label must be a file name without slashes or a leading dot, got {label!r}")
         return self.folder / FRAMES / f"{label}.zarr"
+
+
+def _aside(path: Path) -> Path:
+    """Return where frames can be kept that are no part of their session any more."""
+    return next(
+        other for number in count(1) if not (other := path.with_name(f"{path.stem}.aside-{number}.zarr")).exists()
+    )
 
 
 def _continued(known: StackForm, entry: StackForm) -> StackForm:

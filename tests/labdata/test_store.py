@@ -276,6 +276,23 @@ def test_resuming_goes_on_behind_the_last_frame_and_keeps_what_is_finished(tmp_p
     assert session.stack("flat").read().data[:, 0, 0].tolist() == [2, 3]
 
 
+def test_frames_that_a_kill_left_before_the_manifest_knew_of_them_are_no_part_of_their_stack(tmp_path, monkeypatch):
+    with writer_of(tmp_path) as writer:
+        monkeypatch.setattr(writer, "_save", lambda form: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt), begun(writer) as stack:
+            stack.append(frame(1), 0.0, 1)
+    with SessionWriter.resume(tmp_path) as writer:
+        assert writer.partial == {}
+        with begun(writer) as stack:
+            assert len(stack) == 0
+            for number in (8, 9):
+                stack.append(frame(number), 0.1 * number, number)
+            stack.finish()
+    assert open_session(tmp_path).stack("flat").read().frame_number.tolist() == [8, 9]
+    (aside,) = (tmp_path / "frames").glob("flat.aside-*.zarr")
+    assert store.read(aside).frame_number.tolist() == [1]
+
+
 def test_a_stack_that_asked_for_nothing_goes_on_too(tmp_path):
     for frames in (1, 2):
         writer = SessionWriter.resume(tmp_path / "s") if frames > 1 else writer_of(tmp_path / "s")

@@ -88,9 +88,10 @@ def try_fault(
     fault.repair(rig)
     rig.switch_off_what_is_on()
     endured = code == 0
+    timed = fault.ends_runs and not endured
     gate_must_shut = struck.gate_was_open or (fault.shows_in_frames and gate_s > 0.0)
-    gate_s = max(gate_s, 0.0) if gate_must_shut and fault.gate_hears and not endured else None
-    must_be_ordered = struck.voltage_was_on and fault.supply_hears and not endured
+    gate_s = max(gate_s, 0.0) if gate_must_shut and fault.gate_hears and timed else None
+    must_be_ordered = struck.voltage_was_on and fault.supply_hears and timed
     off_s = (np.inf if off_s is None else off_s) if must_be_ordered else None
     return Outcome(
         kind=fault.kind,
@@ -100,7 +101,7 @@ def try_fault(
         off_s=off_s,
         broken=(
             *left_on,
-            *_broken(client, session, fault, code, gate_s, off_s, within_s if fault.ends_runs else np.inf),
+            *_broken(client, session, fault, code, gate_s, off_s, within_s),
         ),
     )
 
