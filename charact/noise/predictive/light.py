@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from charact.noise.gain import model
 from labdata.measurement import Posterior
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 # Relative variance of the pulse heights of a plate: anything from all alike to a little beyond exponential.
 HEIGHTS = (0.0, 1.2)
@@ -40,7 +40,7 @@ class LightNoise:
     pulse_dn: float
     height_variance: float
     electron_gain_dn: float
-    blur: Array | None = None
+    blur: NDArray[np.float64] | None = None
     row_pitch: float = 1.0
     kept: float = 0.0
 
@@ -78,7 +78,7 @@ class LightNoise:
         if self.blur is None:
             return None
         column, row = np.meshgrid(np.fft.rfftfreq(shape[1]), np.abs(np.fft.fftfreq(shape[0])) / self.row_pitch)
-        power = model.transfer(self.blur[None], column.ravel(), row.ravel())[0]
+        power = model.transfer(self.blur[None], column.ravel().astype(float), row.ravel().astype(float))[0]
         return np.sqrt(power).reshape(column.shape)
 
     def _electrons(self, light_dn: Array, rng: np.random.Generator) -> Array:

@@ -136,7 +136,7 @@ def _power(image: NDArray[np.float32]) -> Array:
     """Power of every mode of an image but its mean, half of the plane."""
     from scipy import fft
 
-    modes = np.asarray(fft.rfft2(image, workers=1))
+    modes = np.asarray(fft.rfft2(image, workers=1), np.complex64)
     power = modes.real.astype(np.float64) ** 2 + modes.imag.astype(np.float64) ** 2
     power[0, 0] = 0.0
     return power

@@ -171,7 +171,7 @@ def along_rows(band: NDArray[np.float32], first: int, bins: Bins) -> NDArray[np.
     from scipy import fft
 
     fade_rows, fade_cols = bins.fades
-    spectra = np.asarray(fft.rfft(band[..., : len(fade_cols)] * fade_cols, axis=-1, workers=1))
+    spectra = np.asarray(fft.rfft(band[..., : len(fade_cols)] * fade_cols, axis=-1, workers=1), np.complex64)
     return spectra[..., : bins.columns] * fade_rows[first : first + band.shape[-2], None]
 
 
