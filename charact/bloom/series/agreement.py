@@ -1,4 +1,8 @@
-"""Whether extents read from the frames are those of the fitted light: two ways to one number that must agree."""
+"""Extents read from the frames beside those of the fitted light: two ways to one number that must agree.
+
+Where they do, their mean is told: the frame's contour knows nothing of forms, the fitted light sees all levels and both
+sides of a border that codes cut.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.bloom.extent import Extent
 from charact.bloom.series.choice import Candidate
-from charact.bloom.spot import Spot
+from charact.bloom.spot import HALF_STEP_DN, Spot
 from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]
@@ -18,16 +23,27 @@ WITHIN_PX, WITHIN_SHARE, LIGHT_SHARE = 1.0, 0.05, 0.03
 # Levels that the fitted light tells, and those whose extents it may contradict.
 LEVELS: dict[str, Callable[[Spot], float]] = {
     "bloom_diameter": lambda spot: spot.half_dn,
-    "bloom_diameter_clip": lambda spot: spot.full_scale_dn,
+    "bloom_diameter_clip": lambda spot: spot.full_scale_dn - HALF_STEP_DN,
     "bloom_diameter_background": lambda spot: spot.dark_dn + 2.0 * spot.light.level_dn,
 }
+READ: dict[str, Callable[[Spot], Extent | None]] = {
+    "bloom_diameter": lambda spot: spot.half,
+    "bloom_diameter_clip": lambda spot: spot.clip,
+    "bloom_diameter_background": lambda spot: spot.background,
+}
 CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
-# Share of the difference between both that is charged to what is told, as a standard error.
-CHARGED = 0.4
+# Share of the contour's own error that is left in the mean of both, as 185 series in closed form show it. Contours next
+# to the highest code are off by what it hides, which their mean halves and the difference below holds.
+LEFT = {"bloom_diameter": 0.6, "bloom_diameter_clip": 0.42, "bloom_diameter_background": 0.6}
+# Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
+# both at 95 %, and to a contour that stays alone.
+CHARGED_MEAN, CHARGED_ALONE = 0.3, 0.4
+# What the diameter of a fitted form is off by at its best, px.
+FORM_PX = 0.008
 
 
 def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measurement, ...]) -> tuple[Measurement, ...]:
-    """Return the measurements, extents held against the fitted light: intervals own to a difference, flags to more.
+    """Return the measurements, extents brought together with the fitted light: intervals own to what they differ by.
 
     Parameters
     ----------
@@ -40,7 +56,8 @@ def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measuremen
 
     Notes
     -----
-    An extent is flagged that is off, or that a streak may have joined to a rim which the round light leaves apart.
+    A streak belongs to the frame alone: the extent that it pulls stays as read, and is flagged where the streak may
+    have joined it to a rim which the round light leaves apart. So is one that the fitted light contradicts.
     """
     problem = best.problem
     light = problem.light_at(best.peak.point[None])[..., 0]
@@ -53,23 +70,30 @@ def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measuremen
             curve, level = light[problem.series.labels.index(spot.label)], LEVELS[one.quantity](spot)
             joined = spot.label in streaked and _stands_apart(curve, level)
             off = joined or _is_off(problem.series.node_px, curve, level, one.interval95)
-            one = _charged(one, _diameter(problem.series.node_px, curve, level))
+            read = READ[one.quantity](spot)
+            alone = off or read is None or read.pulled or read.contour is None
+            one = _met(one, _diameter(problem.series.node_px, curve, level), alone=alone)
             one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
         out.append(one)
     return tuple(out)
 
 
-def _charged(extent: Measurement, diameter_px: float) -> Measurement:
-    """The extent with what it differs from the fitted light's in its intervals."""
+def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement:
+    """The mean of an extent and the fitted light's, or the extent alone; what they differ by is in the intervals."""
     value, low68, low95 = extent.value, extent.interval68, extent.interval95
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
-    sd = CHARGED * abs(value - diameter_px)
+    left, charged = (1.0, CHARGED_ALONE) if alone else (LEFT[extent.quantity], CHARGED_MEAN)
+    mean = value if alone else 0.5 * (value + diameter_px)
+    sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else FORM_PX))
     wide = [
-        (value - float(np.hypot(value - low, times * sd)), value + float(np.hypot(high - value, times * sd)))
+        (
+            mean - float(np.hypot(left * (value - low), times * sd)),
+            mean + float(np.hypot(left * (high - value), times * sd)),
+        )
         for (low, high), times in ((low68, 1.0), (low95, 1.96))
     ]
-    return replace(extent, interval68=wide[0], interval95=wide[1])
+    return replace(extent, value=mean, interval68=wide[0], interval95=wide[1])
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:

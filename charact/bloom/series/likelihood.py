@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from charact.bloom.series.forms import Form
 from charact.bloom.series.hankel import onto_nodes
 from charact.bloom.series.levels import HARDLY_CUT, Level, Noise
+from charact.bloom.series.ring_loops import best_step, left_over, lost_at_top, ring_means, whitened
 from charact.bloom.series.rings import Geometry
 
 Array = NDArray[np.float64]
@@ -89,10 +90,14 @@ class Series:
         return np.linalg.eigh(self.own_covariance / (light[:, :, None] * light[:, None, :]))
 
     @cached_property
-    def rings_up_to(self) -> NDArray[np.intp]:
-        """How many rings the nodes up to each one have a part in, shape (node,)."""
-        last = self.averages.shape[1] - np.argmax((self.averages != 0).any(axis=0)[::-1], axis=0)
-        return np.maximum.accumulate(last)
+    def parts_of_rings(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """First node that has a part in each ring, and the one behind the last, shape (level, ring)."""
+        has = self.averages != 0
+        return has.argmax(axis=2), has.shape[2] - has[..., ::-1].argmax(axis=2)
+
+    def ring_means(self, light: Array) -> Array:
+        """Average light at the nodes over rings, shape (level, ring, column)."""
+        return ring_means(np.ascontiguousarray(light), self.averages, *self.parts_of_rings)
 
     @cached_property
     def onto_nodes(self) -> Array:
@@ -226,15 +231,20 @@ class Problem:
         return (self.whitener @ self.series.averages.sum(axis=-1)[..., None])[..., 0]
 
     @cached_property
+    def uncut_data(self) -> Array:
+        """Ring means by the weights of uncut rings, shape (level, ring)."""
+        return self.uncut_weight * self.series.data
+
+    @cached_property
+    def uncut_even(self) -> Array:
+        """Ring means of an even light of 1 DN by the weights of uncut rings, shape (level, ring)."""
+        return self.uncut_weight * self.series.averages.sum(axis=-1)
+
+    @cached_property
     def uncut_weight(self) -> Array:
         """One over the standard error of each ring that is not cut, 0 of the others, shape (level, ring), 1/DN."""
         own = np.diagonal(self.series.covariance(self.model_share), axis1=1, axis2=2)
         return ~self.series.cut / np.sqrt(own)
-
-    @cached_property
-    def averages_twice(self) -> Array:
-        """Takes light at the nodes to ring means, whitened and by their own weights, shape (2, level, ring, node)."""
-        return np.array([self.whitener @ self.series.averages, self.uncut_weight[..., None] * self.series.averages])
 
     def log_probability(self, points: Array) -> Array:
         """Log of the posterior with every level's own light at its best, shape (point,)."""
@@ -251,8 +261,8 @@ class Problem:
 
     def straight_parts(self, straight: Array) -> dict[str, Array]:
         """Average light at the nodes, shape (node, point), over rings."""
-        twice = self.averages_twice
-        white, uncut = (twice.reshape(-1, len(straight)) @ straight).reshape(*twice.shape[:3], -1)
+        rings = self.series.ring_means(np.broadcast_to(straight, (len(self.series.labels), *straight.shape)))
+        white, uncut = whitened(rings, self.whitener), self.uncut_weight[..., None] * rings
         return {"straight": straight, "white": white, "uncut": uncut}
 
     def solved(self, points: Array) -> Solved:
@@ -264,9 +274,8 @@ class Problem:
         amplitudes = self._of_uncut_rings(parts.uncut)
         residual, slopes = self.whitened(parts, amplitudes)
         for _ in range(self.steps):
-            right = np.stack([(one * residual).sum(axis=1) for one in slopes], axis=1)
-            step = _solved(_normal(slopes), right)
-            if float((step * right).sum(axis=1).max()) < SETTLED:
+            step, promise = best_step(slopes[0], slopes[1], residual)
+            if promise < SETTLED:
                 break
             amplitudes = amplitudes + step
             residual, slopes = self.whitened(parts, amplitudes)
@@ -274,35 +283,23 @@ class Problem:
 
     def _of_uncut_rings(self, uncut: Array) -> Array:
         """First amplitudes, from the rings that are not cut, each with its own variance alone."""
-        weight = self.uncut_weight
-        data, even = ((weight * one)[..., None] for one in (self.series.data, self.series.averages.sum(axis=-1)))
-        slopes = np.array([uncut, np.broadcast_to(even, uncut.shape)])
-        return _solved(_normal(slopes), np.stack([(one * data).sum(axis=1) for one in slopes], axis=1))
+        even, data = (np.broadcast_to(one[..., None], uncut.shape) for one in (self.uncut_even, self.uncut_data))
+        return best_step(uncut, even, data)[0]
 
     def whitened(self, parts: Parts, amplitudes: Array) -> tuple[Array, Array]:
         """Whitened residuals, shape (level, ring, point), and slopes of the rings, (amplitude, level, ring, point)."""
-        series = self.series
-        even = np.broadcast_to(self.white_even[..., None], parts.white.shape)
-        residual = self.white_data[..., None] - parts.white * amplitudes[:, :1] - even * amplitudes[:, 1:]
         lost = self.lost(parts, amplitudes)
-        if not lost.shape[1]:
-            return residual, np.array([parts.white, even])
-        levels, nodes, _, points = lost.shape
-        rings = int(series.rings_up_to[nodes - 1])
-        of_rings = series.averages[:, :rings, :nodes] @ lost.reshape(levels, nodes, -1)
-        white = (self.whitener[:, :, :rings] @ of_rings).reshape(levels, -1, 3, points)
-        return residual + white[:, :, 0], np.array([parts.white - white[:, :, 1], even - white[:, :, 2]])
+        levels, nodes, parts_lost, points = lost.shape
+        of_rings = self.series.ring_means(lost.reshape(levels, nodes, parts_lost * points))
+        lost = of_rings.reshape(levels, of_rings.shape[1], parts_lost, points)
+        return left_over(parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener)
 
     def lost(self, parts: Parts, amplitudes: Array) -> Array:
         """Light that is not read and how it follows the amplitudes, shape (level, node, 1 + amplitude, point).
 
         Nodes end where nothing is lost any more.
         """
-        light = self.light(parts, amplitudes)
-        near = light > (self.series.full_dn - NEAR_TOP * self.series.node_sd)[..., None]
-        nodes = light.shape[1] - int(np.argmax(np.asarray(near.any(axis=(0, 2)))[::-1])) if near.any() else 0
-        read, slope = self.read(light[:, :nodes], self.series.node_sd[:, :nodes])
-        return np.stack([light[:, :nodes] - read, (1.0 - slope) * parts.straight[:nodes], 1.0 - slope], axis=2)
+        return lost_at_top(parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP)
 
     def light(self, parts: Parts, amplitudes: Array) -> Array:
         """Light at the nodes, shape (level, node, point), DN."""
@@ -348,12 +345,3 @@ def _normal(slopes: Array) -> Array:
     source, even = slopes
     (a, b, d) = ((one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even)))
     return np.stack([np.stack([a, b], axis=1), np.stack([b, d], axis=1)], axis=1)
-
-
-def _solved(normal: Array, right: Array) -> Array:
-    """Solve two equations for numbers of very unlike size, shapes (level, 2, 2, point) and (level, 2, point)."""
-    (a, b), (_, d) = (normal[:, 0, 0], normal[:, 0, 1]), (normal[:, 1, 0], normal[:, 1, 1])
-    determinant = np.maximum(a * d - b * b, 1e-12 * a * d + 1e-300)
-    return (
-        np.stack([d * right[:, 0] - b * right[:, 1], a * right[:, 1] - b * right[:, 0]], axis=1) / determinant[:, None]
-    )

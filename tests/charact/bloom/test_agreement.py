@@ -1,0 +1,33 @@
+"""Two ways to one extent, the frame's contour and the fitted light, brought together."""
+
+import pytest
+
+from charact.bloom.series.agreement import _met
+from labdata.measurement import Provenance, from_sd
+
+READ_PX, FITTED_PX = 40.0, 40.6
+
+
+def extent(sd_px):
+    provenance = Provenance(version="0")
+    return from_sd("bloom_diameter", "px", READ_PX, sd_px, method="any", provenance=provenance)
+
+
+@pytest.mark.parametrize("sd_px", [1e-6, 0.1, 1.0])
+def test_whichever_of_two_readings_is_right_the_interval_of_their_mean_holds_it(sd_px):
+    met = _met(extent(sd_px), FITTED_PX, alone=False)
+    assert met.value == pytest.approx((READ_PX + FITTED_PX) / 2)
+    low, high = met.interval95
+    assert low < READ_PX < FITTED_PX < high
+
+
+def test_readings_that_agree_are_surer_together_than_one_alone():
+    low, high = _met(extent(0.1), READ_PX + 0.01, alone=False).interval95
+    alone_low, alone_high = extent(0.1).interval95
+    assert high - low < 0.7 * (alone_high - alone_low)
+
+
+def test_an_extent_that_stays_alone_keeps_its_value_and_owns_to_the_difference():
+    met = _met(extent(0.1), FITTED_PX, alone=True)
+    assert met.value == READ_PX
+    assert met.interval95[1] - READ_PX == pytest.approx(1.96 * (0.1**2 + 0.24**2) ** 0.5, rel=1e-3)
