@@ -8,9 +8,10 @@ from charact.study.bar_strips import StripScene
 from charact.study.bars import BarScene
 from charact.study.edge import Blur
 from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
 
 # Axis: unit, positions, and the first and last position inside the scope that bar methods declare.
-AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
+AXES: Axes = {
     "bar SNR": ("level / pixel noise", (100, 30, 10, 5, 3, 2, 1, 0.5), (3, 100)),
     "one frame, bar SNR": ("level / pixel noise", (100, 30, 10, 5, 2, 1), (10, 100)),
     "frequency": ("cy/px", (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.35, 0.4, 0.45, 0.48, 0.5), (0.05, 0.35)),
@@ -82,20 +83,15 @@ def _asked(axis: str, position: float, scene: Scene) -> dict[str, Any]:
     return {"bars": bars, "frequency_cy_per_px": scene.frequency_cy_per_px * off}
 
 
-def _case(axis: str, position: float, unit: str, scene: Scene, in_scope: bool, seed: int) -> Case:
-    return Case(
+def _case(at: Place, scene: Scene, rng: np.random.Generator) -> Case:
+    return at.case(
+        rng,
         kind="bars",
-        name=f"{axis} {position:g} {unit}".strip(),
-        axis=axis,
-        position=float(position),
-        unit=unit,
         quantity="mtf",
         truth=scene.truth_mtf,
-        in_scope=in_scope,
-        seed=seed,
         draw=scene.frames_drawn,
-        arguments=_asked(axis, position, scene),
-        context={"interlaced": axis == "interlace motion", "full_scale_dn": scene.full_scale_dn},
+        arguments=_asked(at.axis, at.position, scene),
+        context={"interlaced": at.axis == "interlace motion", "full_scale_dn": scene.full_scale_dn},
     )
 
 
@@ -124,33 +120,25 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
         Names of `AXES`.
     """
     rng = np.random.default_rng([seed, 7])
-    cases = []
-    for axis in axes:
-        unit, positions, (low, high) = AXES[axis]
-        for position in positions:
-            for repeat in range(repeats):
-                scene = _scene(axis, position, _common(rng, tube=repeat % 2 == 1))
-                inside = low <= position <= high
-                cases.append(_case(axis, position, unit, scene, inside, int(rng.integers(1 << 31))))
-    noise = [_noise_case(kind, int(rng.integers(1 << 31))) for kind in ("white", "correlated") for _ in range(repeats)]
-    return (*cases, *noise)
+
+    def drawn(at: Place, repeat: int) -> Case:
+        return _case(at, _scene(at.axis, at.position, _common(rng, tube=repeat % 2 == 1)), rng)
+
+    cases = turned(AXES, axes, repeats, drawn)
+    return (*cases, *(_noise_case(kind, rng) for kind in ("white", "correlated") for _ in range(repeats)))
 
 
-def _noise_case(kind: str, seed: int) -> Case:
+def _noise_case(kind: str, rng: np.random.Generator) -> Case:
     """Frames without bars: nothing to measure."""
     flat = BarScene(
         level_dn=1e-3, pedestal_dn=100.0, snr=1e-4, shot_share=1.0, noise_blur_px=1.0 if kind == "correlated" else 0.0
     )
-    return Case(
+    at = Place(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
+    return at.case(
+        rng,
         kind="bars",
-        name=f"noise alone, {kind}",
-        axis="noise alone",
-        position=float(kind == "correlated"),
-        unit="1 = correlated",
         quantity="mtf",
         truth=None,
-        in_scope=False,
-        seed=seed,
         draw=flat.frames_drawn,
         arguments={"bars": 4, "frequency_cy_per_px": 0.12},
         context={"full_scale_dn": flat.full_scale_dn},
@@ -160,8 +148,8 @@ def _noise_case(kind: str, seed: int) -> Case:
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, frequency, number, direction, phase, noise and its correlation."""
     rng = np.random.default_rng([seed, 8])
-    cases = []
-    for number in range(count):
+
+    def drawn(at: Place, number: int) -> Case:
         tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.5)))
         scene = BarScene(
             blur=Blur(sigma_px=float(rng.uniform(0.5, 1.2))) if number % 2 else tube,
@@ -178,5 +166,6 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
             snr=float(np.exp(rng.uniform(np.log(5), np.log(50)))),
             noise_blur_px=float(rng.choice([0.0, 0.5, 0.9])),
         )
-        cases.append(_case("in scope", number, "", scene, True, int(rng.integers(1 << 31))))
-    return tuple(cases)
+        return _case(at, scene, rng)
+
+    return in_scope(count, drawn)

@@ -8,9 +8,9 @@ import numpy as np
 from charact.study.bloom_scene import BloomScene
 from charact.study.bloom_series import BloomSeries, halo_overload, levels_in_scope, scene_in_scope, series_in_scope
 from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
 
-# Axis: unit, positions, and the first and last position inside the scope.
-AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
+AXES: Axes = {
     "halo's share of the light": ("1", (0.001, 0.003, 0.01, 0.02, 0.1, 0.3), (0.02, 0.3)),
     "halo diameter": ("px", (14, 20, 25, 45, 70, 90), (25, 70)),
     "elastic share": ("1", (0, 0.03, 0.1, 0.3, 1), (0.1, 1)),
@@ -76,17 +76,12 @@ def _knobs(position: float, base: BloomScene) -> dict[str, dict[str, Any]]:
     }
 
 
-def _case(axis: str, position: float, unit: str, series: BloomSeries, in_scope: bool, seed: int) -> Case:
-    return Case(
+def _case(at: Place, series: BloomSeries, rng: np.random.Generator) -> Case:
+    return at.case(
+        rng,
         kind="bloom",
-        name=f"{axis} {position:g} {unit}".strip(),
-        axis=axis,
-        position=float(position),
-        unit=unit,
         quantity="halo_diameter",
         truth=series.truth("halo_diameter", None),
-        in_scope=in_scope,
-        seed=seed,
         draw=series.session_drawn,
         context={"full_scale_dn": series.scene.full_scale_dn},
     )
@@ -105,14 +100,7 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
         Names of `AXES`.
     """
     rng = np.random.default_rng([seed, 31])
-    cases = []
-    for axis in axes:
-        unit, positions, (low, high) = AXES[axis]
-        for position in positions:
-            for _ in range(repeats):
-                series = _series(axis, position, rng)
-                inside = low <= position <= high
-                cases.append(_case(axis, position, unit, series, inside, int(rng.integers(1 << 31))))
+    cases = turned(AXES, axes, repeats, lambda at, _: _case(at, _series(at.axis, at.position, rng), rng))
     return (*cases, *(_bare(rng) for _ in range(2 * repeats)))
 
 
@@ -120,12 +108,10 @@ def _bare(rng: np.random.Generator) -> Case:
     """A source without a halo: nothing to measure."""
     series = series_in_scope(rng, widest_px=50.0, most_frames=8)
     bare = replace(series, scene=replace(series.scene, halo_fraction=0.0))
-    return _case("no halo", 0.0, "", bare, False, int(rng.integers(1 << 31)))
+    return _case(Place(axis="no halo", position=0.0, unit="", in_scope=False), bare, rng)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random (`charact.study.bloom_series`)."""
     rng = np.random.default_rng([seed, 32])
-    return tuple(
-        _case("in scope", number, "", series_in_scope(rng), True, int(rng.integers(1 << 31))) for number in range(count)
-    )
+    return in_scope(count, lambda at, _: _case(at, series_in_scope(rng), rng))

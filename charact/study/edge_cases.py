@@ -1,16 +1,16 @@
 """The cases of the edge methods: what they must cope with, and each way they break, past its breaking point."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from charact.study.edge import Blur, EdgeScene
 from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
 
 # Axis: unit, positions, and the first and last position inside the scope that edge methods declare.
 # Bounds of the scope follow the failure table of the slanted edge: biases under a percent or two.
-AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
+AXES: Axes = {
     "edge SNR": ("step / noise", (100, 50, 30, 20, 10, 5, 3, 2, 1), (20, 100)),
     "edge SNR, 16 frames": ("step / noise", (100, 30, 10, 5, 2, 1, 0.5), (10, 100)),
     "tilt": ("deg", (0, 0.3, 1, 2, 3, 5, 10, 20, 30, 40, 45), (3, 15)),
@@ -53,26 +53,14 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
     return EdgeScene(**{**common, **knob})
 
 
-def _seeds(seed: int) -> Iterator[int]:
-    """Endless child seeds."""
-    rng = np.random.default_rng(seed)
-    while True:
-        yield int(rng.integers(1 << 31))
-
-
-def _case(axis: str, position: float, unit: str, scene: EdgeScene, in_scope: bool, seed: int) -> Case:
-    return Case(
+def _case(at: Place, scene: EdgeScene, seeds: np.random.Generator, *, edge: bool = True) -> Case:
+    return at.case(
+        seeds,
         kind="edge",
-        name=f"{axis} {position:g} {unit}".strip(),
-        axis=axis,
-        position=float(position),
-        unit=unit,
         quantity="mtf50",
-        truth=scene.truth_mtf50,
-        in_scope=in_scope,
-        seed=seed,
+        truth=scene.truth_mtf50 if edge else None,
         draw=scene.frames_drawn,
-        context={"interlaced": axis == "interlace motion", "full_scale_dn": scene.full_scale_dn},
+        context={"interlaced": at.axis == "interlace motion", "full_scale_dn": scene.full_scale_dn},
     )
 
 
@@ -88,36 +76,23 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
     axes
         Names of `AXES`.
     """
-    seeds, rng = _seeds(seed), np.random.default_rng([seed, 1])
-    cases = []
-    for axis in axes:
-        unit, positions, (low, high) = AXES[axis]
-        for position in positions:
-            for repeat in range(repeats):
-                tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
-                blur = tube if repeat % 2 else Blur(sigma_px=float(rng.uniform(0.7, 1.3)))
-                common = {"blur": blur, "angle_deg": rng.uniform(4, 8), "offset_px": rng.uniform(-1, 1)}
-                scene = _scene(axis, position, common)
-                cases.append(_case(axis, position, unit, scene, low <= position <= high, next(seeds)))
-    return (*cases, *(_noise_case(kind, next(seeds)) for kind in ("white", "correlated") for _ in range(repeats)))
+    seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+
+    def drawn(at: Place, repeat: int) -> Case:
+        tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+        blur = tube if repeat % 2 else Blur(sigma_px=float(rng.uniform(0.7, 1.3)))
+        common = {"blur": blur, "angle_deg": rng.uniform(4, 8), "offset_px": rng.uniform(-1, 1)}
+        return _case(at, _scene(at.axis, at.position, common), seeds)
+
+    cases = turned(AXES, axes, repeats, drawn)
+    return (*cases, *(_noise_case(kind, seeds) for kind in ("white", "correlated") for _ in range(repeats)))
 
 
-def _noise_case(kind: str, seed: int) -> Case:
+def _noise_case(kind: str, seeds: np.random.Generator) -> Case:
     """A frame without an edge: nothing to measure."""
     flat = EdgeScene(dark_dn=100.0, bright_dn=100.0001, snr=1e-5, noise_blur_px=1.0 if kind == "correlated" else 0.0)
-    return Case(
-        kind="edge",
-        name=f"noise alone, {kind}",
-        axis="noise alone",
-        position=float(kind == "correlated"),
-        unit="1 = correlated",
-        quantity="mtf50",
-        truth=None,
-        in_scope=False,
-        seed=seed,
-        draw=flat.frames_drawn,
-        context={"full_scale_dn": flat.full_scale_dn},
-    )
+    at = Place(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
+    return _case(at, flat, seeds, edge=False)
 
 
 def _blur(number: int, rng: np.random.Generator) -> Blur:
@@ -134,9 +109,9 @@ def _blur(number: int, rng: np.random.Generator) -> Blur:
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, direction, phase, polarity, size, noise and its correlation."""
-    seeds, rng = _seeds(seed), np.random.default_rng([seed, 2])
-    cases = []
-    for number in range(count):
+    seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 2])
+
+    def drawn(at: Place, number: int) -> Case:
         blur = _blur(number, rng)
         side = int(rng.integers(80, 129))
         scene = EdgeScene(
@@ -151,5 +126,6 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
             snr=float(np.exp(rng.uniform(np.log(20), np.log(100)))),
             noise_blur_px=float(rng.choice([0.0, 0.5, 0.9])),
         )
-        cases.append(_case("in scope", number, "", scene, True, next(seeds)))
-    return tuple(cases)
+        return _case(at, scene, seeds)
+
+    return in_scope(count, drawn)

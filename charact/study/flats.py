@@ -1,6 +1,5 @@
 """Flat series of exactly known covariance gain: counted pulses through an exact cascade, from no simulator."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.session import Kind, Session, StackEntry
@@ -139,8 +139,7 @@ def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> 
     return rng.standard_gamma(np.maximum(counts, 1e-12) * shape) / shape * (counts > 0)
 
 
-# Axis: unit, positions, and the first and last position inside the scope.
-AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
+AXES: Axes = {
     "blur after the gain": ("px, Gaussian sigma", (0, 0.3, 0.6, 1, 1.5, 2.5), (0, 1)),
     "frames": ("a stack", (2, 4, 8, 24, 48), (24, 48)),
     "levels": ("flat stacks", (1, 2, 3, 5), (3, 5)),
@@ -175,21 +174,14 @@ def _scene(axis: str, position: float, base: FlatScene) -> FlatScene:
     return replace(base, **knob)
 
 
-def flat_case(
-    quantity: str, axis: str, position: float, unit: str, scene: FlatScene, in_scope: bool, seed: int
-) -> Case:
+def flat_case(quantity: str, at: Place, scene: FlatScene, rng: np.random.Generator) -> Case:
     """Return a case of a flat series whose covariance gain or, without an intensifier, system gain is known."""
     truth = scene.truth_covariance_gain if quantity == "covariance_gain" else scene.electron_gain_dn
-    return Case(
+    return at.case(
+        rng,
         kind="flats",
-        name=f"{axis} {position:g} {unit}".strip(),
-        axis=axis,
-        position=float(position),
-        unit=unit,
         quantity=quantity,
         truth=truth,
-        in_scope=in_scope,
-        seed=seed,
         draw=scene.session_drawn,
         context={"full_scale_dn": scene.full_scale_dn},
     )
@@ -203,29 +195,14 @@ def _base(rng: np.random.Generator) -> FlatScene:
     )
 
 
-def swept(
-    quantity: str,
-    axes: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]],
-    chosen: tuple[str, ...],
-    scene_at: Callable[[str, float, np.random.Generator], FlatScene],
-    rng: np.random.Generator,
-    repeats: int,
-) -> tuple[Case, ...]:
-    """Every chosen axis at every position, drawn several times."""
-    cases = []
-    for axis in chosen:
-        unit, positions, (low, high) = axes[axis]
-        for position in positions:
-            for _ in range(repeats):
-                scene, inside = scene_at(axis, position, rng), low <= position <= high
-                cases.append(flat_case(quantity, axis, position, unit, scene, inside, int(rng.integers(1 << 31))))
-    return tuple(cases)
-
-
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another gain, pulse height and blur."""
     rng = np.random.default_rng([seed, 3])
-    return swept("covariance_gain", AXES, axes, lambda axis, at, rng: _scene(axis, at, _base(rng)), rng, repeats)
+
+    def drawn(at: Place, _: int) -> Case:
+        return flat_case("covariance_gain", at, _scene(at.axis, at.position, _base(rng)), rng)
+
+    return turned(AXES, axes, repeats, drawn)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
@@ -239,7 +216,4 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         )
         for number in range(count)
     ]
-    return tuple(
-        flat_case("covariance_gain", "in scope", number, "", scene, True, int(rng.integers(1 << 31)))
-        for number, scene in enumerate(scenes)
-    )
+    return in_scope(count, lambda at, number: flat_case("covariance_gain", at, scenes[number], rng))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from charact.study.flats import HeldStack
 from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.session import Kind, Session
@@ -166,8 +167,7 @@ class ScintillatingFlats:
         return self.read_noise_dn * white
 
 
-# Axis: unit, positions, and the first and last position inside the scope.
-AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
+AXES: Axes = {
     "half frequency after the gain": ("cy/px", (0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 1.0), (0.08, 0.4)),
     "exponent": ("1", (1.0, 1.2, 1.5, 2.0, 2.5), (1.2, 2.0)),
     "frames": ("a stack", (2, 3, 4, 8, 24), (4, 24)),
@@ -217,17 +217,12 @@ def _scene(axis: str, position: float, base: ScintillatingFlats) -> Scintillatin
     return replace(base, **knob)
 
 
-def _case(axis: str, position: float, unit: str, scene: ScintillatingFlats, in_scope: bool, seed: int) -> Case:
-    return Case(
+def _case(at: Place, scene: ScintillatingFlats, rng: np.random.Generator) -> Case:
+    return at.case(
+        rng,
         kind="post-gain",
-        name=f"{axis} {position:g} {unit}".strip(),
-        axis=axis,
-        position=float(position),
-        unit=unit,
         quantity="post_gain_mtf50",
         truth=scene.mtf50() if scene.gain_dn > 0 else None,
-        in_scope=in_scope,
-        seed=seed,
         draw=scene.session_drawn,
         context={"full_scale_dn": scene.full_scale_dn, "interlaced": scene.interlaced},
     )
@@ -244,25 +239,19 @@ def _base(rng: np.random.Generator) -> ScintillatingFlats:
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another blur and read noise."""
     rng = np.random.default_rng([seed, 8])
-    cases = []
-    for axis in axes:
-        unit, positions, (low, high) = AXES[axis]
-        for position in positions:
-            for _ in range(repeats):
-                scene, inside = _scene(axis, position, _base(rng)), low <= position <= high
-                cases.append(_case(axis, position, unit, scene, inside, int(rng.integers(1 << 31))))
-    return tuple(cases)
+    return turned(AXES, axes, repeats, lambda at, _: _case(at, _scene(at.axis, at.position, _base(rng)), rng))
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, light, read noise, size and number of frames."""
     rng = np.random.default_rng([seed, 9])
-    cases = []
-    for number in range(count):
+
+    def drawn(at: Place, _: int) -> Case:
         light = float(np.exp(rng.uniform(np.log(0.5), np.log(10.0))))
         side = int(rng.integers(96, 161))
         scene = replace(
             _base(rng), photoelectrons=(0.3 * light, light), frames=int(rng.integers(4, 17)), rows=side, cols=side,
         )  # fmt: skip
-        cases.append(_case("in scope", number, "", scene, True, int(rng.integers(1 << 31))))
-    return tuple(cases)
+        return _case(at, scene, rng)
+
+    return in_scope(count, drawn)

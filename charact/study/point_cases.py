@@ -6,10 +6,11 @@ import numpy as np
 
 from charact.study.edge import Blur
 from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
 from charact.study.point import PointScene
 
 # Axis: unit, positions, and the first and last position inside the scope that point methods declare.
-AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
+AXES: Axes = {
     "light": ("photoelectrons a frame", (30000, 3000, 1000, 300, 100, 30, 10, 3), (300, 30000)),
     "light, ordinary camera": ("photoelectrons a frame", (100000, 10000, 1000, 300, 100, 30), (1000, 100000)),
     "read noise": ("DN, peak 150 DN", (0.3, 1, 3, 10, 30, 60), (0.3, 3)),
@@ -56,17 +57,12 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> PointScene:
     return PointScene(**{**common, **knob})
 
 
-def _case(axis: str, position: float, unit: str, scene: PointScene, in_scope: bool, seed: int) -> Case:
-    return Case(
+def _case(at: Place, scene: PointScene, rng: np.random.Generator, *, lit: bool = True) -> Case:
+    return at.case(
+        rng,
         kind="point",
-        name=f"{axis} {position:g} {unit}".strip(),
-        axis=axis,
-        position=float(position),
-        unit=unit,
         quantity="mtf50",
-        truth=scene.truth_mtf50,
-        in_scope=in_scope,
-        seed=seed,
+        truth=scene.truth_mtf50 if lit else None,
         draw=scene.frames_drawn,
         arguments={"pinhole_px": scene.pinhole_px or None},
         context={"interlaced": False, "full_scale_dn": scene.full_scale_dn},
@@ -97,30 +93,26 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
         Names of `AXES`.
     """
     rng = np.random.default_rng([seed, 9])
-    cases = []
-    for axis in axes:
-        unit, positions, (low, high) = AXES[axis]
-        for position in positions:
-            for repeat in range(repeats):
-                scene = _scene(axis, position, _common(rng, tube=repeat % 2 == 1))
-                inside = low <= position <= high
-                cases.append(_case(axis, position, unit, scene, inside, int(rng.integers(1 << 31))))
-    return (*cases, *(_noise_case(glow, int(rng.integers(1 << 31))) for glow in (0.02, 0.5) for _ in range(repeats)))
+
+    def drawn(at: Place, repeat: int) -> Case:
+        return _case(at, _scene(at.axis, at.position, _common(rng, tube=repeat % 2 == 1)), rng)
+
+    cases = turned(AXES, axes, repeats, drawn)
+    return (*cases, *(_noise_case(glow, rng) for glow in (0.02, 0.5) for _ in range(repeats)))
 
 
-def _noise_case(background: float, seed: int) -> Case:
+def _noise_case(background: float, rng: np.random.Generator) -> Case:
     """Frames of the background's own pulses: nothing to measure."""
-    from dataclasses import replace
-
     dark = PointScene(photoelectrons=0.0, background=background, peak_dn=30.0)
-    return replace(_case("noise alone", background, "photoelectrons a pixel", dark, False, seed), truth=None)
+    at = Place(axis="noise alone", position=background, unit="photoelectrons a pixel", in_scope=False)
+    return _case(at, dark, rng, lit=False)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, pulses, light, phase, frames and read noise."""
     rng = np.random.default_rng([seed, 10])
-    cases = []
-    for number in range(count):
+
+    def drawn(at: Place, number: int) -> Case:
         tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.4)))
         ordinary = number % 3 == 2
         scene = PointScene(
@@ -134,5 +126,6 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
             col_px=float(rng.uniform(-3, 3)),
             read_dn=float(rng.uniform(0.5, 2.0)),
         )
-        cases.append(_case("in scope", number, "", scene, True, int(rng.integers(1 << 31))))
-    return tuple(cases)
+        return _case(at, scene, rng)
+
+    return in_scope(count, drawn)

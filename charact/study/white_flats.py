@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from charact.study.flats import FlatScene, flat_case, swept
+from charact.study.flats import FlatScene, flat_case
 from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
 
-# Axis: unit, positions, and the first and last position inside the scope.
-AXES: dict[str, tuple[str, tuple[float, ...], tuple[float, float]]] = {
+AXES: Axes = {
     "system gain": ("DN an electron", (0.01, 0.03, 0.1, 0.3, 1, 5), (0.1, 1)),
     "frames": ("a stack", (2, 3, 4, 8, 16), (8, 16)),
     "levels": ("flat stacks", (1, 2, 3, 5), (3, 5)),
@@ -47,14 +47,16 @@ def _scene(axis: str, position: float, rng: np.random.Generator) -> FlatScene:
 
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another gain."""
-    return swept("system_gain", AXES, axes, _scene, np.random.default_rng([seed, 6]), repeats)
+    rng = np.random.default_rng([seed, 6])
+
+    def drawn(at: Place, _: int) -> Case:
+        return flat_case("system_gain", at, _scene(at.axis, at.position, rng), rng)
+
+    return turned(AXES, axes, repeats, drawn)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: gain and number of frames."""
     rng = np.random.default_rng([seed, 5])
     scenes = [_base(rng) for _ in range(count)]
-    return tuple(
-        flat_case("system_gain", "in scope", number, "", scene, True, int(rng.integers(1 << 31)))
-        for number, scene in enumerate(scenes)
-    )
+    return in_scope(count, lambda at, number: flat_case("system_gain", at, scenes[number], rng))
