@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from labdata.durable import sync_folder, write_durably
 from labdata.errors import BadInput
 from labdata.store.journal import JOURNAL, Acknowledged, journal, sha256
 from labdata.store.layout import METADATA, chunk, described, frame_bytes, metadata
+
+FORCED_AT_ONCE = 8
+"""Chunks that are forced to the disk at once: it serves those that wait together about as fast as one of them."""
 
 
 class ArrayWriter:
@@ -48,6 +52,7 @@ class ArrayWriter:
         self._frames = len(journal(path))
         self._journal = open(path / JOURNAL, "r+b", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._end = sum(len(line) for line in self._journal.readlines()[: self._frames])
+        self._disk = ThreadPoolExecutor(FORCED_AT_ONCE, thread_name_prefix="disk")
 
     def __len__(self) -> int:
         return self._frames
@@ -89,6 +94,7 @@ class ArrayWriter:
 
     def close(self) -> None:
         """Close the journal; frames so far are safe with or without it."""
+        self._disk.shutdown()
         self._journal.close()
 
     def _require_fit(self, pixels: NDArray) -> None:
@@ -100,15 +106,18 @@ class ArrayWriter:
     def _write(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
         """Put the chunks on the disk; digests are made while the disk is at work."""
         files: list[int] = []
+        forced: list[Future[None]] = []
         try:
             for place, frame in enumerate(frames):
                 files.append(os.open(chunk(self.path, self._frames + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC))
                 _write_all(files[-1], frame_bytes(frame.pixels))
                 _start_writing_out(files[-1])
+            forced += [self._disk.submit(os.fsync, file) for file in files]
             entries = tuple(_entry(self._frames + place, frame) for place, frame in enumerate(frames))
-            for file in files:
-                os.fsync(file)
+            for each in forced:
+                each.result()
         finally:
+            wait(forced)  # no file is closed under a thread that forces it
             for file in files:
                 os.close(file)
         return entries

@@ -68,7 +68,7 @@ class VirtualInstruments:
         try:
             for instrument in self._models:
                 self._processes[instrument] = self._start(instrument)
-            self._await_ports()
+            self.await_ports()
         except BaseException:
             self.stop()
             raise
@@ -85,9 +85,26 @@ class VirtualInstruments:
         self._processes[instrument].wait()
 
     def plug_in(self, instrument: str) -> None:
-        """Start an instrument again that was unplugged: switched on anew, as after a power cycle."""
+        """Start an instrument again that was unplugged, as after a power cycle; its port is there on return."""
+        self.switch_on(instrument)
+        self.await_ports()
+
+    def switch_on(self, instrument: str) -> None:
+        """Start an instrument again that was unplugged, and do not wait for its port."""
+        self._ready(instrument).unlink(missing_ok=True)  # the word of the one before is not its own
         self._processes[instrument] = self._start(instrument)
-        self._await_ports()
+
+    def await_ports(self) -> None:
+        """Wait until every instrument that is plugged in has its port."""
+        deadline_s = time.monotonic() + START_S
+        while not all(map(Path.exists, map(self._ready, self._models))):
+            for instrument, process in self._processes.items():
+                if process.poll() is not None:
+                    said = self._complaints(instrument).read_text().strip().splitlines()[-1:]
+                    raise BadInput(f"the virtual {instrument} must start, got exit {process.returncode}: {said}")
+            if time.monotonic() > deadline_s:
+                raise BadInput(f"the virtual instruments must start within {START_S:g} s in {self.folder}")
+            time.sleep(0.01)
 
     def stop(self) -> None:
         """Switch them off."""
@@ -113,13 +130,5 @@ class VirtualInstruments:
     def _complaints(self, instrument: str) -> Path:
         return self.folder / f"{instrument}.stderr"
 
-    def _await_ports(self) -> None:
-        deadline_s = time.monotonic() + START_S
-        while not all((self.folder / f"{place}.ready.json").exists() for place in self._models):
-            for instrument, process in self._processes.items():
-                if process.poll() is not None:
-                    said = self._complaints(instrument).read_text().strip().splitlines()[-1:]
-                    raise BadInput(f"the virtual {instrument} must start, got exit {process.returncode}: {said}")
-            if time.monotonic() > deadline_s:
-                raise BadInput(f"the virtual instruments must start within {START_S:g} s in {self.folder}")
-            time.sleep(0.01)
+    def _ready(self, instrument: str) -> Path:
+        return self.folder / f"{instrument}.ready.json"

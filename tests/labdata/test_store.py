@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -160,6 +161,23 @@ def test_a_frame_is_on_the_disk_before_the_array_grows_and_the_array_before_the_
         ("sync", "a.zarr"),
         ("sync", "journal.jsonl"),
     ]
+
+
+def test_the_array_grows_only_when_every_frame_written_with_it_is_on_the_disk(tmp_path, monkeypatch):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    fsync, done = os.fsync, []
+
+    def slow_fsync(descriptor):
+        name = Path(os.readlink(f"/proc/self/fd/{descriptor}")).name
+        time.sleep(0.02 * name.startswith("c."))
+        fsync(descriptor)
+        done.append(name)
+
+    monkeypatch.setattr(os, "fsync", slow_fsync)
+    array.extend([Frame(pixels=frame(n), number=n, time_s=n / 30) for n in range(11)])
+    array.close()
+    assert sorted(done[:11]) == sorted(f"c.{n}.0.0" for n in range(11))
+    assert done[-1] == "journal.jsonl"
 
 
 def test_frames_written_together_are_the_same_as_one_after_the_other(tmp_path):

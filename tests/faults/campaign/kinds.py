@@ -131,15 +131,10 @@ def _unplugged(kind: str, rng: np.random.Generator) -> Fault:
 def _power_cycled(kind: str, rng: np.random.Generator) -> Fault:
     """Off and on again: the instrument comes back with its own settings, which are safe, at another port."""
     instrument = str(rng.choice(INSTRUMENTS))
-
-    def cycle(rig: CampaignRig, client: Client) -> None:
-        rig.unplug(instrument)
-        rig.plug_in(instrument)
-
     return Fault(
         kind=kind,
-        strike=cycle,
-        heal=_nothing,
+        strike=lambda rig, client: rig.power_cycle(instrument),
+        heal=lambda rig, client: rig.await_ports(),
         hold_s=1.0,
         gate_hears=instrument != "delay_generator",
         supply_hears=instrument != "high_voltage",

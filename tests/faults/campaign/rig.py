@@ -94,6 +94,15 @@ class CampaignRig:
         else:
             self._bench.instruments.plug_in(instrument)
 
+    def power_cycle(self, instrument: str) -> None:
+        """Switch an instrument off and on, and do not wait until it is up again."""
+        self._bench.instruments.unplug(instrument)
+        self._bench.instruments.switch_on(instrument)
+
+    def await_ports(self) -> None:
+        """Wait until the instruments are up."""
+        self._bench.instruments.await_ports()
+
     def heal(self) -> None:
         """Take all faults away."""
         for instrument in ("delay_generator", "high_voltage", "camera"):

@@ -79,7 +79,7 @@ def test_two_programs_may_not_share_a_port(bench):
         serial.Serial(bench.gate_port, 9600, exclusive=True)
 
 
-def test_unplugging_takes_the_port_away_and_leaves_the_voltage_on(tmp_path):
+def test_unplugging_takes_the_port_away_and_leaves_the_voltage_on_until_it_is_plugged_in_again(tmp_path):
     with VirtualInstruments(tmp_path / "bench", time_scale=20) as virtual:
         with serial.Serial(virtual.supply_port, 9600, timeout=0.2) as port:
             port.write(b"++auto 0\n++eoi 1\n++addr 14\nVSET 300;HVON;*OPC?\n++read eoi\n")
@@ -90,6 +90,11 @@ def test_unplugging_takes_the_port_away_and_leaves_the_voltage_on(tmp_path):
             with pytest.raises((serial.SerialException, OSError)):
                 port.read(1)
         assert read_outputs(virtual.folder).mcp_v == 300
+        virtual.plug_in("high_voltage")
+        with serial.Serial(virtual.supply_port, 9600, timeout=1) as port:
+            port.write(b"++ver\n")
+            assert port.read_until(b"\n").startswith(b"Prologix")
+        assert read_outputs(virtual.folder).mcp_v == 0
 
 
 def test_instruments_outlive_a_killed_bench_only_until_their_lines_are_quiet(tmp_path):
