@@ -92,7 +92,7 @@ class FramedLine:
         self._port, self._end, self._command_end = port, answer_end, command_end
         self._answer_s, self._known = answer_s, known
         self._incoming = Incoming(port, name=name, hurry=self.hurry, answer_s=answer_s)
-        self._out_of_step = False
+        self._out_of_step = True  # whoever held the port before may have left an answer due
         self._owner = threading.RLock()
 
     def write(self, command: str) -> None:

@@ -86,7 +86,13 @@ def test_even_an_answer_that_comes_during_resynchronisation_is_not_mistaken(line
     with pytest.raises(InstrumentSilent):
         line.ask("TSRC?")
     assert line.ask("LERR?") == "0"
-    assert port.sent.count(b"*IDN?\n") == 1
+    assert port.sent == [b"*IDN?\n", b"TSRC?\n", b"*IDN?\n", b"LERR?\n"]
+
+
+def test_an_answer_due_to_whoever_held_the_port_before_is_not_taken_for_ones_own(line, port):
+    port.answers |= {b"LERR?\n": [(0.08, b"0\r\n")], b"*IDN?\n": [(0.09, KNOWN)], b"TSRC?\n": [(0.09, b"5\r\n")]}
+    port.send(b"LERR?\n")
+    assert line.ask("TSRC?") == "5"
 
 
 def test_two_answers_at_once_are_kept_apart(line, port):

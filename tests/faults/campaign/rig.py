@@ -1,10 +1,11 @@
 """The bench of the campaign: a small virtual camera and instruments on real wires, which outlive every client."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from labdata.event_log import events
 from labdata.sensors import load_sensor
@@ -140,13 +141,23 @@ class CampaignRig:
         return starts[-1] if starts and _runs(starts[-1]) else None
 
     def ordered_off_s(self, since_s: float) -> float | None:
-        """Seconds from a monotonic time until the high voltage was first ordered off; None if it was not."""
+        """Seconds from a monotonic time until the high voltage was ordered off; None if it was not.
+
+        A run that was at its end then had ordered it before: 0.
+        """
+        told = list(events(self.watchdog_log))
+        began_s = max((each["monotonic_s"] for each in told if _begins(each, since_s)), default=since_s)
         orders = (
-            each["monotonic_s"] - since_s
-            for each in events(self.watchdog_log)
-            if each["event"].startswith("high voltage: HVOF") and each["monotonic_s"] >= since_s
+            max(0.0, each["monotonic_s"] - since_s)
+            for each in told
+            if each["event"].startswith("high voltage: HVOF") and each["ok"] and each["monotonic_s"] >= began_s
         )
         return next(orders, None)
+
+
+def _begins(event: Mapping[str, Any], before_s: float) -> bool:
+    """Whether a watchdog began to guard, before a monotonic time."""
+    return event["event"] == "start" and event["monotonic_s"] <= before_s
 
 
 def _runs(pid: int) -> bool:
