@@ -1,5 +1,7 @@
 """The judge handed to acquisition: counts the saturated pixels of every frame, and knows how well a mean is known."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,13 +36,14 @@ class StackWatcher:
 
     def __init__(self, step: Step, full_scale_dn: float) -> None:
         self._step, self._full_scale_dn = step, full_scale_dn
+        self._highest_code = math.ceil(full_scale_dn)  # whole as the pixels: compared with a fraction, each turns into one
         self._full, self._pixels = 0, 0
         self._means_dn: list[float] = []
         self._look_at = step.until.least_frames if step.until else 0
 
     def see(self, pixels: NDArray) -> None:
         """Look at the next frame, shape (row, col), DN."""
-        self._full += int(np.count_nonzero(pixels >= self._full_scale_dn))
+        self._full += int(np.count_nonzero(pixels >= self._highest_code))
         self._pixels += pixels.size
         if self._step.until:
             self._means_dn.append(float(pixels.mean(dtype=np.float64)))
