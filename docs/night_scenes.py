@@ -1,4 +1,4 @@
-"""Pictures of docs/night-scenes.md: shipped scenes as radiance in three bands and as the default camera takes them."""
+"""Pictures of docs/night-scenes.md: shipped scenes as visible radiance in colours, and by the default camera."""
 
 import argparse
 import time
@@ -17,10 +17,13 @@ FOLDER = Path(__file__).resolve().parent / "night-scenes"
 CAMERA = "pulnix-ag5745ef3"
 SCENES = ("airfield", "hangar", "road")
 # Gates, ns, where the whole field would be too long.
-GATES_NS = {"road": 1.5e6}
-# Bands of blue, green and red in the pictures of radiance, nm.
-COLOURS = ((450.0, 530.0), (530.0, 620.0), (620.0, 950.0))
-SHOWN_PERCENT = 0.5, 99.5
+GATES_NS = {"road": 5e4}
+# Where red, green and blue of the pictures of radiance rise and fall, nm: sodium lamps come out orange, as to an eye.
+COLOURS = ((540.0, 600.0, 680.0, 720.0), (480.0, 520.0, 540.0, 600.0), (440.0, 450.0, 480.0, 520.0))
+# Share of pixels that may be brighter than white, %, and the power by which brightness is shown.
+WHITE_PERCENT, POWER = 0.7, 1.0 / 2.2
+# Of the camera's frames: the brightest lamps may be beyond the scale.
+SHOWN_PERCENT = 0.1, 99.0
 # Coarser than usual, so that all are drawn within minutes.
 TOLERANCE = 0.3
 SEED = 4
@@ -52,29 +55,31 @@ def draw(name: str, path: Path) -> None:
     above, below = figure.subplots(2)
     image, label = in_colours(shot.view.picture.cube)
     above.imshow(image, interpolation="nearest")
-    above.set_title(f"{shot.view.title}\nradiance, {label}", fontsize=10)
-    drawn: Any = below.imshow(seen, cmap="gray", interpolation="nearest")
-    figure.colorbar(drawn, ax=below, label="DN", shrink=0.8)
+    above.set_title(f"{shot.view.title}\n{label}", fontsize=9)
+    low, high = np.percentile(seen, SHOWN_PERCENT)
+    drawn: Any = below.imshow(seen, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    figure.colorbar(drawn, ax=below, label="DN", shrink=0.8, extend="both")
     below.set_title(f"{camera.name}, mean of {AS_SEEN} frames", fontsize=10)
     for axes in (above, below):
         axes.set_xlabel("column, px")
         axes.set_ylabel("row, px")
-    figure.savefig(path, dpi=110, pil_kwargs={"optimize": True})
+    figure.savefig(path, dpi=100, pil_kwargs={"optimize": True})
 
 
 def in_colours(cube: RadianceCube) -> tuple[np.ndarray, str]:
-    """Return radiance in three bands as a picture on one logarithmic scale, and what its ends are."""
+    """Return visible radiance in red, green and blue, such that the median pixel is grey, and what white stands for."""
     width = band_widths(cube.wavelength_nm)
-    sums = np.stack([cube.weighted(width * _within(cube.wavelength_nm, band)) for band in COLOURS], axis=-1)
-    low, high = np.percentile(sums[sums > 0.0], SHOWN_PERCENT)
-    scaled = np.log(np.maximum(sums, low) / low) / np.log(high / low)
-    ends = f"{low:.1e} to {high:.1e} W m$^{{-2}}$ sr$^{{-1}}$ in each, logarithmic"
-    bands = ", ".join(f"{one:.0f}-{other:.0f}" for one, other in COLOURS)
-    return np.clip(scaled, 0.0, 1.0)[..., ::-1], f"bands {bands} nm as blue, green, red; {ends}"
-
-
-def _within(wavelength_nm: np.ndarray, band: tuple[float, float]) -> np.ndarray:
-    return (wavelength_nm >= band[0]) & (wavelength_nm < band[1])
+    shares = [np.interp(cube.wavelength_nm, ends, (0.0, 1.0, 1.0, 0.0)) for ends in COLOURS]
+    sums = np.stack([cube.weighted(width * share) for share in shares], axis=-1)
+    grey = np.median(sums.reshape(-1, 3), axis=0)
+    white = grey * np.percentile(sums / grey, 100.0 - WHITE_PERCENT)
+    ends = ", ".join(f"{one:.1e}" for one in white)
+    crossings = " and ".join(f"{0.5 * (rise + full):.0f}" for rise, full, _, _ in COLOURS[1::-1])
+    label = (
+        f"visible radiance to the power 1/2.2; red, green, blue parted at {crossings} nm;\n"
+        f"white: {ends} W m$^{{-2}}$ sr$^{{-1}}$"
+    )
+    return np.clip(sums / white, 0.0, 1.0) ** POWER, label
 
 
 if __name__ == "__main__":

@@ -53,5 +53,7 @@ class Disc:
             The whole spectral grid, shape (band,), nm.
         """
         grid = checked_grid(wavelength_nm)
-        through = self.atmosphere.slant_transmittance(self.elevation_deg, grid)[:, 0]
-        return self.visible_share * self.extraterrestrial.on(grid) * through
+        # Bands of gases are narrower than those of pictures may be: they are followed before bands are made.
+        air, height = self.atmosphere, self.elevation_deg
+        left = self.extraterrestrial.filtered(lambda nm: air.slant_transmittance(height, nm)[:, 0])
+        return self.visible_share * left.on(grid)

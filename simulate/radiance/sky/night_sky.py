@@ -159,9 +159,11 @@ class NightSky:
     def _endless(self, body: Disc, direction: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the radiance of an endless path lit by one body; the sky it makes has the diffuse irradiance known."""
         depth, molecules = scattering.scattering_parts(self.atmosphere, grid)
-        share = scattering.diffuse_share(self.atmosphere, body.elevation_deg, grid, self.ground_albedo)
-        shape_irradiance = scattering.level_irradiance(body.direction, depth, molecules)
-        per_shape = body.extraterrestrial.on(grid) * share / shape_irradiance
+        # Followed through the narrow bands of gases before it is put on the grid.
+        diffuse = body.extraterrestrial.filtered(
+            lambda nm: scattering.diffuse_share(self.atmosphere, body.elevation_deg, nm, self.ground_albedo)
+        )
+        per_shape = diffuse.on(grid) / scattering.level_irradiance(body.direction, depth, molecules)
         return per_shape[:, None] * scattering.endless_path(direction, body.direction, molecules)
 
     def _twilight(self, body: Disc) -> Spectrum | None:

@@ -7,6 +7,7 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere import Atmosphere
+from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps import spectrum
 from simulate.radiance.photometry import luminous_efficiency
 from simulate.radiance.sky import Disc, NightSky, Place, TownGlow
@@ -80,7 +81,7 @@ def test_direct_and_diffuse_light_agree_with_spectrl2(zenith):
     air = Atmosphere(visibility_km=3.912 / (depth / 1.2 + 0.0971 / 8.43), relative_humidity=0.485)
     sky = lit_by(90.0 - zenith, sun_spectrum(), air, airglow=0.0, zodiacal=0.0, starlight=0.0)
     grid = np.array(sorted(SUN), float)
-    fine = np.unique(np.concatenate([grid - 5.0, grid, grid + 5.0]))
+    fine = np.unique(np.concatenate([grid - 1.0, grid, grid + 1.0]))
     at = np.searchsorted(fine, grid)
     outside = sun_spectrum().on(fine)[at]
     direct = sky.discs()[0].irradiance(fine)[at]
@@ -88,6 +89,15 @@ def test_direct_and_diffuse_light_agree_with_spectrl2(zenith):
     for index, nm in enumerate(sorted(SUN)):
         assert direct[index] / outside[index] == pytest.approx(DIRECT[zenith][nm] / SUN[nm], rel=0.02)
         assert diffuse[index] / outside[index] == pytest.approx(DIFFUSE[zenith][nm] / SUN[nm], rel=0.05)
+
+
+@pytest.mark.parametrize("step_nm", [10.0, 25.0, 50.0])
+def test_wide_bands_lose_nothing_of_the_narrow_bands_of_gases(step_nm):
+    sky = lit_by(20.0, moon_spectrum(30.0), airglow=0.0, zodiacal=0.0, starlight=0.0)
+    wide, narrow = (np.arange(450.0, 950.1, step) for step in (step_nm, 1.0))
+    for light in (sky.discs()[0].irradiance, sky.irradiance):
+        power = [float(light(grid) @ band_widths(grid)) for grid in (wide, narrow)]
+        assert power[0] == pytest.approx(power[1], rel=3e-3)
 
 
 # Illuminance of open ground in clear weather: handbooks' values for the ends of civil and nautical dusk; noon, low sun.
