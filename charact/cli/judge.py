@@ -36,7 +36,7 @@ class StackWatcher:
 
     def __init__(self, step: Step, full_scale_dn: float) -> None:
         self._step, self._full_scale_dn = step, full_scale_dn
-        self._highest_code = math.ceil(full_scale_dn)  # whole as the pixels: compared with a fraction, each turns into one
+        self._highest_code = math.ceil(full_scale_dn)  # whole as the pixels are: else all of them turn into fractions
         self._full, self._pixels = 0, 0
         self._means_dn: list[float] = []
         self._look_at = step.until.least_frames if step.until else 0
