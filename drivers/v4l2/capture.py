@@ -133,7 +133,7 @@ class V4l2Capture:
         except BadInput as error:
             return Broken(number=number, fault=str(error))
         finally:
-            self._queue(buffer.index)
+            self._give_back(buffer.index)
 
     def _fault_of(self, buffer: Buffer) -> str:
         if buffer.flags & BUFFER_FAULTY:
@@ -154,7 +154,7 @@ class V4l2Capture:
                 return buffer
             except OSError as error:
                 if error.errno not in (errno.EAGAIN, errno.EINTR):
-                    raise CameraError(f"camera {self._identifier} has gone or failed ({error.strerror})") from None
+                    raise self._gone(error) from None
             left_s = until_s - time.monotonic()
             if left_s <= 0 or not self._device.wait(left_s):
                 raise CameraError(f"camera {self._identifier} has sent no frame for {patience_s:.1f} s")
@@ -181,7 +181,17 @@ class V4l2Capture:
 
     def _queue(self, index: int) -> None:
         buffer = Buffer(index=index, type=CAPTURE, memory=MEMORY_MAPPED)
-        asked(self._device, requests.QUEUE_BUFFER, buffer, f"camera {self._identifier} must take its buffer back")
+        asked(self._device, requests.QUEUE_BUFFER, buffer, f"camera {self._identifier} must take its buffer {index}")
+
+    def _give_back(self, index: int) -> None:
+        """Give a buffer back to a camera that runs; one that does not take it does not run any more."""
+        try:
+            self._device.ask(requests.QUEUE_BUFFER, Buffer(index=index, type=CAPTURE, memory=MEMORY_MAPPED))
+        except OSError as error:
+            raise self._gone(error) from None
+
+    def _gone(self, error: OSError) -> CameraError:
+        return CameraError(f"camera {self._identifier} has gone or failed ({error.strerror})")
 
     def _stop(self) -> None:
         """Stop the camera and give its buffers back; a device that is gone has nothing left to stop."""

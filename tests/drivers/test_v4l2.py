@@ -100,6 +100,17 @@ def test_a_camera_unplugged_in_mid_stream_is_noticed_at_once_and_everything_is_g
     assert [memory.is_closed for memory in device.memory] == [True] * 8
 
 
+def test_a_camera_unplugged_before_it_got_its_buffer_back_is_told_the_same():
+    def unplugged(name, structure):
+        if name == "QBUF" and device.streaming is not None:
+            raise OSError(errno.ENODEV, "No such device")
+
+    device = FakeDevice(spoil=unplugged)
+    with pytest.raises(CameraError, match=r"has gone or failed \(No such device\)"), camera_on(device) as camera:
+        taken(camera, 10)
+    assert device.is_closed
+
+
 def test_a_spoiled_frame_is_counted_with_its_reason_and_never_handed_out():
     script = [Sent(sequence=n, faulty=n == 2, share=0.4 if n == 4 else 1.0) for n in range(8)]
     with camera_on(FakeDevice(lambda: script)) as camera:
