@@ -32,9 +32,11 @@ READ: dict[str, Callable[[Spot], Extent | None]] = {
     "bloom_diameter_background": lambda spot: spot.background,
 }
 CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
-# Share of the contour's own error that is left in the mean of both, as 185 series in closed form show it. Contours next
-# to the highest code are off by what it hides, which their mean halves and the difference below holds.
-LEFT = {"bloom_diameter": 0.6, "bloom_diameter_clip": 0.42, "bloom_diameter_background": 0.6}
+# Share of the contour's own error that is left in the mean of both, where it is long, as hundreds of series in closed
+# form show it: next to the highest code it is off by what that hides, which the mean halves and the difference below
+# holds. A contour of few pixels is told by the same few to both: up to about this diameter, px, its error stays.
+LEFT = {"bloom_diameter": 0.68, "bloom_diameter_clip": 0.45, "bloom_diameter_background": 0.62}
+FEW_PX = 6.0
 # Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
 # both at 95 %, and to a contour that stays alone.
 CHARGED_MEAN, CHARGED_ALONE = 0.3, 0.4
@@ -83,8 +85,8 @@ def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement
     value, low68, low95 = extent.value, extent.interval68, extent.interval95
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
-    left, charged = (1.0, CHARGED_ALONE) if alone else (LEFT[extent.quantity], CHARGED_MEAN)
     mean = value if alone else 0.5 * (value + diameter_px)
+    left, charged = (1.0, CHARGED_ALONE) if alone else (_left(extent.quantity, mean), CHARGED_MEAN)
     sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else FORM_PX))
     wide = [
         (
@@ -94,6 +96,11 @@ def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement
         for (low, high), times in ((low68, 1.0), (low95, 1.96))
     ]
     return replace(extent, value=mean, interval68=wide[0], interval95=wide[1])
+
+
+def _left(quantity: str, diameter_px: float) -> float:
+    """Share of a contour's own error that its mean with the fitted light keeps."""
+    return LEFT[quantity] + (1.0 - LEFT[quantity]) / (1.0 + (diameter_px / FEW_PX) ** 2)
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:
