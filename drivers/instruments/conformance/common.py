@@ -50,6 +50,19 @@ def a_late_answer_is_not_taken_for_the_next(pair: Pair) -> None:
     assert driver.identify() == identity
 
 
+def an_answer_left_due_is_not_taken_by_who_opens_the_line_next(pair: Pair) -> None:
+    """An answer that comes late is not taken by the next program for its own, whatever that asks first."""
+    driver = pair.driver()
+    identity = driver.identify()
+    pair.suffer("late")
+    with contextlib.suppress(BenchError):
+        _probe(pair, driver)
+    pair.heal()
+    driver = pair.driver()
+    assert driver.identify() == identity
+    _probe(pair, driver)
+
+
 def a_pulled_plug_is_told_and_put_back(pair: Pair) -> None:
     """A pulled plug is InstrumentLost; with the plug back in, a new line works."""
     driver = pair.driver()
@@ -81,6 +94,7 @@ COMMON: tuple[Rule, ...] = (
     half_lines_are_no_answers,
     garbage_is_no_answer,
     a_late_answer_is_not_taken_for_the_next,
+    an_answer_left_due_is_not_taken_by_who_opens_the_line_next,
     a_pulled_plug_is_told_and_put_back,
     a_loss_of_power_leaves_it_at_rest,
 )
