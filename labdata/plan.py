@@ -13,6 +13,7 @@ from labdata.gating import Gating
 from labdata.lamp import Lamp
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
 from labdata.meters import Meters
+from labdata.picture import Picture
 from labdata.session import Kind
 from labdata.target import Target
 from labdata.wires import Wires
@@ -142,6 +143,8 @@ class PlanHead:
         How the meters beside the tube are read.
     gating
         What triggers the gate, and so whether it keeps step with the camera's fields.
+    picture
+        What is asked of the camera for all steps, where that is not the whole sensor in 8 or 16 bits.
     """
 
     name: str
@@ -154,6 +157,7 @@ class PlanHead:
     settle: Settle = field(default_factory=Settle)
     meters: Meters = field(default_factory=Meters)
     gating: Gating = field(default_factory=Gating)
+    picture: Picture = field(default_factory=Picture)
 
     @property
     def head(self) -> dict[str, Any]:

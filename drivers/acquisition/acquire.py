@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
-from drivers.acquisition.opening import bit_depth, keep_plan, session_writer, whole_sensor
+from drivers.acquisition.opening import bit_depth, keep_plan, session_writer
 from drivers.acquisition.pace import Pace
+from drivers.acquisition.picture import picture_of
 from drivers.acquisition.plan_check import check_plan
 from drivers.acquisition.requests import Requests
 from drivers.acquisition.run import Run
@@ -88,7 +89,7 @@ def acquire(
         log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume))
         opened.enter_context(asked.heard())
         eye = opened.enter_context(camera)
-        settings = eye.configure(whole_sensor(sensor))
+        settings = eye.configure(picture_of(plan, sensor))
         log("camera opened", camera=eye.identifier, **vars(settings))
         writer = opened.enter_context(session_writer(plan, folder, sensor, settings))
         finished, partial, doubtful = writer.finished, writer.partial, writer.doubtful

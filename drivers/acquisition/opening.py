@@ -1,4 +1,4 @@
-"""How a run begins: the plan kept or compared, the session made or gone on with, the camera set to its whole sensor."""
+"""How a run begins: the plan kept or compared, the session made or gone on with."""
 
 from pathlib import Path
 
@@ -17,16 +17,6 @@ from labdata.session import MANIFEST
 from labdata.store import SessionWriter
 
 PLAN = "plan.toml"
-
-
-def whole_sensor(sensor: Sensor | None) -> CameraSettings:
-    """Ask for the size and depth that the sensor's description names; without one the camera stays as it is."""
-    if sensor is None:
-        return CameraSettings()
-    wide = "Mono8" if sensor.video.bit_depth <= 8 else "Mono16"
-    return CameraSettings(
-        rows=sensor.ccd.rows, columns=sensor.ccd.columns, first_row=0, first_column=0, pixel_format=wide
-    )
 
 
 def bit_depth(sensor: Sensor | None, settings: CameraSettings) -> int:

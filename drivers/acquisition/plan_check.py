@@ -4,6 +4,7 @@ import shutil
 from dataclasses import fields
 from pathlib import Path
 
+from drivers.acquisition.picture import check_picture, frame_bytes_of
 from drivers.tube.bench import FIELD_RATE_HZ
 from drivers.tube.interlock import Interlock
 from drivers.tube.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
@@ -38,7 +39,7 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     BadInput
         At the first rule broken: what the interlock would refuse, a limit above the tube's, a label that is no file
         name, light on a dark, a target without its numbers, a gate wider than the exposure, a condition that no driver
-        sets, or a disk too small.
+        sets, a picture that the sensor does not have, or a disk too small.
     """
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     for step in plan.steps:
@@ -46,6 +47,7 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
         _check_light(step, plan.lamp)
         _check_rules(step.brightest, limits, plan.gating.most_hz(field_hz(sensor)))
         _check_phase(step, plan.gating, field_hz(sensor))
+    check_picture(plan, sensor)
     _check_disk(plan, folder, sensor)
 
 
@@ -56,10 +58,7 @@ def field_hz(sensor: Sensor | None) -> float:
 
 def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
     """Bytes that the frames of a plan will take."""
-    if sensor is None:
-        return 0
-    pixels = sensor.ccd.rows * sensor.ccd.columns
-    return sum(step.most_frames for step in plan.steps) * pixels * (1 if sensor.video.bit_depth <= 8 else 2)
+    return sum(step.most_frames for step in plan.steps) * frame_bytes_of(plan, sensor)
 
 
 def same_but_wires(plan: Plan, other: Plan) -> str | None:

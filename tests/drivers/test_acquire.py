@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 
 from drivers.acquisition.acquire import acquire
+from drivers.acquisition.picture import picture_of
+from drivers.acquisition.plan_check import bytes_of, check_plan
 from drivers.errors import InstrumentTripped
 from drivers.interface import CameraError
 from labdata.adaptive import SaturationSearch, Until
+from labdata.border import from_toml
+from labdata.capture import CameraSettings
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import events
+from labdata.picture import Picture
 from labdata.plan import Plan, Step
+from labdata.sensors import load_sensor
 from labdata.session import open_session
 from labdata.store import StackWriter
 from labdata.target import Target
@@ -364,6 +370,45 @@ def test_the_whole_plan_is_checked_before_anything_opens(tmp_path, wrong, rule):
         take(rig, tmp_path / "s", plan)
     assert rig.diary == []
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize(
+    ("picture", "rule"),
+    [
+        ({"rows": 494}, r"first_row \+ rows of the picture must not exceed the sensor's 493, got 494"),
+        ({"first_column": 700, "columns": 69}, r"must not exceed the sensor's 768, got 769"),
+        ({"first_row": 3, "rows": 20}, "first_row of interlaced video must be even, so that fields keep order, got 3"),
+    ],
+)
+def test_a_picture_that_the_sensor_does_not_have_is_refused_before_anything_opens(tmp_path, picture, rule):
+    rig = FakeRig()
+    with pytest.raises(BadInput, match=rule):
+        plan = Plan(name="p", sensor="pulnix-ag5745ef3", picture=Picture(**picture), steps=(step("good"),))
+        take(rig, tmp_path / "s", plan)
+    assert rig.diary == []
+
+
+def test_the_camera_is_asked_for_the_picture_of_the_plan_and_for_the_whole_sensor_else(tmp_path):
+    sensor = load_sensor("pulnix-ag5745ef3")
+    plan = Plan(name="p", steps=(step("good"),))
+    part = replace(plan, picture=Picture(first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1"))
+    whole = CameraSettings(first_row=0, first_column=0, rows=493, columns=768, pixel_format="Mono8")
+    assert picture_of(plan, sensor) == whole
+    assert picture_of(plan, None) == CameraSettings()
+    assert picture_of(part, sensor) == replace(whole, first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1")
+    assert bytes_of(part, sensor) == 4 * 200 * 768 * 2
+    rig = FakeRig()
+    take(rig, tmp_path / "s", replace(plan, picture=Picture(trigger="Line1")))
+    assert rig.camera.settings.trigger == "Line1"
+    assert from_toml(tmp_path / "s" / "plan.toml", Plan).picture.trigger == "Line1"
+
+
+def test_codes_of_the_sensor_are_not_cut_to_a_narrower_format(tmp_path):
+    sensor = load_sensor("pulnix-ag5745ef3")
+    deep = replace(sensor, video=replace(sensor.video, bit_depth=12))
+    plan = Plan(name="p", picture=Picture(pixel_format="Mono10"), steps=(step("good"),))
+    with pytest.raises(BadInput, match="pixel_format must hold the sensor's 12 bits, got Mono10 of 10"):
+        check_plan(plan, tmp_path, deep)
 
 
 def test_progress_grows_to_one(tmp_path):
