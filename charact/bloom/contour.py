@@ -111,21 +111,23 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
         # What is cut is drawn on from what is not, lest the cut be taken for a plateau.
         lever = np.exp(linear[clear])[:, None]
         linear = basis @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
-    weight, working, normal = np.ones(len(value)), linear, np.eye(len(beta))
+    weight, own, working, normal = np.ones(len(value)), np.ones(len(value)), linear, np.eye(len(beta))
     for _ in range(ROUNDS):
         mean = above * np.exp(np.clip(linear, -4.0, 4.0))
         expected, share = seen(base + mean, noise, top)
         lever = share * mean
-        weight = lever**2 / (noise.sd(base + mean) ** 2 / noise.frames + (INEXACT * mean) ** 2)
+        variance = noise.sd(base + mean) ** 2 / noise.frames
+        weight = lever**2 / (variance + (INEXACT * mean) ** 2)
         working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
-        weighted = basis * weight[:, None]
+        weighted, own = basis * weight[:, None], weight**2 * variance / np.maximum(lever**2, 1e-3 * above**2)
         normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
         beta = normal @ (weighted.T @ working)
         linear = basis @ beta
     scores = basis * (weight * (working - linear))[:, None]
     # Noise tied over an area is tied along a line by the root of it; the pixels' scatter says the same otherwise.
-    tied = noise.tied if radius <= SMALL_PX else np.sqrt(noise.tied)
-    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + tied * normal)
+    noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
+    told = noise.tied * normal if radius <= SMALL_PX else noisy
+    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + told)
     return _solved(beta, covariance, radius, terms)
 
 

@@ -11,7 +11,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.contour import Contour, fit_contour
+from charact.bloom.contour import CUT_SHARE, Contour, fit_contour
 from charact.bloom.pixel_noise import seen
 from charact.bloom.polar import SECTORS
 from charact.bloom.view import View
@@ -32,6 +32,8 @@ COLUMNS_PX = 6.0
 LEAST_WHOLE = 0.3
 # What the fit of a smooth contour may be off by, px.
 FIT_PX = 0.004
+# The same where the highest code hides the inner side, px.
+FIT_CUT_PX = 0.0225
 # Share of the step between two annuli by which the choice of one may be off.
 STEPS_OFF = 0.25
 # Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
@@ -227,7 +229,8 @@ def _composed(view: View, level_dn: float, visible: float, contour: Contour, sec
         variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (EDGE_PX * (extra > 0).sum() ** 0.5) ** 2)
         region = inside | (extra > 0.5)
     radius = float(np.sqrt(area / np.pi))
-    sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * FIT_PX)
+    off = FIT_CUT_PX if level_dn - view.dark_dn > CUT_SHARE * view.top else FIT_PX
+    sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * off)
     moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
     areas = area + float(np.hypot(sd, moved)) * NORMAL
     return Extent(
