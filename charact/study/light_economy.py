@@ -28,7 +28,7 @@ from simulate.night import Seen
 from simulate.radiance.transport.eye import KNOWN
 
 TABLE = Path(__file__).resolve().parent / "tables" / "light_economy.json"
-CASES, TOLERANCE = 100, 0.1
+CASES, TOLERANCE = 100, 0.2
 # Frames from which the temporal noise is found: to 13 %.
 DRAWN = 32
 # Noise of a digitiser's step, DN: a pixel at full scale has no other.

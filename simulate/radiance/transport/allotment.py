@@ -18,9 +18,13 @@ Array = NDArray[np.floating]
 # Side of a tile, px; pixels of each that are tried, those at edges that are tried besides, and rays of each.
 TILE, TRIED, TRIED_EDGES, TRIES = 8, 4, 2, 2
 # A trial costs so large a share of the rays that it asks for, in so many rounds at most: rare bright rays hide long.
-TRIAL_SHARE, ROUNDS = 0.1, 64
+TRIAL_SHARE, ROUNDS = 0.1, 1024
+# However few rays a small picture asks for: a bright thing that one gathering ray in a hundred meets must be met.
+FEWEST_TRIALS = 4096
 # Objects beyond so many share their trials with others.
 OBJECTS = 255
+# Kind of the trials at edges whose rays go to the same place; without that, edges are kind 0.
+TOGETHER = OBJECTS + 1
 # Numbers of rays are steps of a factor of 2^(1/2), so that pixels of a kind can be followed together.
 STEPS_PER_DOUBLING = 2
 
@@ -58,8 +62,11 @@ class Rays:
 class Trial(Protocol):
     """Follows some pixels by a few rays each."""
 
-    def __call__(self, pixels: NDArray[np.int64], rays: int) -> tuple[Array, Array]:
-        """Return signals and the variances of single rays, each of shape (pixel,)."""
+    def __call__(self, pixels: NDArray[np.int64], rays: int, *, together: bool = False) -> tuple[Array, Array]:
+        """Return signals and the variances of single rays, each of shape (pixel,).
+
+        Rays are spread over the pixel, or all go to the same place of it.
+        """
         ...
 
 
@@ -69,9 +76,9 @@ def allotted(here: Truth, rays: Rays, trial: Trial, seed: int) -> NDArray[np.int
     Notes
     -----
     With a variance v of single rays, in units of what is allowed, n = c v^(1/2) rays give the least mean of v/n for
-    their number (Neyman, 1934); c is the least that brings it to 1, were there no limit of rays. At edges n rays spread
-    evenly leave about v n^(-3/2), as the line crosses few of their cells; there n = (3/2 c^2 v)^(2/5), no fewer than
-    in the plain places around.
+    their number (Neyman, 1934); c is the least that brings it to 1, were there no limit of rays. At edges a part w of
+    the variance is that of rays to the same place, which is divided as elsewhere; of the rest n rays spread evenly leave
+    about (v - w) n^(-3/2), as the line crosses few of their cells: there n = (3/2 c^2 (v - w))^(2/5) if that is more.
     """
     edges = here.edges()
     least = np.where(edges, max(rays.edge, rays.fewest), rays.fewest)
@@ -81,10 +88,12 @@ def allotted(here: Truth, rays: Rays, trial: Trial, seed: int) -> NDArray[np.int
     tried = _Tried(here, edges, rays.allowed)
     rng = np.random.default_rng([seed, 0])
     for round_number in range(1, ROUNDS + 1):
-        pixel = np.concatenate([_some(edges.shape, rng), *(_one_edge_each(edges, rng) for _ in range(TRIED_EDGES))])
+        at_edges = np.concatenate([_one_edge_each(edges, rng) for _ in range(TRIED_EDGES)])
+        pixel = np.concatenate([_some(edges.shape, rng), at_edges])
         tried.add(pixel, *trial(pixel, TRIES))
+        tried.add(at_edges, *trial(at_edges, TRIES, together=True), together=True)
         wanted = _shared_out(*tried.variances(), least, rays)
-        if round_number * TRIES * len(pixel) >= TRIAL_SHARE * wanted.sum():
+        if round_number * TRIES * len(pixel) >= max(TRIAL_SHARE * wanted.sum(), FEWEST_TRIALS):
             break
     return wanted
 
@@ -130,11 +139,12 @@ class _Tried:
         self._kind = np.where(edges, 0, self._object)
         self._edges, self._allowed = edges, allowed
         # Number of trials, sums of their signals and of their variances.
-        self._sums = np.zeros((3, OBJECTS + 1, *_tiles(edges.shape)))
+        self._sums = np.zeros((3, OBJECTS + 2, *_tiles(edges.shape)))
 
-    def add(self, pixel: NDArray[np.int64], signal: Array, single: Array) -> None:
-        """Add trials of pixels (pixel,)."""
-        place = (self._kind.ravel()[pixel], *_tile_of(pixel, self._kind.shape))
+    def add(self, pixel: NDArray[np.int64], signal: Array, single: Array, *, together: bool = False) -> None:
+        """Add trials of pixels (pixel,), all at edges where their rays went to the same place."""
+        kind = np.full(len(pixel), TOGETHER) if together else self._kind.ravel()[pixel]
+        place = (kind, *_tile_of(pixel, self._kind.shape))
         for sums, values in zip(self._sums, (np.ones(len(pixel)), np.maximum(signal, 0.0), single), strict=True):
             np.add.at(sums, place, values)
 
@@ -154,7 +164,9 @@ class _Tried:
         # Where nothing varies nothing is asked for, even if nothing is allowed in the dark.
         share = np.divide(spread, self._allowed(mean), out=np.zeros_like(spread), where=spread > 0.0)
         down, across = np.indices(self._edges.shape) // TILE
-        return share[self._object, down, across], np.where(self._edges, share[0, down, across], 0.0)
+        at_edge, together = share[0, down, across], share[TOGETHER, down, across]
+        plain = np.where(self._edges, together, share[self._object, down, across])
+        return plain, np.where(self._edges, np.maximum(at_edge - together, 0.0), 0.0)
 
 
 def _with_neighbours(grid: Array) -> Array:

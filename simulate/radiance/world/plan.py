@@ -26,17 +26,19 @@ TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES, TRIAL_LAST = 1600, 2, 4
 # Parts of the picture, down and across, in each of which influences are found by themselves.
 REGIONS = 4
 # Shares of the tolerance: for what is left out, for bands, and for chance, which adds by its square.
-SHARE, BANDS, CHANCE = 0.4, 0.2, 0.8
+SHARE, BANDS, CHANCE = 0.4, 0.2, 0.6
 # Spectral error allowed of any source's signal, at least and at most, and that of the trial.
 FINEST, COARSEST = 0.0005, 0.02
 # Most rays of a pixel; with nothing left out: the same, what chance may change, bounces before paths go on by chance
 # only, and bounces at most.
-MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 256, 2048, 0.03, 3, 200
+MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 4096, 32768, 0.05, 3, 200
 LAST_BOUNCE = f"bounce {TRIAL_BOUNCES} and further"
 # Brightest pixels, per cent, that saturate any sensor: they do not decide how fine the bands are.
 BRIGHTEST = 0.5
 # Rays of a picture at most, where its pixels do not need more at least: a minute or so on two cores.
 RAYS_IN_ALL = 3_000_000
+# Shorter side of the least picture whose pixels share light, px: twice the widest window (`field.WIDTHS`).
+SHARED_FROM_PX = 64
 # Seconds for a million rays and ten bands, as measured on one core: what a part costs.
 SOURCE_S, BOUNCE_S = 0.25, 1.5
 
@@ -163,11 +165,18 @@ def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) 
     return LightPlan(
         wavelength_nm=stage.coats.wavelength_nm,
         spectral_error=error,
-        rays=Rays(most=MOST, in_all=RAYS_IN_ALL, allowed=Chance(eye=eye, of_grain=CHANCE * tolerance)),
+        rays=Rays(
+            most=MOST, in_all=RAYS_IN_ALL, shared=_shared(view), allowed=Chance(eye=eye, of_grain=CHANCE * tolerance)
+        ),
         effort=_effort(plan),
         plan=plan,
         sees=eye.name,
     ), stage
+
+
+def _shared(view: Viewpoint) -> int | None:
+    """Rays of a node of shared light; None where the picture is no larger than the windows over which it is evened."""
+    return Rays().shared if min(view.shape) >= SHARED_FROM_PX else None
 
 
 def exact(site: Site, view: Viewpoint, eye: Eye, seed: int) -> tuple[LightPlan, Stage]:

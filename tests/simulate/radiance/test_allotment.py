@@ -30,7 +30,7 @@ def halves() -> Truth:
 
 def tried(variance):
     """Trials whose single rays have a variance by pixel, (row, col), around a signal of 1."""
-    return lambda pixels, rays: (np.ones(len(pixels)), variance.ravel()[pixels])
+    return lambda pixels, rays, together=False: (np.ones(len(pixels)), variance.ravel()[pixels])
 
 
 def spread(left: float, right: float) -> np.ndarray:
@@ -57,6 +57,19 @@ def test_where_nothing_differs_and_where_nobody_asks_pixels_get_the_fewest():
         assert set(wanted[halves().edges()]) == {rays.edge}
 
 
+def test_at_edges_only_what_lies_apart_is_evened_out_by_rays_that_are_spread():
+    edges = halves().edges()
+    rays = Rays(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    grain = allotted(halves(), rays, tried(spread(1.0, 1.0)), 1)
+    assert np.ptp(grain) == 0, "rays that differ at the same place do so at edges as elsewhere"
+
+    def steps(pixel, rays, together=False):
+        return np.ones(len(pixel)), np.full(len(pixel), 0.0 if together else 1.0)
+
+    step = allotted(halves(), rays, steps, 1)
+    assert step[edges].max() < 0.5 * grain[edges].min()
+
+
 @pytest.mark.parametrize("limit", [{"most": 16}, {"most": 10_000, "in_all": 10_000}])
 def test_limits_are_kept_and_what_is_missing_goes_to_nobody(limit):
     rays = Rays(edge=2, allowed=lambda signal: np.full_like(signal, 1e-6), **limit)
@@ -70,7 +83,7 @@ def test_rare_bright_rays_are_found_by_longer_trials():
     rng = np.random.default_rng(5)
     pixels = []
 
-    def specks(pixel, rays):
+    def specks(pixel, rays, together=False):
         pixels.append(len(pixel))
         return np.ones(len(pixel)), np.where(rng.random(len(pixel)) < 0.01, 100.0, 0.0)
 
