@@ -77,8 +77,8 @@ def allotted(here: Truth, rays: Rays, trial: Trial, seed: int) -> NDArray[np.int
     -----
     With a variance v of single rays, in units of what is allowed, n = c v^(1/2) rays give the least mean of v/n for
     their number (Neyman, 1934); c is the least that brings it to 1, were there no limit of rays. At edges a part w of
-    the variance is that of rays to the same place, which is divided as elsewhere; of the rest n rays spread evenly leave
-    about (v - w) n^(-3/2), as the line crosses few of their cells: there n = (3/2 c^2 (v - w))^(2/5) if that is more.
+    the variance is that of rays to the same place, which is divided as elsewhere; of the rest n rays spread evenly
+    leave about (v - w) n^(-3/2), as the line crosses few of their cells: n = (3/2 c^2 (v - w))^(2/5) if that is more.
     """
     edges = here.edges()
     least = np.where(edges, max(rays.edge, rays.fewest), rays.fewest)

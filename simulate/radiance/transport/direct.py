@@ -28,7 +28,8 @@ def from_disc(points: Points, disc: DiscLight, coats: Coats, tracer: Tracer, rng
     cosine = np.maximum(_dot(points.normal, towards), 0.0)
     lit = np.flatnonzero(cosine > 0.0)
     lit = lit[~hidden(points, lit, towards[lit], tracer, None)]
-    return _reflected(points, coats, lit, towards[lit], cosine[lit], disc.irradiance)
+    found = _reflected(points, coats, lit, towards[lit], cosine[lit], disc.irradiance)
+    return _behind_panes(found, points, coats, towards[lit], tracer, None)
 
 
 def towards_disc(disc: DiscLight, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -64,9 +65,11 @@ def from_lamp(
     seen = (distance[lit, None] * towards[lit]) + radius[:, None] * (
         np.cos(turn)[:, None] * across[:, 0] + np.sin(turn)[:, None] * across[:, 1]
     )
-    lit = lit[~hidden(points, lit, seen, tracer, SHORT)]
+    clear = ~hidden(points, lit, seen, tracer, SHORT)
+    lit, seen = lit[clear], seen[clear]
     air = None if through is None else through(distance[lit])
-    return _reflected(points, coats, lit, towards[lit], factor[lit], lamp.spectrum, air)
+    found = _reflected(points, coats, lit, towards[lit], factor[lit], lamp.spectrum, air)
+    return _behind_panes(found, points, coats, seen, tracer, SHORT)
 
 
 def from_one_lamp(
@@ -122,7 +125,8 @@ def from_panels(
     factor = cosine[lit] / (by_area + by_gathering)
     air = None if through is None else through(distance[lit])
     glow = panels.spectra[panels.kind_of_face[panels.face[panel[lit]]]]
-    return _reflected(points, coats, lit, towards[lit], factor, glow, air)
+    found = _reflected(points, coats, lit, towards[lit], factor, glow, air)
+    return _behind_panes(found, points, coats, way[lit], tracer, SHORT)
 
 
 def found_by_gathering(
@@ -149,6 +153,17 @@ def hidden(
     """Return whether anything stands between some points and places so far (ray, 3) away, shape (ray,)."""
     start = tracer.above(points.face[which], points.place_m[which], points.normal[which])
     return tracer.blocked(start, towards, reach)
+
+
+def _behind_panes(found: Lit, points: Points, coats: Coats, way: Array, tracer: Tracer, reach: float | None) -> Lit:
+    """Weaken light of lit points that comes along ways (lit point, 3) by the panes there."""
+    if coats.panes is None:
+        return found
+    lit, light = found
+    start = tracer.above(points.face[lit], points.place_m[lit], points.normal[lit])
+    which, left = coats.panes.left(start, way, reach)
+    light[which] *= left
+    return lit, light
 
 
 def _reflected(

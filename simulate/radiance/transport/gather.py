@@ -6,6 +6,7 @@ object adds what the object sends and takes away the sky behind it. Where little
 round, see `Points.known`. Surfaces that are not matt gather half of their rays by their gloss, and the sky by rays.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.even import R2
 from simulate.radiance.transport.lights import Lighting
 from simulate.radiance.transport.openness import sky_beyond_known
+from simulate.radiance.transport.panes import Passed, passed
 from simulate.radiance.transport.points import Coats, Points
 from simulate.radiance.world.surfaces import Surfaces
 
@@ -205,7 +207,7 @@ class Stage:
                 light *= points.known[:, None]
             parts.add("sky", rows, light)
         last = depth >= effort.bounces and panels is None and not points.glossy
-        if gathers and last and not parts.split:
+        if gathers and last and not parts.split and self.coats.panes is None:
             if effort.hidden_sky and not self.lighting.dome.dark:
                 even = _evenly(len(points), rays, rng) if even is None else even
                 light = sky_beyond_known(points, even, self.lighting.dome, self.surfaces.tracer)
@@ -268,12 +270,16 @@ class Stage:
         around = self._gathering(points, rng, rays, even)
         dome, known = self.lighting.dome, _known_of(around.many, effort)
         if not dome.dark:
-            seen = np.flatnonzero(around.open & (known < 1.0))
+            # Where panes are in the way, nothing is known of what comes by them, but all of the sky behind.
+            unknown = np.float32(1.0) - known * ~around.glazed
+            seen = np.flatnonzero(around.open & (unknown > 0.0) & effort.hidden_sky)
             light = self._weight(around, seen)
-            light *= dome.radiance(around.direction[seen])
-            light *= np.float32(1.0) - known[seen, None]
+            light *= dome.radiance(around.last_direction[seen])
+            light *= unknown[seen, None]
+            around.weaken(seen, light)
             parts.add("sky", *_summed(light, seen, rows, rays))
-            behind = around.met[known[around.met] > 0.0] if effort.hidden_sky else around.met[:0]
+            hides = (~around.open | around.glazed) & (around.factor > 0.0)
+            behind = np.flatnonzero(hides & (known > 0.0)) if effort.hidden_sky else around.met[:0]
             light = self._weight(around, behind)
             light *= dome.radiance(around.direction[behind])
             light *= -known[behind, None]
@@ -282,6 +288,7 @@ class Stage:
             return
         there = self._there(around)
         weight = self._weight(around, around.met)
+        around.weaken(around.met, weight)
         if self.lighting.panels is not None:
             self._add_glow(parts, rows, there, around, weight, rays)
         if depth < effort.bounces:
@@ -298,6 +305,10 @@ class Stage:
         factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives)
         start = self.surfaces.tracer.above(many.face, many.place_m, many.normal)
         hit = self.surfaces.tracer.hits(start, direction)
+        glass = None
+        if self.coats.panes is not None:
+            glass = passed(self.coats.panes, self.surfaces.tracer, start, direction, hit.range_m, rng)
+            hit.face[glass.which], hit.range_m[glass.which] = glass.face, glass.range_m
         missed = hit.face == NOTHING
         return _Around(
             many,
@@ -309,6 +320,7 @@ class Stage:
             hit.range_m,
             np.flatnonzero(~missed & gives),
             missed & gives,
+            glass,
         )
 
     def _weight(self, around: "_Around", which: NDArray[np.int64]) -> NDArray[np.float32]:
@@ -320,8 +332,9 @@ class Stage:
     def _there(self, around: "_Around") -> Points:
         """What the rays that met something met."""
         met = around.met
-        place = around.start_m[met] + around.range_m[met, None] * around.direction[met]
-        return self.coats.points(self.surfaces, around.face[met], place, around.direction[met], around.many.known[met])
+        direction = around.last_direction[met]
+        place = around.last_start_m[met] + around.range_m[met, None] * direction
+        return self.coats.points(self.surfaces, around.face[met], place, direction, around.many.known[met])
 
     def _add_glow(
         self,
@@ -336,10 +349,12 @@ class Stage:
         if panels is None or not len(glows):
             return
         ray = around.met[glows]
-        leaving = np.einsum("ij,ij->i", there.normal[glows], -around.direction[ray])
+        leaving = np.einsum("ij,ij->i", there.normal[glows], -around.last_direction[ray])
         share = direct.found_by_gathering(
-            panels, there.face[glows], around.range_m[ray], leaving, around.density[ray], rays
+            panels, there.face[glows], around.range_m[ray] + around.gone_m[ray], leaving, around.density[ray], rays
         )
+        # What panes mirror is found by gathering alone.
+        share = np.where(around.turned[ray], 1.0, share)
         light = glow * share.astype(np.float32)[:, None] * weight[glows]
         parts.add("glow", *_summed(light, ray, rows, rays))
 
@@ -381,6 +396,45 @@ class _Around:
     range_m: Array
     met: NDArray[np.int64]
     open: NDArray[np.bool_]
+    glass: Passed | None = None
+
+    @property
+    def glazed(self) -> NDArray[np.bool_]:
+        """Whether rays met panes."""
+        return self._of_glass(np.zeros(len(self.face), np.bool_), lambda glass: np.ones(len(glass.which), np.bool_))
+
+    @property
+    def last_start_m(self) -> Array:
+        """Where the last legs of rays begin."""
+        return self._of_glass(self.start_m, lambda glass: glass.start_m)
+
+    @property
+    def last_direction(self) -> Array:
+        """Directions of the last legs of rays."""
+        return self._of_glass(self.direction, lambda glass: glass.direction)
+
+    @property
+    def gone_m(self) -> Array:
+        """Ways before the last legs, m."""
+        return self._of_glass(np.zeros(len(self.face)), lambda glass: glass.gone_m)
+
+    @property
+    def turned(self) -> NDArray[np.bool_]:
+        """Whether panes mirrored rays."""
+        return self._of_glass(np.zeros(len(self.face), np.bool_), lambda glass: glass.turned)
+
+    def weaken(self, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
+        """Weaken the light of some rays (ray, band) by the panes that they met."""
+        if self.glass is not None:
+            _, among, here = np.intersect1d(self.glass.which, which, assume_unique=True, return_indices=True)
+            light[here] *= self.glass.weight[among]
+
+    def _of_glass(self, plain: NDArray, own: Callable[[Passed], NDArray]) -> NDArray:
+        if self.glass is None:
+            return plain
+        found = plain.copy()
+        found[self.glass.which] = own(self.glass)
+        return found
 
 
 def _evenly(count: int, rays: int, rng: np.random.Generator) -> NDArray[np.float64]:

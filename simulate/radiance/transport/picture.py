@@ -18,6 +18,7 @@ from simulate.radiance.transport.allotment import Rays, allotted
 from simulate.radiance.transport.even import R2
 from simulate.radiance.transport.field import Field, field
 from simulate.radiance.transport.gather import Effort, Parts, Stage
+from simulate.radiance.transport.panes import MOST, SPLIT, Met, Panes, chosen, mirrored
 from simulate.radiance.transport.points import Points
 from simulate.radiance.transport.small_sources import add_small_sources
 from simulate.radiance.transport.truth import Truth, truth
@@ -27,6 +28,7 @@ from simulate.radiance.world.viewpoint import Viewpoint
 Array = NDArray[np.floating]
 # Points that share what they gather, and the irradiance that they get, see `Stage.leaving`.
 Shared = tuple[NDArray[np.int64], NDArray[np.float32]]
+Sharing = Callable[[Points, NDArray[np.int64]], Shared]
 # Share of the variance allowed that is left to light that pixels share; the rest is for their own rays.
 SHARED_CHANCE = 0.25
 # Rays that are followed at once, gathering counted.
@@ -65,7 +67,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Job:
-    """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each.
+    """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each, spread over them or not.
 
     Where `known` (pixel,) is 1 the open sky's light is taken as known, see `Points`.
     """
@@ -73,6 +75,7 @@ class Job:
     pixels: NDArray[np.int64]
     rays: int
     known: NDArray[np.float32]
+    together: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +94,8 @@ class Look:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
         rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0])])
         count, columns = len(job.pixels), self.view.shape[1]
-        spread = (rng.random((count, 1, 2)) + np.arange(job.rays)[:, None] * R2) % 1.0
+        apart = np.zeros(job.rays) if job.together else np.arange(job.rays)
+        spread = (rng.random((count, 1, 2)) + apart[:, None] * R2) % 1.0
         row = (job.pixels[:, None] // columns + spread[..., 0]).ravel()
         col = (job.pixels[:, None] % columns + spread[..., 1]).ravel()
         origin, towards = self.view.rays(row, col)
@@ -119,17 +123,31 @@ def along(
     gathered: int,
     known: NDArray[np.float32] | None = None,
     split: bool = False,
-    share: Callable[[Points, NDArray[np.int64]], Shared] | None = None,
+    share: Sharing | None = None,
+    behind: int = 0,
 ) -> Parts:
     """Return the radiance along rays of unit direction (ray, 3), in parts of shape (ray, band), as `Stage.leaving`.
 
     Besides the sources, parts are "in view": sky and glow that the ray meets, and "air": what air adds on the way, less
     what it takes of all the rest. Points of rays (their numbers) may `share` what they gather, see `Stage.leaving`.
+    Rays that meet a pane go on both ways, through and mirrored; `behind` a few panes they take one by chance.
     """
     hit = stage.surfaces.tracer.hits(origin, towards)
-    met = np.flatnonzero(hit.face != NOTHING)
-    away = np.flatnonzero(hit.face == NOTHING)
     parts = Parts((len(towards), len(stage.coats.wavelength_nm)), split=split)
+    here = np.ones(len(towards), np.bool_)
+    if stage.coats.panes is not None:
+        glass = stage.coats.panes.met(origin, towards, hit.range_m)
+        here[glass.which] = False
+        for which, start, ways, left, straight in _ways_on(stage.coats.panes, glass, towards, behind, rng):
+            seen = None if known is None else known[which]
+            sharing = _of_some(share, which) if straight else None
+            onward = {"gathered": gathered, "known": seen, "split": split, "share": sharing, "behind": behind + 1}
+            for name, light in along(stage, start, ways, effort, rng, **onward).found.items():
+                parts.add(name, which, light * left)
+        if stage.air.absorbs and "air" not in effort.left_out:
+            _through_air(stage, parts, glass.range_m, towards[glass.which], glass.which)
+    met = np.flatnonzero(here & (hit.face != NOTHING))
+    away = np.flatnonzero(here & (hit.face == NOTHING))
     parts.add("in view", away, stage.lighting.dome.radiance(towards[away]))
     place = origin[met] + hit.range_m[met, None] * towards[met]
     open_sky = None if known is None else known[met]
@@ -141,6 +159,29 @@ def along(
     if stage.air.absorbs and "air" not in effort.left_out:
         _through_air(stage, parts, hit.range_m[met], towards[met], met)
     return parts
+
+
+def _of_some(share: Sharing | None, which: NDArray[np.int64]) -> Sharing | None:
+    """Share as all rays do, for some of them."""
+    return None if share is None else lambda points, numbers: share(points, which[numbers])
+
+
+def _ways_on(
+    panes: Panes, glass: Met, towards: Array, behind: int, rng: np.random.Generator
+) -> Iterator[tuple[NDArray[np.int64], Array, Array, NDArray[np.float32], bool]]:
+    """Yield ways on from panes: numbers of rays, starts, directions, shares of the light, and whether straight on."""
+    if not len(glass.which) or behind >= MOST:
+        return
+    ahead = towards[glass.which]
+    by_chance = chosen(glass, rng) if behind >= SPLIT else None
+    for turns, start, ways, left in (
+        (False, panes.beyond(glass), ahead, glass.through),
+        (True, panes.before(glass), mirrored(ahead, glass.normal), glass.mirrored),
+    ):
+        rows = np.arange(len(ahead)) if by_chance is None else np.flatnonzero(by_chance[0] == turns)
+        if len(rows):
+            share = left[rows] if by_chance is None else by_chance[1][rows]
+            yield glass.which[rows], start[rows], ways[rows], share, not turns
 
 
 def _through_air(stage: Stage, parts: Parts, range_m: Array, towards: Array, met: NDArray[np.int64]) -> None:
@@ -265,12 +306,12 @@ class _Tried:
         self._look, self._known = look, known.ravel()
         self._rays, self._seconds = 0, 0.0
 
-    def __call__(self, pixels: NDArray[np.int64], rays: int) -> tuple[Array, Array]:
+    def __call__(self, pixels: NDArray[np.int64], rays: int, *, together: bool = False) -> tuple[Array, Array]:
         start = time.perf_counter()
         signal, single = np.empty(len(pixels)), np.empty(len(pixels))
         for first in range(0, len(pixels), BATCH // rays):
             part = slice(first, first + BATCH // rays)
-            light, variance = self._look.seen(Job(pixels[part], rays, self._known[pixels[part]]))
+            light, variance = self._look.seen(Job(pixels[part], rays, self._known[pixels[part]], together))
             signal[part], single[part] = light @ self._look.weight, variance * rays
         self._rays += rays * len(pixels)
         self._seconds += time.perf_counter() - start

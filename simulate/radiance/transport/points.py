@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.brdf.lambert import Lambert
 from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.transport.panes import Panes
 from simulate.radiance.world.surfaces import Surfaces
 
 Array = NDArray[np.floating]
@@ -88,11 +89,14 @@ class Coats:
         One for each material of the surfaces.
     rho_by_pi
         rho / pi of the matt ones, and last of `WHITE`, shape (material + 1, band), sr-1.
+    panes
+        Panes of glass that light meets on its way; None without any.
     """
 
     wavelength_nm: NDArray[np.float64]
     brdfs: tuple[Brdf, ...]
     rho_by_pi: NDArray[np.float32]
+    panes: Panes | None = None
 
     @classmethod
     def of(cls, brdfs: tuple[Brdf, ...], wavelength_nm: NDArray[np.float64]) -> "Coats":

@@ -27,6 +27,7 @@ def built(scene: Scene) -> Surfaces:
         If a mesh file cannot be read, holds no triangle, or is open where its surface glows; if an object with gaps has
         too few triangles.
     """
+    glass = frozenset(surface.label for surface in scene.material if surface.pane_transmittance is not None)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
     parts = []
     for thing in scene.object:
@@ -44,7 +45,7 @@ def built(scene: Scene) -> Surfaces:
         if thing.gaps > 0.0:
             mesh = pierced(mesh, thing.gaps, thing.label)
         parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in poses]
-    return surfaces(parts)
+    return surfaces(parts, glass)
 
 
 def pierced(mesh: Mesh, gaps: float, label: str) -> Mesh:

@@ -21,6 +21,7 @@ from simulate.radiance.transport import dome
 from simulate.radiance.transport.air import Air, air
 from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Panels, panels_of
+from simulate.radiance.transport.panes import Panes
 from simulate.radiance.transport.points import Coats, frames
 from simulate.radiance.world.build import built
 from simulate.radiance.world.description import LampPost, Scene, Surface, Weather
@@ -50,6 +51,8 @@ class Site:
         found = built(self.scene)
         for post in self.scene.lamp:
             _refuse_touching(post, found)
+            if found.panes is not None:
+                _refuse_touching(post, found.panes)
         return found
 
     @cached_property
@@ -89,6 +92,7 @@ class Site:
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
         """Return wavelengths that follow light, materials and a sensor, see `spectral_grid`."""
         used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
+        used |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
         spectra = [self._spectrum(surface) for surface in self.scene.material if surface.label in used]
         spectra = [(nm, share) for nm, share in spectra if len(nm) > 1]
         return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)[0]
@@ -99,6 +103,8 @@ class Site:
         surfaces = self.surfaces
         by_label = {surface.label: surface for surface in self.scene.material}
         coats = Coats.of(tuple(self._brdf(by_label[name]) for name in surfaces.materials), grid)
+        if surfaces.panes is not None:
+            coats = replace(coats, panes=_panes(surfaces.panes, by_label, grid))
         return Stage(surfaces=surfaces, coats=coats, lighting=self._lighting(grid), air=self._air(grid))
 
     def _brdf(self, surface: Surface) -> Brdf:
@@ -106,6 +112,8 @@ class Site:
 
     def _spectrum(self, surface: Surface) -> tuple[Sequence[float], Array]:
         """Wavelengths of a material's table, and what it reflects there: of a measured one, back along its normal."""
+        if surface.pane_transmittance is not None:
+            return surface.wavelength_nm, surface.let_through(np.asarray(surface.wavelength_nm))
         if surface.measured is None:
             return surface.made.wavelength_nm, surface.made.reflected(surface.made.wavelength_nm)
         table = read_measured(self.scene.file(surface.measured))
@@ -176,6 +184,16 @@ class _PathLight:
 
     def added(self, range_m: Array, direction: Array) -> NDArray[np.float32]:
         return self.endless.irradiance(direction) * self.share.through(range_m)
+
+
+def _panes(surfaces: Surfaces, by_label: dict[str, Surface], grid: NDArray[np.float64]) -> Panes:
+    glass = [by_label[name] for name in surfaces.materials]
+    return Panes(
+        tracer=surfaces.tracer,
+        kind_of_face=surfaces.material_of,
+        transmittance=np.array([pane.let_through(grid) for pane in glass]),
+        refractive_index=tuple(pane.glass_index for pane in glass),
+    )
 
 
 def _atmosphere(weather: Weather) -> Atmosphere:

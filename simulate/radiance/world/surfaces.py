@@ -1,6 +1,6 @@
 """All surfaces of a scene as triangles ready for rays, each knowing its object and its material."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ class Surfaces:
         Number of the object and of the material of each triangle, shape (face,).
     objects, materials
         Their names.
+    panes
+        Panes of glass among the objects, which are traced by themselves; None without any.
     """
 
     mesh: Mesh
@@ -31,6 +33,7 @@ class Surfaces:
     material_of: NDArray[np.int64]
     objects: tuple[str, ...]
     materials: tuple[str, ...]
+    panes: "Surfaces | None" = None
 
     @property
     def area_m2(self) -> NDArray[np.float64]:
@@ -39,12 +42,24 @@ class Surfaces:
 
     def __reduce__(self) -> tuple:
         # Embree's own tree cannot be sent to another process: it is built again there.
-        parts = (self.mesh.vertices_m, self.mesh.faces, self.object_of, self.material_of, self.objects, self.materials)
+        mesh = self.mesh
+        parts = (
+            mesh.vertices_m,
+            mesh.faces,
+            self.object_of,
+            self.material_of,
+            self.objects,
+            self.materials,
+            self.panes,
+        )
         return _rebuilt, parts
 
 
-def surfaces(parts: list[tuple[str, str, Mesh]]) -> Surfaces:
-    """Return the surfaces of objects: name, name of the material, and triangles of each."""
+def surfaces(parts: list[tuple[str, str, Mesh]], glass: frozenset[str] = frozenset()) -> Surfaces:
+    """Return the surfaces of objects: name, name of the material, and triangles of each; some materials are glass."""
+    if any(material in glass for _, material, _ in parts):
+        panes = surfaces([part for part in parts if part[1] in glass])
+        return replace(surfaces([part for part in parts if part[1] not in glass]), panes=panes)
     objects = tuple(dict.fromkeys(name for name, _, _ in parts))
     materials = tuple(dict.fromkeys(material for _, material, _ in parts))
     counts = [len(mesh.faces) for _, _, mesh in parts]
@@ -62,6 +77,7 @@ def _rebuilt(
     material_of: NDArray[np.int64],
     objects: tuple[str, ...],
     materials: tuple[str, ...],
+    panes: Surfaces | None = None,
 ) -> Surfaces:
     mesh = Mesh(vertices_m, faces)
-    return Surfaces(mesh, tracer(vertices_m, faces), object_of, material_of, objects, materials)
+    return Surfaces(mesh, tracer(vertices_m, faces), object_of, material_of, objects, materials, panes)
