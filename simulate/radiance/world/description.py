@@ -216,7 +216,9 @@ class Surface:
         if not self.glow_lm_per_m2 >= 0.0:
             raise BadInput(f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of {self.label!r}")
         if any(self.made.transmittance):
-            raise BadInput(f"out of doors light goes through panes alone (pane_transmittance), got {self.label!r} that lets some pass")
+            raise BadInput(
+                f"out of doors light goes through panes alone (pane_transmittance), got {self.label!r} that lets some pass"
+            )
         self._check_pane()
 
     def _check_pane(self) -> None:
