@@ -217,7 +217,7 @@ class Surface:
             raise BadInput(f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of {self.label!r}")
         if any(self.made.transmittance):
             raise BadInput(
-                f"out of doors light goes through panes alone (pane_transmittance), got {self.label!r} that lets some pass"
+                f"out of doors light goes through panes alone (pane_transmittance), got {self.label!r} of another kind"
             )
         self._check_pane()
 
