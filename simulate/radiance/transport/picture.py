@@ -257,7 +257,7 @@ def picture(
         radiance[job.pixels], variance[job.pixels] = light, spread
         done += len(job.pixels) * job.rays
         progress(done / rays_in_all)
-    add_small_sources(stage, view, radiance, effort.left_out)
+    add_small_sources(stage, view, radiance)
     below_zero = int(np.count_nonzero((radiance < 0.0).any(axis=1)))
     signal = (radiance @ look.weight).reshape(view.shape)
     np.maximum(radiance, 0.0, out=radiance)

@@ -24,10 +24,11 @@ SAME = 6
 CLOSE_M = 1e-3
 
 
-def add_small_sources(stage: Stage, view: Viewpoint, radiance: NDArray[np.float32], left_out: frozenset[str]) -> None:
+def add_small_sources(stage: Stage, view: Viewpoint, radiance: NDArray[np.float32]) -> None:
     """Add what the camera sees of lamps, sun and moon to the radiance of pixels, shape (pixel, band).
 
-    A scanner sees them from where it begins.
+    Those whose light on surfaces is left out are seen all the same: what lights little may yet dazzle. A scanner sees
+    them from where it begins.
 
     Notes
     -----
@@ -36,10 +37,9 @@ def add_small_sources(stage: Stage, view: Viewpoint, radiance: NDArray[np.float3
     rng = np.random.default_rng(0)
     eye = np.asarray(view.position_m, float)
     for source in (*stage.lighting.discs, *stage.lighting.lamps):
-        if source.name not in left_out or isinstance(source, DiscLight):
-            _lay(view, radiance, *_seen(stage, eye, _places(source, eye, rng), source))
-            for image in _images(stage, eye, source, rng):
-                _lay(view, radiance, *image)
+        _lay(view, radiance, *_seen(stage, eye, _places(source, eye, rng), source))
+        for image in _images(stage, eye, source, rng):
+            _lay(view, radiance, *image)
 
 
 def _places(source: DiscLight | LampLight, eye: Array, rng: np.random.Generator) -> Array:

@@ -206,7 +206,7 @@ def light_in_the_picture(stage):
     """Irradiance at the lens by what a camera that looks north sees of lamps, and in which directions."""
     view = Viewpoint(position_m=(0.0, 0.0, 0.0), forward=(0.0, 1.0, 0.0), shape=(60, 80), focal_px=(100.0, 100.0))
     radiance = np.zeros((60 * 80, len(NM)), np.float32)
-    add_small_sources(stage, view, radiance, frozenset())
+    add_small_sources(stage, view, radiance)
     pixel = np.flatnonzero(radiance[:, 0])
     row, col = pixel // 80 + 0.5, pixel % 80 + 0.5
     return radiance[pixel, 0] * view.solid_angle_sr(row, col), view.rays(row, col)[1]
