@@ -22,7 +22,7 @@ from simulate.radiance.transport.picture import along
 from simulate.radiance.world.description import Camera, LampPost, Object, Scene, Surface, Where
 
 # Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show half the usual field.
-SHAPE, FIELD = (5, 7), 0.5
+SHAPE, FIELD = (6, 8), 0.5
 CAMERAS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
 # Elevations of sun and moon, deg: what is by day, at dusk, by moonlight and without any.
 LIGHTS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from simulate.radiance.transport.truth import Truth
 
 Array = NDArray[np.floating]
-# Side of a tile, px; pixels of each that are tried, those at edges that are tried besides, and rays of each.
-TILE, TRIED, TRIED_EDGES, TRIES = 8, 4, 2, 2
+# Side of a tile, px, and tiles along the shorter side of a small picture, whose pixels have less in common; pixels of
+# each that are tried, those at edges that are tried besides, and rays of each.
+TILE, TILES, TRIED, TRIED_EDGES, TRIES = 8, 16, 4, 2, 2
 # A trial costs so large a share of the rays that it asks for, in so many rounds at most: rare bright rays hide long.
 TRIAL_SHARE, ROUNDS = 0.1, 1024
 # However few rays a small picture asks for: a bright thing that one gathering ray in a hundred meets must be met.
@@ -163,7 +164,7 @@ class _Tried:
         )
         # Where nothing varies nothing is asked for, even if nothing is allowed in the dark.
         share = np.divide(spread, self._allowed(mean), out=np.zeros_like(spread), where=spread > 0.0)
-        down, across = np.indices(self._edges.shape) // TILE
+        down, across = np.indices(self._edges.shape) // _side(self._edges.shape)
         at_edge, together = share[0, down, across], share[TOGETHER, down, across]
         plain = np.where(self._edges, together, share[self._object, down, across])
         return plain, np.where(self._edges, np.maximum(at_edge - together, 0.0), 0.0)
@@ -176,18 +177,26 @@ def _with_neighbours(grid: Array) -> Array:
     return down[:, :, :-2] + down[:, :, 1:-1] + down[:, :, 2:]
 
 
+def _side(shape: tuple[int, ...]) -> int:
+    """Side of a tile, px."""
+    return int(np.clip(min(shape) // TILES, 1, TILE))
+
+
 def _tiles(shape: tuple[int, ...]) -> tuple[int, int]:
-    return -(-shape[0] // TILE), -(-shape[1] // TILE)
+    side = _side(shape)
+    return -(-shape[0] // side), -(-shape[1] // side)
 
 
 def _tile_of(pixel: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[NDArray, NDArray]:
-    return pixel // shape[1] // TILE, pixel % shape[1] // TILE
+    side = _side(shape)
+    return pixel // shape[1] // side, pixel % shape[1] // side
 
 
 def _some(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.int64]:
     """Numbers of a few pixels of each tile."""
-    corner = np.stack(np.meshgrid(*(TILE * np.arange(n) for n in _tiles(shape)), indexing="ij"), axis=-1)
-    at = corner.reshape(-1, 1, 2) + rng.integers(0, TILE, (corner[..., 0].size, TRIED, 2))
+    side = _side(shape)
+    corner = np.stack(np.meshgrid(*(side * np.arange(n) for n in _tiles(shape)), indexing="ij"), axis=-1)
+    at = corner.reshape(-1, 1, 2) + rng.integers(0, side, (corner[..., 0].size, TRIED, 2))
     at = np.minimum(at, np.array(shape) - 1)
     return (at[..., 0] * shape[1] + at[..., 1]).ravel()
 

@@ -141,8 +141,11 @@ def along(
         for which, start, ways, left, straight in _ways_on(stage.coats.panes, glass, towards, behind, rng):
             seen = None if known is None else known[which]
             sharing = _of_some(share, which) if straight else None
-            onward = {"gathered": gathered, "known": seen, "split": split, "share": sharing, "behind": behind + 1}
-            for name, light in along(stage, start, ways, effort, rng, **onward).found.items():
+            onwards = along(
+                stage, start, ways, effort, rng,
+                gathered=gathered, known=seen, split=split, share=sharing, behind=behind + 1,
+            )  # fmt: skip
+            for name, light in onwards.found.items():
                 parts.add(name, which, light * left)
         if stage.air.absorbs and "air" not in effort.left_out:
             _through_air(stage, parts, glass.range_m, towards[glass.which], glass.which)
