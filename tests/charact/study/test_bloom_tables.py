@@ -39,16 +39,18 @@ def test_halo_diameters_are_within_a_pixel_or_two_percent_and_intervals_hold_wha
     assert HOLDS[0] <= halo["covers95_percent"] <= HOLDS[1]
     assert halo["ok"] >= 0.95 * halo["due"]
     assert halo["crashed"] == 0
-    # One: a climb that ended in a side peak, .15 px off (docs/bloom.md).
-    assert halo["silent"] <= 1
+    assert halo["silent"] == 0
 
 
-@pytest.mark.parametrize("quantity", ["bloom_diameter", "bloom_diameter_clip"])
-def test_bloom_diameters_are_within_a_pixel_or_five_percent_and_intervals_hold_what_they_say(told, quantity):
+# Intervals at half of full scale are wider than they need be: with fewer frames, as the map has them, they are not.
+@pytest.mark.parametrize(
+    "quantity,most", [("bloom_diameter", 99.0), ("bloom_diameter_clip", 98.0), ("bloom_diameter_background", 98.0)]
+)
+def test_bloom_diameters_are_within_a_pixel_or_five_percent_and_intervals_hold_what_they_say(told, quantity, most):
     blooms = told["quantities"][quantity]
     assert blooms["within_tolerance_percent"] >= 99.9
-    assert HOLDS[0] <= blooms["covers95_percent"] <= HOLDS[1]
-    assert blooms["silent"] <= blooms["ok"] / 1000
+    assert HOLDS[0] <= blooms["covers95_percent"] <= most
+    assert blooms["silent"] == 0
 
 
 def test_sources_without_a_halo_have_none(told):
