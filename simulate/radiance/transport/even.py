@@ -1,5 +1,7 @@
 """Numbers that fill a square evenly: for the rays of one place, and for those of neighbours together."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,16 +11,44 @@ R2 = np.array([0.7548776662466927, 0.5698402909980532])
 TILE = 8
 
 
-def evenly(row: NDArray[np.int64], col: NDArray[np.int64], rays: int, seed: list[int]) -> NDArray[np.float64]:
-    """Return pairs in [0, 1) for rays of places on a grid, shape (place, ray, 2), shifted by chance from tile to tile.
+@dataclass(frozen=True)
+class Even:
+    """A stretch of the sequence for each of several places.
+
+    Parameters
+    ----------
+    start
+        Its first pair for each place, in [0, 1), shape (place, 2).
+    rays
+        Pairs of each place.
+    """
+
+    start: NDArray[np.float64]
+    rays: int
+
+    @classmethod
+    def drawn(cls, places: int, rays: int, rng: np.random.Generator) -> "Even":
+        """Return stretches that know nothing of each other."""
+        return cls(rng.random((places, 2)), rays)
+
+    def some(self, which: NDArray[np.int64]) -> "Even":
+        """Return those of some places."""
+        return Even(self.start[which], self.rays)
+
+    def pairs(self) -> NDArray[np.float64]:
+        """Return all pairs, shape (place, ray, 2)."""
+        return (self.start[:, None] + np.arange(self.rays)[:, None] * R2) % 1.0
+
+
+def evenly(row: NDArray[np.int64], col: NDArray[np.int64], rays: int, seed: list[int]) -> Even:
+    """Return stretches for rays of places on a grid, shifted by chance from tile to tile.
 
     The places of a tile take turns in one sequence, in an order in which every quarter of a tile is a stretch of it:
     together their rays are as even as those of one place.
     """
     tiles = (int(row.max(initial=0)) // TILE + 1, int(col.max(initial=0)) // TILE + 1)
-    shift = np.random.default_rng(seed).random((*tiles, 1, 2))[row // TILE, col // TILE]
+    shift = np.random.default_rng(seed).random((*tiles, 2))[row // TILE, col // TILE]
     turn = np.zeros(len(row), np.int64)
     for bit in range(TILE.bit_length() - 1):
         turn |= (col >> bit & 1) << 2 * bit | (row >> bit & 1) << 2 * bit + 1
-    number = turn[:, None] * rays + np.arange(rays)
-    return (shift + number[..., None] * R2) % 1.0
+    return Even((shift + (turn * rays)[:, None] * R2) % 1.0, rays)

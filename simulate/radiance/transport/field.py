@@ -4,7 +4,7 @@ Light from all around changes slowly along a surface. It is gathered at nodes, o
 rays that know nothing of each other, less what an open sky would give, which is known exactly. Each half is evened out
 by planes fitted to windows; the window of a node is the one whose fit of either half best foretells the other half
 nearby. So contact shadows keep their shape, wide walls lose their noise, and what is still missed is known: where it is
-more than allowed, more rays are sent.
+more than allowed, more rays are sent, as many as their spread asks for.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.trace import NOTHING
-from simulate.radiance.transport.even import evenly
+from simulate.radiance.transport.even import Even, evenly
 from simulate.radiance.transport.gather import Effort, Stage
 from simulate.radiance.transport.local_fit import Nodes
 from simulate.radiance.transport.points import Points
@@ -28,6 +28,8 @@ STEP = 2
 WIDTHS = (0, 1, 2, 4, 8)
 # Nodes on either side over which a window's success is judged.
 JUDGED = 2
+# Nodes send rays in so many turns at most, and in each so many times as many as they have sent.
+TURNS, GROWTH = 6, 8
 # Rays that are followed at once.
 BATCH = 64_000
 
@@ -112,26 +114,26 @@ def field(
     white = seen.points.whitened()
     grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal)
     budget = None if allowed is None else _Budget.of(stage, seen.points, effort, allowed, weight)
-    half, first, turn = max(rays // 2, 1), np.arange(len(white)), 0
     light = np.zeros((2, len(white), len(stage.coats.wavelength_nm)), np.float32)
-    sent = np.zeros(len(white), np.int64)
-    which = first
+    sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
     while True:
-        even = [evenly(seen.row[which], seen.col[which], half, [seed, 5, turn, part]) for part in (0, 1)]
-        share = (half / (sent[which] + half)).astype(np.float32)[:, None]
         for part in (0, 1):
-            found = _gathered(stage, white.some(which), effort, even[part], [seed, 6, turn, part], run)
-            light[part, which] += share * (found - light[part, which])
-        sent[which] += half
+            for many in np.unique(half[half > 0]).tolist():
+                which, seeds = np.flatnonzero(half == many), [[seed, kind, turn, part, many] for kind in (5, 6)]
+                even = evenly(seen.row[which], seen.col[which], many, seeds[0])
+                found = _gathered(stage, white.some(which), effort, even, seeds[1], run)
+                share = (many / (sent[which] + many)).astype(np.float32)[:, None]
+                light[part, which] += share * (found - light[part, which])
+        sent += half
         signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(np.float64)
-        width, variance = _windows(grid, signals, run)
-        if budget is None or 2 * (int(sent.max(initial=0)) + 2 * half) > most:
+        width, variance, smooth = _windows(grid, signals, run)
+        turn += 1
+        if budget is None or turn == TURNS:
             break
-        excess = budget.excess(signals.mean(axis=2)[seen.row, seen.col], variance[seen.row, seen.col])
-        if not len(excess) or excess.mean() <= 1.0:
+        excess = budget.excess(smooth[seen.row, seen.col], variance[seen.row, seen.col])
+        half = _further(excess, sent, most // 2)
+        if not half.any():
             break
-        which = np.flatnonzero(_around(grid.spread(excess > 1.0))[seen.row, seen.col])
-        half, turn = 2 * half, turn + 1
     change = grid.fitted(grid.spread(light.mean(axis=0)), width, run)
     return Field(stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent))
 
@@ -189,23 +191,41 @@ class _Budget:
         return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
 
 
-def _around(short: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Nodes next to those that fall short: their light counts in the same windows."""
-    from scipy.ndimage import maximum_filter
+def _further(excess: Array, sent: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """How many rays more each node sends, a power of two or none.
 
-    return np.asarray(maximum_filter(short, 2 * JUDGED + 1), np.bool_)
+    Parameters
+    ----------
+    excess
+        Variance of each node over what is allowed, shape (node,).
+    sent, most
+        Rays that it has sent, shape (node,), and may send in all.
+
+    Notes
+    -----
+    n as the root of the variance v of single rays brings the mean of v/n to 1 by the fewest rays (Neyman, 1934). What a
+    few rays tell of v is not trusted for more than `GROWTH` times as many.
+    """
+    if not excess.size or excess.mean() <= 1.0:
+        return np.zeros_like(sent)
+    # Sums that run along the picture leave a hair below zero where nothing varies.
+    single = np.maximum(excess, 0.0) * sent
+    wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(GROWTH * sent, most))
+    more = wanted - sent
+    step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)
+    return np.where(more >= 0.5 * sent, np.where(sent + step > most, step // 2, step), 0)
 
 
 def _gathered(
-    stage: Stage, points: Points, effort: Effort, even: Array, seed: list[int], run: Run
+    stage: Stage, points: Points, effort: Effort, even: Even, seed: list[int], run: Run
 ) -> NDArray[np.float32]:
     """Gather at places: what surroundings change of an open sky's irradiance, shape (point, band)."""
-    sky, rays = stage.lighting.dome, even.shape[1]
+    sky, rays = stage.lighting.dome, even.rays
 
     def gathered(start: int) -> NDArray[np.float32]:
         part = np.arange(start, min(start + count, len(points)))
         here, rng = points.some(part), np.random.default_rng([*seed, start])
-        light = stage.around(here, effort, rng, rays=rays, even=even[part]).total()
+        light = stage.around(here, effort, rng, rays=rays, even=even.some(part)).total()
         light *= np.float32(np.pi)
         if not sky.dark:
             light -= sky.irradiance(here.normal)
@@ -216,8 +236,10 @@ def _gathered(
     return np.concatenate(found) if found else np.zeros((0, len(stage.coats.wavelength_nm)), np.float32)
 
 
-def _windows(grid: Nodes, signals: NDArray[np.float64], run: Run) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Choose each node's window by how well either half foretells the other; and the square of what is still missed.
+def _windows(
+    grid: Nodes, signals: NDArray[np.float64], run: Run
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Choose each node's window by how well either half foretells the other; the square of what is missed; the fit.
 
     Notes
     -----
@@ -225,10 +247,10 @@ def _windows(grid: Nodes, signals: NDArray[np.float64], run: Run) -> tuple[NDArr
     have half of the noise, which is most of what is missed; never less than the noise that so many nodes leave.
     """
     noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, JUDGED)
-    best, width = np.full(noise.shape, np.inf), np.zeros(noise.shape, np.int64)
+    best, width, fit = np.full(noise.shape, np.inf), np.zeros(noise.shape, np.int64), np.zeros(noise.shape)
     for half_width in WIDTHS:
         smooth = grid.fitted(signals, np.full(noise.shape, half_width), run) if half_width else signals
         missed = grid.near(0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), JUDGED) - noise
         better = missed < best
-        best[better], width[better] = missed[better], half_width
-    return width, 0.5 * np.maximum(best, noise / (2.0 * width + 1.0) ** 2)
+        best[better], width[better], fit[better] = missed[better], half_width, smooth[better].mean(axis=-1)
+    return width, 0.5 * np.maximum(best, noise / (2.0 * width + 1.0) ** 2), fit

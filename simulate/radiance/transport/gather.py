@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport import direct
 from simulate.radiance.transport.air import Air
-from simulate.radiance.transport.even import R2
+from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.lights import Lighting
 from simulate.radiance.transport.openness import sky_beyond_known
 from simulate.radiance.transport.panes import Passed, passed
@@ -163,7 +163,7 @@ class Stage:
         return parts
 
     def around(
-        self, points: Points, effort: Effort, rng: np.random.Generator, *, rays: int, even: Array | None = None
+        self, points: Points, effort: Effort, rng: np.random.Generator, *, rays: int, even: Even | None = None
     ) -> Parts:
         """Return what points send to the eye of all but lamps and discs, as `leaving`.
 
@@ -172,7 +172,7 @@ class Stage:
         points, effort, rng, rays
             As of `leaving`.
         even
-            Two numbers in [0, 1) for each ray, shape (point, ray, 2), from which directions follow; None: drawn.
+            Two even numbers for each ray, from which directions follow; None: drawn.
         """
         parts = self._parts(points, False)
         self._add_around(parts, np.arange(len(points)), points, effort, rng, rays, 0, even)
@@ -190,7 +190,7 @@ class Stage:
         rng: np.random.Generator,
         rays: int,
         depth: int,
-        even: Array | None = None,
+        even: Even | None = None,
     ) -> None:
         """Add light of panels, of the sky and of what stands around."""
         # A gloss needs rays to find even the open sky.
@@ -209,7 +209,7 @@ class Stage:
         last = depth >= effort.bounces and panels is None and not points.glossy
         if gathers and last and not parts.split and self.coats.panes is None:
             if effort.hidden_sky and not self.lighting.dome.dark:
-                even = _evenly(len(points), rays, rng) if even is None else even
+                even = Even.drawn(len(points), rays, rng) if even is None else even
                 light = sky_beyond_known(points, even, self.lighting.dome, self.surfaces.tracer)
                 parts.add("sky", rows, light * self.coats.matt(points))
         elif gathers:
@@ -264,7 +264,7 @@ class Stage:
         rng: np.random.Generator,
         rays: int,
         depth: int,
-        even: Array | None = None,
+        even: Even | None = None,
     ) -> None:
         """Add what the hemisphere holds besides the open sky."""
         around = self._gathering(points, rng, rays, even)
@@ -294,12 +294,12 @@ class Stage:
         if depth < effort.bounces:
             self._add_bounced(parts, rows, there, around.met, weight, effort, rng, rays, depth)
 
-    def _gathering(self, points: Points, rng: np.random.Generator, rays: int, even: Array | None) -> "_Around":
+    def _gathering(self, points: Points, rng: np.random.Generator, rays: int, even: Even | None) -> "_Around":
         count = len(points)
         many = points if rays == 1 else points.some(np.repeat(np.arange(count), rays))
         if even is None:
-            even = _evenly(count, rays, rng)
-        direction, density = self.coats.drawn(many, even.reshape(-1, 2), rng)
+            even = Even.drawn(count, rays, rng)
+        direction, density = self.coats.drawn(many, even.pairs().reshape(-1, 2), rng)
         cosine = np.einsum("ij,ij->i", many.normal, direction)
         gives = (cosine > 0.0) & (density > 0.0)
         factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives)
@@ -435,11 +435,6 @@ class _Around:
         found = plain.copy()
         found[self.glass.which] = own(self.glass)
         return found
-
-
-def _evenly(count: int, rays: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Pairs in [0, 1) that fill the square evenly for each place, shape (count, rays, 2)."""
-    return (rng.random((count, 1, 2)) + np.arange(rays)[:, None] * R2) % 1.0
 
 
 def _known_of(points: Points, effort: Effort) -> NDArray[np.float32]:

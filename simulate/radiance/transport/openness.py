@@ -6,15 +6,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import COMPILED, new_ray, stopped
+from simulate.radiance.embree import COMPILED, DIRECTION, PACKET, REACH, aim, new_packet, stop
 from simulate.radiance.trace import Tracer
 from simulate.radiance.transport.dome import Dome
+from simulate.radiance.transport.even import R2, Even
 from simulate.radiance.transport.points import Points
 
-Array = NDArray[np.floating]
 
-
-def sky_beyond_known(points: Points, even: Array, dome: Dome, tracer: Tracer) -> NDArray[np.float32]:
+def sky_beyond_known(points: Points, even: Even, dome: Dome, tracer: Tracer) -> NDArray[np.float32]:
     """Return the irradiance that rays add to the part of the sky that is taken as known, shape (point, band).
 
     Parameters
@@ -22,7 +21,7 @@ def sky_beyond_known(points: Points, even: Array, dome: Dome, tracer: Tracer) ->
     points
         Places, whose `known` says how much of the sky counts already.
     even
-        Two numbers in [0, 1) for each ray, shape (point, ray, 2): directions follow by the cosine law.
+        Two numbers for each ray of each point: directions follow by the cosine law.
     dome, tracer
         The sky, and what may hide it.
 
@@ -33,41 +32,66 @@ def sky_beyond_known(points: Points, even: Array, dome: Dome, tracer: Tracer) ->
     found = np.zeros((len(points), dome.radiance_table.shape[2]), np.float32)
     if tracer.scene is not None:
         start = tracer.above(points.face, points.place_m, points.normal)
-        scene = (tracer.scene.address, tracer.scene.centre_m)
-        _add_sky(*scene, start, points.normal, points.known, even, dome.radiance_table, found)
+        scene, rays = (tracer.scene.address, tracer.scene.centre_m), (even.start, even.rays, R2)
+        _add_sky(*scene, start, points.normal, points.known, *rays, dome.radiance_table, found)
     return found
 
 
 @numba.njit(**COMPILED)
-def _add_sky(scene: Any, centre: Any, start: Any, normal: Any, known: Any, even: Any, table: Any, found: Any) -> None:
-    rows, columns, bands = table.shape
-    rays = even.shape[1]
-    ray, way = new_ray(), np.zeros(3)
-    for i in range(len(start)):
+def _add_sky(
+    scene: Any,
+    centre: Any,
+    place: Any,
+    normal: Any,
+    known: Any,
+    start: Any,
+    rays: int,
+    step: Any,
+    table: Any,
+    found: Any,
+) -> None:
+    packet, counts = new_packet()
+    way = np.zeros(3)
+    step_x, step_y = np.cos(2.0 * np.pi * step[1]), np.sin(2.0 * np.pi * step[1])
+    for i in range(len(place)):
         x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
         # The frame of `points.frames`.
         sign = 1.0 if z >= 0.0 else -1.0
         a = -1.0 / (sign + z)
         b = x * y * a
-        for k in range(rays):
-            radius, turn = np.sqrt(even[i, k, 0]), 2.0 * np.pi * even[i, k, 1]
-            u, v, w = radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - even[i, k, 0])
-            way[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
-            way[1] = u * sign * b + v * (sign + y * y * a) + w * y
-            way[2] = -u * sign * x - v * y + w * z
-            if way[2] < 0.0:
-                continue
-            hidden = stopped(scene, ray, centre, start[i], way)
-            share = -known[i] if hidden else 1.0 - known[i]
-            if share == 0.0:
-                continue
-            row = np.arcsin(min(way[2], 1.0)) / (0.5 * np.pi) * (rows - 1)
-            col = np.arctan2(way[1], way[0]) / (2.0 * np.pi)
-            col = (col - np.floor(col)) * (columns - 1)
-            top, left = min(int(row), rows - 2), min(int(col), columns - 2)
-            below, right = row - top, col - left
-            share *= np.pi / rays
-            for band in range(bands):
-                upper = table[top, left, band] * (1.0 - right) + table[top, left + 1, band] * right
-                lower = table[top + 1, left, band] * (1.0 - right) + table[top + 1, left + 1, band] * right
-                found[i, band] += share * (upper * (1.0 - below) + lower * below)
+        # From ray to ray the turn about the normal grows by as much: no sine is computed anew.
+        square, along, across = start[i, 0], np.cos(2.0 * np.pi * start[i, 1]), np.sin(2.0 * np.pi * start[i, 1])
+        for first in range(0, rays, PACKET):
+            counts[:] = 0
+            for lane in range(min(PACKET, rays - first)):
+                radius, w = np.sqrt(square), np.sqrt(1.0 - square)
+                u, v = radius * along, radius * across
+                square = (square + step[0]) % 1.0
+                along, across = along * step_x - across * step_y, along * step_y + across * step_x
+                way[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
+                way[1] = u * sign * b + v * (sign + y * y * a) + w * y
+                way[2] = -u * sign * x - v * y + w * z
+                if way[2] >= 0.0:
+                    aim(packet, counts, lane, centre, place[i], way, np.inf)
+            stop(scene, packet, counts)
+            for lane in range(PACKET):
+                share = -known[i] if packet[REACH, lane] < 0.0 else 1.0 - known[i]
+                if counts[lane] != 0 and share != 0.0:
+                    for axis in range(3):
+                        way[axis] = packet[DIRECTION + axis, lane]
+                    _add(table, way, share * np.pi / rays, found[i])
+
+
+@numba.njit(**COMPILED)
+def _add(table: Any, way: Any, share: float, found: Any) -> None:
+    """Add a share of the sky's radiance from a direction."""
+    rows, columns, bands = table.shape
+    row = np.arcsin(min(way[2], 1.0)) / (0.5 * np.pi) * (rows - 1)
+    col = np.arctan2(way[1], way[0]) / (2.0 * np.pi)
+    col = (col - np.floor(col)) * (columns - 1)
+    top, left = min(int(row), rows - 2), min(int(col), columns - 2)
+    below, right = row - top, col - left
+    for band in range(bands):
+        upper = table[top, left, band] * (1.0 - right) + table[top, left + 1, band] * right
+        lower = table[top + 1, left, band] * (1.0 - right) + table[top + 1, left + 1, band] * right
+        found[band] += share * (upper * (1.0 - below) + lower * below)

@@ -30,7 +30,7 @@ Array = NDArray[np.floating]
 Shared = tuple[NDArray[np.int64], NDArray[np.float32]]
 Sharing = Callable[[Points, NDArray[np.int64]], Shared]
 # Share of the variance allowed that is left to light that pixels share; the rest is for their own rays.
-SHARED_CHANCE = 0.25
+SHARED_CHANCE = 0.5
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
 # Side of a tile, px, and pixels and rays by which it is tried how open the sky is.
