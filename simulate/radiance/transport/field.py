@@ -204,12 +204,13 @@ def _further(excess: Array, sent: NDArray[np.int64], most: int) -> NDArray[np.in
     Notes
     -----
     n as the root of the variance v of single rays brings the mean of v/n to 1 by the fewest rays (Neyman, 1934). What a
-    few rays tell of v is not trusted for more than `GROWTH` times as many.
+    few rays tell of v is not trusted for more than `GROWTH` times as many. What the most rays could not mend, as where
+    light comes by way of a place that a lamp almost touches, is not made up for by others.
     """
-    if not excess.size or excess.mean() <= 1.0:
-        return np.zeros_like(sent)
     # Sums that run along the picture leave a hair below zero where nothing varies.
-    single = np.maximum(excess, 0.0) * sent
+    single = np.clip(excess * sent, 0.0, most)
+    if not sent.size or (single / sent).mean() <= 1.0:
+        return np.zeros_like(sent)
     wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(GROWTH * sent, most))
     more = wanted - sent
     step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)

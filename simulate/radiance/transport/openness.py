@@ -51,35 +51,41 @@ def _add_sky(
     found: Any,
 ) -> None:
     packet, counts = new_packet()
-    way = np.zeros(3)
+    way, total = np.zeros(3), len(place) * rays
     step_x, step_y = np.cos(2.0 * np.pi * step[1]), np.sin(2.0 * np.pi * step[1])
-    for i in range(len(place)):
-        x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
-        # The frame of `points.frames`.
-        sign = 1.0 if z >= 0.0 else -1.0
-        a = -1.0 / (sign + z)
-        b = x * y * a
-        # From ray to ray the turn about the normal grows by as much: no sine is computed anew.
-        square, along, across = start[i, 0], np.cos(2.0 * np.pi * start[i, 1]), np.sin(2.0 * np.pi * start[i, 1])
-        for first in range(0, rays, PACKET):
-            counts[:] = 0
-            for lane in range(min(PACKET, rays - first)):
-                radius, w = np.sqrt(square), np.sqrt(1.0 - square)
-                u, v = radius * along, radius * across
-                square = (square + step[0]) % 1.0
-                along, across = along * step_x - across * step_y, along * step_y + across * step_x
-                way[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
-                way[1] = u * sign * b + v * (sign + y * y * a) + w * y
-                way[2] = -u * sign * x - v * y + w * z
-                if way[2] >= 0.0:
-                    aim(packet, counts, lane, centre, place[i], way, np.inf)
-            stop(scene, packet, counts)
-            for lane in range(PACKET):
-                share = -known[i] if packet[REACH, lane] < 0.0 else 1.0 - known[i]
-                if counts[lane] != 0 and share != 0.0:
-                    for axis in range(3):
-                        way[axis] = packet[DIRECTION + axis, lane]
-                    _add(table, way, share * np.pi / rays, found[i])
+    square, along, across = 0.0, 1.0, 0.0
+    # Rays of all places one after the other, so that packets are full however few rays each place has.
+    for first in range(0, total, PACKET):
+        many = min(PACKET, total - first)
+        counts[:] = 0
+        for lane in range(many):
+            i = (first + lane) // rays
+            if (first + lane) % rays == 0:
+                square, turn = start[i, 0], 2.0 * np.pi * start[i, 1]
+                along, across = np.cos(turn), np.sin(turn)
+            x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
+            # The frame of `points.frames`.
+            sign = 1.0 if z >= 0.0 else -1.0
+            a = -1.0 / (sign + z)
+            b = x * y * a
+            radius, w = np.sqrt(square), np.sqrt(1.0 - square)
+            u, v = radius * along, radius * across
+            # From ray to ray the turn about the normal grows by as much: no sine is computed anew.
+            square = (square + step[0]) % 1.0
+            along, across = along * step_x - across * step_y, along * step_y + across * step_x
+            way[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
+            way[1] = u * sign * b + v * (sign + y * y * a) + w * y
+            way[2] = -u * sign * x - v * y + w * z
+            if way[2] >= 0.0:
+                aim(packet, counts, lane, centre, place[i], way, np.inf)
+        stop(scene, packet, counts)
+        for lane in range(many):
+            i = (first + lane) // rays
+            share = -known[i] if packet[REACH, lane] < 0.0 else 1.0 - known[i]
+            if counts[lane] != 0 and share != 0.0:
+                for axis in range(3):
+                    way[axis] = packet[DIRECTION + axis, lane]
+                _add(table, way, share * np.pi / rays, found[i])
 
 
 @numba.njit(**COMPILED)

@@ -33,6 +33,8 @@ Sharing = Callable[[Points, NDArray[np.int64]], Shared]
 SHARED_CHANCE = 0.5
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
+# Where surfaces meet, each ray gathers by so many times as many.
+ALONE = 8
 # Side of a tile, px, and pixels and rays by which it is tried how open the sky is.
 OPEN_TILE, OPEN_TRIED, OPEN_TRIES = 4, 2, 4
 
@@ -69,13 +71,15 @@ class Picture:
 class Job:
     """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each, spread over them or not.
 
-    Where `known` (pixel,) is 1 the open sky's light is taken as known, see `Points`.
+    Where `known` (pixel,) is 1 the open sky's light is taken as known, see `Points`. Where surfaces meet, light from
+    around changes within a pixel: `alone`, its rays share none of it.
     """
 
     pixels: NDArray[np.int64]
     rays: int
     known: NDArray[np.float32]
     together: bool = False
+    alone: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +96,7 @@ class Look:
 
     def seen(self, job: Job) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
-        rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0])])
+        rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0]), job.alone])
         count, columns = len(job.pixels), self.view.shape[1]
         apart = np.zeros(job.rays) if job.together else np.arange(job.rays)
         spread = (rng.random((count, 1, 2)) + apart[:, None] * R2) % 1.0
@@ -100,9 +104,16 @@ class Look:
         col = (job.pixels[:, None] % columns + spread[..., 1]).ravel()
         origin, towards = self.view.rays(row, col)
         known = np.repeat(job.known, job.rays)
-        share = None if self.field is None else partial(_shared, self.field, row, col)
+        share = None if self.field is None or job.alone else partial(_shared, self.field, row, col)
         light = along(
-            self.stage, origin, towards, self.effort, rng, gathered=self.gathered, known=known, share=share
+            self.stage,
+            origin,
+            towards,
+            self.effort,
+            rng,
+            gathered=self.gathered * (ALONE if job.alone else 1),
+            known=known,
+            share=share,
         ).total()
         each = (light @ self.weight).reshape(count, job.rays)
         variance = each.var(axis=1, ddof=1) / job.rays if job.rays > 1 else np.full(count, np.nan, np.float32)
@@ -251,7 +262,7 @@ def picture(
     tried = _Tried(look, known)
     wanted = allotted(here, rays, tried, seed)
     announce(tried.seconds_a_ray * float(wanted.sum()))
-    jobs = list(_jobs(wanted, known, rays.gathered))
+    jobs = list(_jobs(wanted, known, here.edges(shadows=False), rays.gathered))
     bands, size = len(look.weight), wanted.size
     radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
     results = run(look.seen, jobs)
@@ -340,12 +351,14 @@ def _of_tiles(values: NDArray, tile: int, shape: tuple[int, int]) -> NDArray:
     return values.repeat(tile, axis=0).repeat(tile, axis=1)[: shape[0], : shape[1]]
 
 
-def _jobs(wanted: NDArray[np.int32], known: NDArray[np.float32], gathered: int) -> Iterator[Job]:
+def _jobs(
+    wanted: NDArray[np.int32], known: NDArray[np.float32], alone: NDArray[np.bool_], gathered: int
+) -> Iterator[Job]:
     """Cut the pixels into batches of as many rays each, in the order of the picture."""
-    flat = wanted.ravel()
-    for count in np.unique(flat):
-        pixels = np.flatnonzero(flat == count)
-        batch = max(1, BATCH // (int(count) * max(gathered, 1)))
+    flat = 2 * wanted.ravel() + alone.ravel()
+    for kind in np.unique(flat):
+        pixels, count = np.flatnonzero(flat == kind), int(kind) // 2
+        batch = max(1, BATCH // (count * max(gathered, 1)))
         for start in range(0, len(pixels), batch):
             part = pixels[start : start + batch]
-            yield Job(part, int(count), known.ravel()[part])
+            yield Job(part, count, known.ravel()[part], bool(kind % 2))

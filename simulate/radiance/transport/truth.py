@@ -50,14 +50,15 @@ class Truth:
     objects: tuple[str, ...]
     sources: tuple[str, ...]
 
-    def edges(self) -> NDArray[np.bool_]:
-        """Return the pixels next to which object, face or shadow change, shape (row, col)."""
+    def edges(self, *, shadows: bool = True) -> NDArray[np.bool_]:
+        """Return the pixels next to which object, face or, if asked for, shadow change, shape (row, col)."""
         found = np.zeros(self.material.shape, bool)
         for axis in (0, 1):
             here = _but_last(self, axis)
             there = _but_first(self, axis)
             differs = (here["object"] != there["object"]) | (here["material"] != there["material"])
-            differs |= here["shadow"] != there["shadow"]
+            if shadows:
+                differs |= here["shadow"] != there["shadow"]
             differs |= (np.sum(here["normal"] * there["normal"], axis=-1) < SAME_NORMAL) & (here["object"] >= 0)
             found[_first(axis)] |= differs
             found[_rest(axis)] |= differs
