@@ -28,7 +28,7 @@ KEPT = Path("study/radiance")
 RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")
 THREADS, REPEATS = 2, 1
 # After a picture that took so much processor time, s, no stricter one of ours is made.
-LONGEST_S = 4.0
+LONGEST_S = 8.0
 # What a pixel may err by chance, as a share of its signal; and samples of the path tracer's pixels.
 OURS = (0.3, 0.1, 0.03, 0.01, 0.004)
 THEIRS = (4, 16, 64, 256)

@@ -72,7 +72,7 @@ class Job:
     """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each, spread over them or not.
 
     Where `known` (pixel,) is 1 the open sky's light is taken as known, see `Points`. Where surfaces meet, light from
-    around changes within a pixel: `alone`, its rays share none of it.
+    around changes within a pixel: `alone`, its rays share none of it and gather more.
     """
 
     pixels: NDArray[np.int64]
@@ -262,7 +262,11 @@ def picture(
     tried = _Tried(look, known)
     wanted = allotted(here, rays, tried, seed)
     announce(tried.seconds_a_ray * float(wanted.sum()))
-    jobs = list(_jobs(wanted, known, here.edges(shadows=False), rays.gathered))
+    # Only the sky's shadow is gathered so cheaply that pixels need not share it.
+    alone = here.edges(shadows=False) & (
+        look.field is not None and effort.bounces == 0 and stage.lighting.panels is None
+    )
+    jobs = list(_jobs(wanted, known, alone, rays.gathered))
     bands, size = len(look.weight), wanted.size
     radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
     results = run(look.seen, jobs)
@@ -361,4 +365,4 @@ def _jobs(
         batch = max(1, BATCH // (count * max(gathered, 1)))
         for start in range(0, len(pixels), batch):
             part = pixels[start : start + batch]
-            yield Job(part, count, known.ravel()[part], bool(kind % 2))
+            yield Job(part, count, known.ravel()[part], alone=bool(kind % 2))
