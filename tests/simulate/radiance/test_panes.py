@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
+from labdata.border import from_mapping
 from labdata.errors import BadInput
 from simulate.radiance.materials.pane import clearest, pane_shares
 from simulate.radiance.scene import load_scene
@@ -192,14 +193,14 @@ def test_a_window_is_written_in_a_scene_and_goes_with_it_to_other_processes(tmp_
 
 def test_panes_that_nobody_could_buy_are_refused():
     for keys, says in (
-        ({"pane_transmittance": (0.95,)}, "between 0 and what the faces leave, 0.91"),
-        ({"pane_transmittance": (0.9,), "glow_lm_per_m2": 1.0}, "must not glow"),
-        ({"pane_transmittance": (0.9,), "refractive_index": 0.9}, "must exceed 1, got 0.9"),
-        ({"pane_transmittance": (0.9, 0.8)}, "got 2 for 1"),
-        ({"pane_transmittance": (0.9,), "reflectance": (0.1,)}, "must have a library"),
+        ({"pane_transmittance": [0.95]}, "between 0 and what the faces leave, 0.91"),
+        ({"pane_transmittance": [0.9], "glow_lm_per_m2": 1.0}, "must not glow"),
+        ({"pane_transmittance": [0.9], "refractive_index": 0.9}, "must exceed 1, got 0.9"),
+        ({"pane_transmittance": [0.9, 0.8]}, "got 2 for 1"),
+        ({"pane_transmittance": [0.9], "reflectance": [0.1]}, "must have a library"),
     ):
         with pytest.raises(BadInput, match=says):
-            Surface(label="glass", **keys)
+            from_mapping({"label": "glass", **keys}, Surface)
 
 
 def light_in_the_picture(stage):
