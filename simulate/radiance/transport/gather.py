@@ -271,8 +271,8 @@ class Stage:
         dome, known = self.lighting.dome, _known_of(around.many, effort)
         if not dome.dark:
             # Where panes are in the way, nothing is known of what comes by them, but all of the sky behind.
-            unknown = np.float32(1.0) - known * ~around.glazed
-            seen = np.flatnonzero(around.open & (unknown > 0.0) & effort.hidden_sky)
+            unknown = np.float32(1.0) - known * ~(around.glazed & effort.hidden_sky)
+            seen = np.flatnonzero(around.open & (unknown > 0.0))
             light = self._weight(around, seen)
             light *= dome.radiance(around.last_direction[seen])
             light *= unknown[seen, None]

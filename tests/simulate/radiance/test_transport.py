@@ -213,13 +213,15 @@ def test_in_a_furnace_every_surface_is_as_bright_as_its_glow_over_what_it_does_n
     ids=["glossy", "metal"],
 )
 @pytest.mark.parametrize("tilt_deg", [10.0, 60.0])
-def test_under_a_uniform_sky_a_gloss_shows_its_albedo(seed, brdf, tilt_deg):
+@pytest.mark.parametrize("hidden_sky", [True, False], ids=["objects may hide the sky", "nothing may"])
+def test_under_a_uniform_sky_a_gloss_shows_its_albedo(seed, brdf, tilt_deg, hidden_sky):
     stage = staged([("floor", "m", WIDE)], {"m": brdf}, sky=UNIFORM)
     tilt = np.deg2rad(tilt_deg)
     eye = np.array([[np.sin(tilt), 0.0, np.cos(tilt)]])
     origin, towards = np.repeat(eye, 3000, axis=0), np.repeat(-eye, 3000, axis=0)
     rng = np.random.default_rng([seed, 4])
-    seen = along(stage, origin, towards, Effort(bounces=0), rng, gathered=4).total()[:, 0]
+    effort = Effort(bounces=0, hidden_sky=hidden_sky)
+    seen = along(stage, origin, towards, effort, rng, gathered=4).total()[:, 0]
     agree(seen, float(brdf.albedo(eye, np.array([500.0]))[0, 0]), relative=0.01)
 
 
