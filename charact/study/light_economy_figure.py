@@ -58,12 +58,14 @@ def _draw_cases(axes: Any, outcomes: Sequence[Outcome]) -> None:
                     [one.saving for one in own], [one.difference for one in own], mark, color=f"C{number}", alpha=0.7,
                     label=light if sensor == CAMERAS[0] else None, ms=5,
                 )  # fmt: skip
+    for sensor, mark in MARKS.items():
+        axes.plot([], [], mark, color="0.4", ms=5, label=sensor)
     axes.axhline(TOLERANCE, color="k", lw=1, ls="--")
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlabel("time of the exact mode over that of the plan (1)")
     axes.set_ylabel("difference of frames / noise, rms (1)")
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=7, ncols=2)
 
 
 def main() -> None:
