@@ -1,6 +1,7 @@
 """Shared fixtures: the seed of every statistical test, chosen or taken from outside."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,10 @@ import pytest
 # One thread a worker, as on the command line; it must be said before numpy is loaded.
 for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(library, "1")
+
+# What a shell runs in the background is deaf to Ctrl-C, and so are its children, to which tests send one.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 DEFAULT_SEED = 20261121
 
