@@ -1,6 +1,9 @@
 """Past its breaking points the camera goes to the right limit or refuses in one sentence; no NaN, no wrapped code."""
 
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import islice, pairwise
 from typing import Any
@@ -193,6 +196,14 @@ def test_every_shipped_camera_of_one_pixel_sees(name, seed):
     camera = camera_of(replace(description, ccd=replace(description.ccd, rows=1, columns=1)))
     dark, lit = (codes_of(camera, level, Conditions(), seed) for level in (0.0, 1e5))
     assert lit.mean() > dark.mean()
+
+
+def test_the_smallest_frames_are_made_in_memory_of_their_own(tmp_path):
+    # Compiled loops read and write what lies beside an array without a word, unless every index is checked.
+    watched = {**os.environ, "NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    tests = ["-q", "-n", "0", "-p", "no:cacheprovider", "-k", "one_pixel_one_row", __file__]
+    made = subprocess.run([sys.executable, "-m", "pytest", *tests], env=watched, capture_output=True, text=True)
+    assert made.returncode == 0, made.stdout
 
 
 @pytest.mark.parametrize("shape", [(0, 5), (5, 0), (-3, 4)])

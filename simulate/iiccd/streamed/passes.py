@@ -354,8 +354,7 @@ def charge_rows(first, last, key, shown, kernel, wing, mean, response, noise, no
     """
     cols = mean.shape[1]
     gathered, spread = np.empty(shown.shape[3], np.float32), np.empty(cols, np.float32)
-    high, low = np.empty(cols, np.uint32), np.empty(cols, np.uint32)
-    probability, nearer, own = np.empty(cols, np.float32), np.empty(cols, np.float32), np.zeros(cols, np.float32)
+    high, low, probability, nearer, own = _room(cols)
     counted, variance = noise
     apart, read_key, impulse, read_noise, levels = readout
     line, level, taps = _line(cols, impulse)
@@ -428,8 +427,7 @@ def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
     """
     cols = charge.shape[1]
     line, level, taps = _line(cols, impulse)
-    high, low = np.empty(cols, np.uint32), np.empty(cols, np.uint32)
-    probability, nearer, own = np.empty(cols, np.float32), np.empty(cols, np.float32), np.empty(cols, np.float32)
+    high, low, probability, nearer, own = _room(cols)
     two = np.empty(2, np.float32)
     for r in range(first, last):
         _fill(_row_key(key, r), high, low)
@@ -439,6 +437,14 @@ def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
         for c in range(cols):
             inner[c] = charge[r, c] + noise[0] * own[c]
         _read_line(line, impulse, two, noise, levels, taps, level, codes[r])
+
+
+@njit(**FAST)
+def _room(cols):
+    """Room for the random numbers of a line, two of which are drawn for the line itself, however short it is."""
+    size = max(cols, 2)
+    words, numbers = np.empty((2, size), np.uint32), np.empty((3, size), np.float32)
+    return words[0], words[1], numbers[0], numbers[1], numbers[2]
 
 
 @njit(**FAST)
