@@ -35,7 +35,7 @@ CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
 # Times the contour's own error that the mean of both keeps, by the quantity where the contour is long, and where it is
 # short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
 # pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
-LONG = {"bloom_diameter": 0.75, "bloom_diameter_clip": 0.3, "bloom_diameter_background": 0.6}
+LONG = {"bloom_diameter": 0.65, "bloom_diameter_clip": 0.3, "bloom_diameter_background": 0.6}
 SHORT, SHORT_PX = 1.5, 6.0
 # Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
 # both at 95 %, and to a contour that stays alone.

@@ -86,7 +86,8 @@ def _tired(best: Candidate) -> list[Candidate]:
     if best.form.halo != "disc" or len(best.problem.series.labels) < LEAST_LEVELS:
         return []
     found = tired(best.problem, best.peak)
-    fitted_on = [refined(_candidate(*found))] if found else []
+    first = _candidate(*found) if found else best
+    fitted_on = [refined(first)] if first.bic < best.bic else []
     return [one for one in fitted_on if one.bic < best.bic - CLEARLY_BETTER]
 
 
