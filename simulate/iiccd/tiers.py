@@ -18,7 +18,8 @@ Frames = Iterator[NDArray[np.unsignedinteger]]
 # What each tier does about a pulse, in a sentence for people.
 TIERS: dict[Tier, str] = {
     "by-cell": "every pulse counted and drawn on cells of half a pixel; blurs by Fourier transform, field by field",
-    "streamed": "exact law of each cell's charge by table; noise spread by a kernel with the covariance of the blur",
+    "streamed": "exact law of each cell's charge by table; noise spread by a kernel with the covariance of the blur; "
+    "below 0.8 photoelectrons a pixel every pulse at a place and a moment of its own",
     "normal": "as streamed, with a normal law of the same mean and variance in place of the exact one",
 }
 

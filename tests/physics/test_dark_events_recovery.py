@@ -45,8 +45,8 @@ def test_pulses_of_the_simulated_camera_are_found_within_a_tenth_at_twelve_bits(
         found = next(m for m in result.find(name) if m.unit == units)
         assert found.value is not None and found.interval95 is not None, found.reason
         low, high = found.interval95
-        # Heights come out some percent low and rates high here, not in darks drawn in continuous space: unexplained.
-        assert abs(found.value - truth[name]) < 0.1 * truth[name] + 0.5 * (high - low), found
+        # Over 30 seeds heights are 2.5 % low and rates 3 % high, by p 2 % more: see docs/dark-events.md.
+        assert abs(found.value - truth[name]) < 0.04 * truth[name] + 0.65 * (high - low), found
 
 
 def test_the_eight_bits_of_the_sheet_are_too_coarse_and_that_is_said(seed):

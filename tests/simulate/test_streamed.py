@@ -8,12 +8,14 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.sensors import load_sensor
 from simulate.iiccd import tiers, truth
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.exposure import from_photoelectrons
 from simulate.iiccd.light import Light, product
 from simulate.iiccd.phosphor import Afterglow
 from simulate.iiccd.streamed import engine, kernel, law, prepare
+from simulate.iiccd.streamed.singles import SingleLight
 from simulate.iiccd.transfer import PixelAperture
 from tests.simulate.test_noise import _block_variance, _captured
 
@@ -61,7 +63,7 @@ def _kernels(sensor, divisions):
     try:
         kernel.DIVISIONS = (divisions,)
         kernel.noise_kernel.cache_clear()
-        made = kernel.noise_kernel(blurs, camera.cells, 2, (1.0,), 0.0, sparse=False)
+        made = kernel.noise_kernel(blurs, camera.cells, 2, (1.0,), 0.0)
     finally:
         kernel.DIVISIONS = known
         kernel.noise_kernel.cache_clear()
@@ -86,6 +88,96 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
         expected = float(np.sum(power * wave))
         overlap = sum(np.sum(k[row:, col:] * k[: k.shape[0] - row, : k.shape[1] - col]) for k in core)
         assert overlap / cells == pytest.approx(expected, abs=1.5e-3 * float(power.sum()))
+
+
+@pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
+def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
+    """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over the plane."""
+    camera = IntensifiedCamera(load_sensor(name))
+    stages = prepare.Stages.of(camera.chain(Conditions()), camera.fields_per_frame)
+    blurs = stages.behind_plate.mean(Light(values=np.zeros((1, 1), np.float32))).owed
+    made = kernel.pulse_kernel(blurs, camera.cells, stages.height)
+    places = made.shares.shape[0] * made.shares.shape[1]
+    assert made.shares.sum() / places + made.wing.sum() * kernel.COARSE**2 == pytest.approx(stages.height, rel=1e-5)
+    # The picture of a pixel, a seventh of a pixel from point to point.
+    side, step = 48 * 7, 1.0 / 7.0
+    f = np.fft.fftfreq(side, step)
+    fx, fy = np.broadcast_arrays(f[None, :] / camera.cells.pitch_x_mm, f[:, None] / camera.cells.pitch_y_mm)
+    width_mm, height_mm = camera.cells.pitch_x_mm, stages.height * camera.cells.pitch_y_mm
+    transfer = product((*blurs, PixelAperture(width_mm=width_mm, height_mm=height_mm)), fx, fy)
+    seen = np.fft.ifft2(transfer).real / step**2 * stages.height
+    for power in (2, 3, 4, 6):
+        found = np.sum(made.shares.astype(float) ** power) / places
+        assert found == pytest.approx(np.sum(seen**power) * step**2, rel=3e-3), power
+
+
+@pytest.fixture(scope="module")
+def sparse(plain):
+    """A small camera before a dim edge, patterns, ions and all, in which single pulses are seen."""
+    sensor = plain(48, 64, photocathode__ebi_lm_per_cm2=0.0, microchannel_plate__ion_event_rate_per_s_cm2=300.0)
+    camera = IntensifiedCamera(sensor, geometry=True)
+    image = np.where(np.arange(64) < 32, 0.02, 0.4) * np.ones((48, 1))
+    return camera, from_photoelectrons(camera, image, Conditions())
+
+
+def test_sparse_frames_follow_from_seed_and_number_whoever_draws_them(sparse, monkeypatch):
+    monkeypatch.setattr(engine, "SEGMENT_FRAMES", 4)
+    run = _frames(sparse, 11)
+    assert run.tobytes() == _frames(sparse, 11, threads=2).tobytes()
+    for first in (1, 4, 6):
+        assert run[first : first + 2].tobytes() == _frames(sparse, 2, first_frame=first).tobytes()
+
+
+def test_sparse_frames_average_to_the_mean_frame(sparse, seed):
+    camera, light = sparse
+    stream = tiers.frames(camera, light, Conditions(), seed=seed)
+    frames = np.stack(list(islice(stream, 2000))).astype(float) - camera.mean_frame(light, Conditions())
+    assert isinstance(_made(camera, light).light, SingleLight)
+    blocks = frames.mean(axis=1).reshape(40, 50, -1).mean(axis=1)
+    error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
+    assert np.all(np.abs(blocks.mean(axis=0)) < 5.0 * error + 5e-3)
+
+
+def _made(camera, light):
+    return prepare.made_ready(prepare.Stages.of(camera.chain(Conditions()), camera.fields_per_frame), light)
+
+
+def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
+    """The share of its light that a pulse gives to its brightest pixel is as often as low as by all places alike."""
+    sensor = plain(32, 32, phosphor__fast_decay_ms=1e-6, phosphor__slow_decay_ms=1e-6)
+    camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
+    light = _made(camera, Light(values=np.full(camera.cells.shape, 1e-3, np.float32), grid=camera.cells)).light
+    assert isinstance(light, SingleLight)
+    expected = np.zeros_like(light.expected)
+    # The cells of one pixel amid the frame, in which there is hardly ever more than one pulse.
+    expected[42:44, 42:44] = 0.01
+    alone = replace(light, expected=expected, ions_per_field=0.0)
+    screen, found = alone.screen(seed), []
+    for frame in range(20000):
+        screen.expose(frame, 1.0, lambda work, rows, block: work(0, rows))
+        image = screen.shown[0, 0] + alone.near_e
+        if image.max() > 1e-3 * light.gain.mean():
+            found.append(image.max() / image.sum())
+    places = light.kernel.shares.reshape(-1, *light.kernel.shares.shape[2:])
+    brightest = places.max(axis=(1, 2)) / places.sum(axis=(1, 2))
+    levels = np.quantile(brightest, [0.2, 0.4, 0.6, 0.8]) * 1.0001
+    seen = (np.array(found)[:, None] < levels).mean(axis=0)
+    due = (brightest[:, None] < levels).mean(axis=0)
+    assert len(found) > 500
+    assert np.all(np.abs(seen - due) < 4.5 * np.sqrt(due * (1.0 - due) / len(found)) + 0.02)
+
+
+def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
+    """Their light in their own field has the mean and the mean square of the screen's decay."""
+    camera = IntensifiedCamera(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
+    light = _made(camera, Light(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)).light
+    assert isinstance(light, SingleLight)
+    pulses = light.screen(seed)._drawn(0, np.float32(1.0))
+    own = 1.0 - pulses.later.sum(axis=0) / pulses.charge
+    truth = camera.afterglow(Conditions()).pulse_shares[:, 0]
+    for power in (1, 2):
+        error = np.std(truth**power) / np.sqrt(len(own))
+        assert np.mean(own**power) == pytest.approx(np.mean(truth**power), abs=4.5 * error + 1e-3)
 
 
 def test_sharpened_light_keeps_its_sum_and_even_light_stays(sheet):

@@ -1,6 +1,6 @@
 """From dark frames to the law of their pulses: filters as wide as the spot, ion events apart, a fit in two rounds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,8 @@ LEAST_ION = 15.0
 SPOILT_AFTER = 6
 # A guess of a glow to start from: its share, and its time in exposures of the same rows.
 GLOW, GLOW_TIME = 0.4, 1.0
+# A fit that leaves more than chance does in so many cases is begun again from these shares.
+UNLIKELY, GLOWS = 1e-3, (0.2, 0.6)
 # How well a sensor's description knows the spot's wings: standard deviations of the exponent, and of the strength as a
 # share of it; and the screen's fast time, as a share of that.
 EXPONENT_SD, WINGS_SHARE, FAST_SHARE = 0.05, 0.25, 0.2
@@ -144,6 +146,8 @@ def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period
     setup = _Setup(priors=priors, fixed=_guess(frames, priors, open_share=open_share, screen=screen), screen=screen)
     first = _without_ions(look, _from_scratch(look, setup), setup, 0)
     fit = _without_ions(frames, first, setup, -1)
+    if "glow" in screen and fit.peak.chance < UNLIKELY:
+        fit = _without_ions(frames, replace(fit, peak=_from_elsewhere(fit, frames.stride)), setup, -1)
     pulses = fit.peak.pulses
     response, noise = _response(fit.middle, pulses), np.sqrt(fit.middle.noise(pulses.line) * pulses.noise_dn2)
     return PulseFit(
@@ -166,6 +170,13 @@ def _screen(seen: Lingering, stride: int) -> tuple[str, ...]:
     if seen.later:
         return (*SLOW, *FAST)
     return FAST if seen.across or stride == 1 else ()
+
+
+def _from_elsewhere(fit: _Fit, stride: int) -> Peak:
+    """The best peak of those near a fit's and near other screens: a glow that few frames show can be taken amiss."""
+    near = [replace(fit.peak.pulses, glow=share, glow_exposures=GLOW_TIME * stride) for share in GLOWS]
+    return min([fit.peak, *(climbed(fit.problem, fit.covariance, one, rough=False) for one in near)],
+               key=lambda peak: peak.chi2)  # fmt: skip
 
 
 def _all(frames: DarkFrames) -> list[NDArray[np.bool_]]:

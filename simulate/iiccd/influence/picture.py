@@ -22,7 +22,7 @@ from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.light import Light, product
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.streamed.kernel import noise_kernel
-from simulate.iiccd.streamed.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, SPARSE_PE_PER_PX, Stages
+from simulate.iiccd.streamed.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, Stages
 from simulate.iiccd.transfer import Blur
 from simulate.iiccd.video import Video
 
@@ -138,13 +138,12 @@ class Picture:
     def blurs(self) -> tuple[float, float]:
         """What blur behind the gain leaves of a pulse's second and third moment, dimensionless.
 
-        The kernel is the one that frames will be drawn with, so that it is worked out once.
+        The kernel is the one that frames of many pulses will be drawn with, so that it is worked out once.
         """
         owed = self.stages.behind_plate.mean(Light(values=np.zeros((1, 1), np.float32))).owed
         taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > SHORTEST_TAP)[-1] + 1]
-        sparse = float(self.frame_of(self.surroundings, DRAW_MARGIN_PX).mean()) < SPARSE_PE_PER_PX
         height, impulse = 2 if self.camera.interlaced else 1, tuple(float(tap) for tap in taps)
-        kernel = noise_kernel(owed, self.camera.cells, height, impulse, SKEWNESS_TOLERANCE, sparse=sparse)
+        kernel = noise_kernel(owed, self.camera.cells, height, impulse, SKEWNESS_TOLERANCE)
         return kernel.blur_factor, kernel.third_factor
 
     @cached_property

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.iiccd.automatic import AutomaticState
-from simulate.iiccd.streamed.kernel import COARSE, REACH, Kernel
+from simulate.iiccd.streamed.kernel import COARSE, REACH
 from simulate.iiccd.streamed.law import normal_quantiles
+from simulate.iiccd.streamed.screen import Far, Light, key_of, single
 
 # The screen's state is drawn anew, from the fields before, at the start of each run of so many frames: a frame depends
 # on the seed and on its own number alone, whichever frame is drawn first.
 SEGMENT_FRAMES = 128
-# What a generator is for, the planes of cells besides.
-ION, CHARGE, COUNTED, READ = 60, 61, 62, 63
+# What a generator is for; light has others.
+CHARGE, COUNTED, READ = 61, 62, 63
 
 Frame = NDArray[np.unsignedinteger]
 States = Callable[[int], AutomaticState]
@@ -30,52 +31,29 @@ class Steady:
 
     Parameters
     ----------
-    expected, inverse, rows
-        Mean number of detected photoelectrons of every cell, the inverse of the probability of any, and the row of the
-        law, shape (plane, row, col).
-    gain
-        CCD electrons per mean pulse of every cell, shape (plane, row, col).
-    shape, quantiles
-        Gamma shape of pulses, and the rows of their law, flat.
-    ions_per_field, ion_size
-        Ion events on all cells in one exposure, and their mean number of pulses.
-    kernel
-        Spread of the noise; the first cell lies under the kernel of the first pixel.
+    light
+        How its pulses are drawn.
     light_e
         Mean charge that light brings to every pixel, e-, shape (row, col).
     response
         Response of the pixels, shape (row, col), or (1, 1) where all are alike.
     dark_pattern_e
         Dark charge of the pixels about its mean, e-, shape (row, col), or (1, 1) where all are alike.
-    decay
-        Mean share stored, its standard deviation, and share kept, of each component of the screen's decay, shape
-        (3, component).
-    arrivals
-        What pulses at evenly spaced times of arrival leave in each component beyond its mean, shape (component, time);
-        no times where pulses are so many that mean, variance and third moment of it are enough.
-    lateness
-        Skewness of what pulses leave to later exposures, over their times of arrival, dimensionless.
+    stays, kept
+        Mean share of a pulse that each component of the screen's decay stores, and the share of what is stored that
+        stays stored for one exposure more, shape (component,).
     memory
         Exposures after which the screen has forgotten.
     fields
         Exposures in a frame.
     """
 
-    expected: NDArray[np.float32]
-    inverse: NDArray[np.float32]
-    rows: NDArray[np.uint16]
-    gain: NDArray[np.float32]
-    shape: float
-    quantiles: NDArray[np.float32]
-    ions_per_field: float
-    ion_size: float
-    kernel: Kernel
+    light: Light
     light_e: NDArray[np.float32]
     response: NDArray[np.float32]
     dark_pattern_e: NDArray[np.float32]
-    decay: NDArray[np.float32]
-    arrivals: NDArray[np.float32]
-    lateness: float
+    stays: NDArray[np.float64]
+    kept: NDArray[np.float64]
     memory: int
     fields: int
 
@@ -124,14 +102,9 @@ class Stream:
     def __init__(self, scene: Steady, readout: Readout, states: States, *, seed: int, threads: int) -> None:
         self._scene, self._readout, self._states = scene, readout, states
         self._seed, self._threads = seed, threads
-        planes, rows, cols = scene.gain.shape
-        components = scene.decay.shape[1]
-        # One block of memory for what is worked on together, large enough for large pages.
-        block = np.zeros((planes * (components + scene.fields), rows, cols), np.float32)
-        self._stored = block[: planes * components].reshape(planes, components, rows, cols)
-        self._shown = block[planes * components :].reshape(scene.fields, planes, rows, cols)
+        self._screen = scene.light.screen(seed)
         # What is stored of the mean, relative to a steady scene of untouched brightness.
-        self._stored_mean = np.ones(scene.decay.shape[1])
+        self._stored_mean = np.ones(len(scene.stays))
         self._charge = np.empty(scene.light_e.shape, np.float32)
         self._mean_of: tuple[tuple[float, ...], NDArray[np.float32]] = (), scene.light_e
 
@@ -146,60 +119,23 @@ class Stream:
 
     def _begin_segment(self, frame: int) -> None:
         before = -(-self._scene.memory // self._scene.fields)
-        self._stored[:] = 0.0
+        self._screen.forget()
         self._stored_mean[:] = self._states(max(frame - before, 0)).brightness
         for earlier in range(frame - before, frame):
             self._expose(earlier)
 
     def _expose(self, frame: int) -> tuple[NDArray[np.float32], tuple[float, ...]]:
-        """Draw the pulses of a frame's exposures and let the screen glow.
-
-        Returns
-        -------
-        coarse, brightness
-            What each exposure shows beyond the mean, summed over coarse cells, and the factor of its mean light.
-        """
-        from simulate.iiccd.streamed.passes import glow_rows
-
-        scene, planes = self._scene, len(self._scene.gain)
+        """Let the screen glow: what exposures show on coarse cells, and the factors of their mean light."""
         factor = self._states(max(frame, 0)).brightness
-        rows, cols = scene.gain.shape[1] // COARSE, scene.gain.shape[2] // COARSE
-        coarse = np.empty((scene.fields, planes, rows, cols), np.float32)
-        law = scene.quantiles, *_single(scene.shape, scene.lateness, self._ion_pulses_per_cell)
-        factors, ions = np.full(scene.fields, factor, np.float32), self._ions(frame)
-
-        def work(first: int, last: int) -> None:
-            for plane in range(planes):
-                exposures = self._keys(plane, frame), factors
-                cells = scene.expected[plane], scene.inverse[plane], scene.rows[plane], scene.gain[plane]
-                screen = (scene.decay, scene.arrivals), self._stored[plane], self._shown, coarse
-                glow_rows(first, last, plane, exposures, cells, law, ions if plane == 0 else _NO_IONS, *screen)
-
-        self._shared(work, rows * COARSE, COARSE)
-        return coarse.sum(axis=1), tuple(self._mean_shown(factor) for _ in range(scene.fields))
+        coarse = self._screen.expose(frame, factor, self._shared)
+        return coarse, tuple(self._mean_shown(factor) for _ in range(self._scene.fields))
 
     def _mean_shown(self, brightness: float) -> float:
-        later, _, kept = self._scene.decay.astype(float)
+        later, kept = self._scene.stays, self._scene.kept
         # Of a steady scene a component stores later / (1 - kept) and gives back later.
         shown = brightness * (1.0 - later.sum()) + float(np.sum(later * self._stored_mean))
         self._stored_mean = kept * self._stored_mean + (1.0 - kept) * brightness
         return shown
-
-    @property
-    def _ion_pulses_per_cell(self) -> float:
-        return self._scene.ions_per_field * self._scene.ion_size / self._scene.gain.size
-
-    def _ions(self, frame: int) -> "Ions":
-        """Exposures, rows, columns and pulses of the ion events of a frame."""
-        scene = self._scene
-        if scene.ions_per_field == 0.0:
-            return _NO_IONS
-        rng = np.random.default_rng([self._seed, ION, frame + 2**32])
-        number = rng.poisson(scene.ions_per_field * scene.fields)
-        places = (rng.integers(n, size=number) for n in (scene.fields, *scene.gain.shape[1:]))
-        pulses = rng.gamma(rng.poisson(scene.ion_size, size=number) * scene.shape) / scene.shape
-        exposures, rows, cols = places
-        return exposures, rows, cols, pulses.astype(np.float32)
 
     def _read(self, frame: int, coarse: NDArray[np.float32], brightness: tuple[float, ...]) -> Frame:
         """Spread a frame's exposures over the pixels that are read from them, and read these."""
@@ -207,15 +143,11 @@ class Stream:
 
         scene, readout, normal = self._scene, self._readout, normal_quantiles()
         codes = np.empty(self._charge.shape, np.uint8 if readout.top_dn < 256 else np.uint16)
-        wing = far_wing(scene.kernel, coarse, scene.light_e.shape)
-        kernel, mean, electronics = (
-            (scene.kernel.down, scene.kernel.along),
-            self._mean(brightness),
-            self._electronics(frame),
-        )
+        wing = far_wing(self._screen.far, coarse, scene.light_e.shape)
+        mean, electronics = self._mean(brightness), self._electronics(frame)
         variance = readout.dark_e + (0.0 if readout.reads_apart else readout.read_noise_e**2)
         noise = readout.counted, np.float32(variance)
-        key, read_key = self._key(CHARGE, frame), self._key(READ, frame)
+        key, read_key = key_of(self._seed, CHARGE, frame), key_of(self._seed, READ, frame)
 
         def collect(first: int, last: int) -> None:
             read = readout.reads_apart, read_key, *electronics
@@ -223,8 +155,8 @@ class Stream:
                 first,
                 last,
                 key,
-                self._shown,
-                kernel,
+                self._screen.shown,
+                self._screen.spread,
                 wing,
                 mean,
                 scene.response,
@@ -254,8 +186,8 @@ class Stream:
         readout = self._readout
         read = readout.read_noise_e if readout.reads_apart else 0.0
         gain = readout.gain_dn_per_e * self._states(frame).gain
-        noise = _single(read, readout.jitter_px, readout.line_noise_dn)
-        return readout.impulse, noise, _single(gain, readout.black_dn, readout.top_dn, readout.gamma)
+        noise = single(read, readout.jitter_px, readout.line_noise_dn)
+        return readout.impulse, noise, single(gain, readout.black_dn, readout.top_dn, readout.gamma)
 
     def _settled(self, frame: int) -> NDArray[np.float32]:
         """Charge of whole electrons where there are few, and no more than wells hold."""
@@ -268,14 +200,6 @@ class Stream:
             charge = poisson_charge(rng, charge + dark) - dark
         return charge if readout.held is None else readout.held(charge)
 
-    def _key(self, purpose: int, number: int) -> np.uint64:
-        # Exposures before the first frame, whose light it still shows, have numbers below zero; seeds may not.
-        return np.random.SeedSequence([self._seed, purpose, number + 2**32]).generate_state(1, np.uint64)[0]
-
-    def _keys(self, plane: int, frame: int) -> NDArray[np.uint64]:
-        fields = self._scene.fields
-        return np.array([self._key(plane, frame * fields + n) for n in range(fields)], np.uint64)
-
     def _shared(self, work: Callable[[int, int], None], rows: int, block: int) -> None:
         """Do all rows in bands of whole blocks, one for each thread."""
         if self._threads == 1:
@@ -287,12 +211,8 @@ class Stream:
             done.result()
 
 
-Ions = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]
-_NO_IONS: Ions = (np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.float32))
-
-
 def far_wing(
-    kernel: Kernel, coarse: NDArray[np.float32], shape: tuple[int, ...]
+    kernel: Far, coarse: NDArray[np.float32], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the far wing on coarse rows and the frame's columns, and each frame row's place among the coarse rows.
 
@@ -349,10 +269,6 @@ def _places(
     )
     left = cols.astype(np.uint32)
     return rows, left, np.minimum(left + 1, coarse[1] - 1).astype(np.uint32), (cols - left).astype(np.float32)
-
-
-def _single(*numbers: float) -> tuple[np.float32, ...]:
-    return tuple(np.float32(number) for number in numbers)
 
 
 @lru_cache(maxsize=4)

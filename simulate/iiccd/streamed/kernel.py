@@ -3,7 +3,8 @@
 Pulses fall anywhere; cells gather them on a lattice. Sampled on the lattice, the blur's transfer H would lose or gain
 variance (an eighth at a blur of half a pixel). The kernel is therefore the transform of sqrt(sum_m |H(f + m)|^2), whose
 squared modulus is exactly that of the samples of the continuous noise: the covariance of pixels is exact at every
-distance. What is left is the third moment, and `skewness_ratio` says by how much it is off.
+distance. What is left is the third moment, and `skewness_ratio` says by how much it is off. Where pulses are so rare
+that single ones are seen, their shape tells on: these fall on places of their own (`PulseKernel`).
 """
 
 from dataclasses import dataclass, field
@@ -69,9 +70,45 @@ class Kernel:
     sharpening: NDArray[np.float64] = field(repr=False)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PulseKernel:
+    """Spread of single pulses, from places `FINEST` to a pixel pitch both ways, to pixels.
+
+    Parameters
+    ----------
+    height
+        Rows of the chip in a pixel as read.
+    shares
+        Share of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R and
+        column C of the chip, counted from `REACH` before the first, lights the pixels that end with row R, column C.
+    wing
+        What reaches farther than `REACH`, as in `Kernel`.
+    """
+
+    height: int
+    shares: NDArray[np.float32]
+    wing: NDArray[np.float32]
+
+
+@lru_cache(maxsize=8)
+def pulse_kernel(blurs: tuple[Blur, ...], grid: Grid, height: int) -> PulseKernel:
+    """Return the kernel of blurs behind the gain for single pulses; arguments as for `noise_kernel`."""
+    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
+    divisions = FINEST, FINEST
+    transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
+    whole = np.fft.ifft2(_matched(transfer, height, divisions)).real * FINEST**2 * height
+    near = _offsets(height, divisions)
+    planes = np.array(_compact(whole, near, divisions), np.float32)
+    return PulseKernel(
+        height=height,
+        shares=np.ascontiguousarray(planes[:, ::-1, ::-1]).reshape(FINEST, FINEST, *planes.shape[1:]),
+        wing=_on_coarse_cells(_beyond(whole, near), divisions),
+    )
+
+
 @lru_cache(maxsize=8)
 def noise_kernel(
-    blurs: tuple[Blur, ...], grid: Grid, height: int, impulse: tuple[float, ...], tolerance: float, *, sparse: bool
+    blurs: tuple[Blur, ...], grid: Grid, height: int, impulse: tuple[float, ...], tolerance: float
 ) -> Kernel:
     """Return the kernel of blurs behind the gain, on the coarsest lattice that keeps the third moment.
 
@@ -87,14 +124,12 @@ def noise_kernel(
         Impulse response along a line of what follows, one tap a pixel; it takes part in the third moment.
     tolerance
         Error that the third moment may have, dimensionless; the finest lattice has what it has.
-    sparse
-        Whether pulses are so rare that each shows where in a pixel it fell: the finest lattice then.
     """
     aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
     exact = _third_moment(_read(transfer, impulse, FINEST))
     kernel = None
-    for divisions in DIVISIONS[-1:] if sparse else DIVISIONS:
+    for divisions in DIVISIONS:
         kernel = _on_lattice(transfer, height, divisions, impulse, exact)
         if abs(kernel.skewness_ratio - 1.0) <= tolerance:
             break
@@ -116,7 +151,7 @@ def _on_lattice(
         height=height,
         down=_stacked([down for down, _ in parts]),
         along=_stacked([along for _, along in parts]),
-        wing=_wing(whole, near, parts, divisions),
+        wing=_on_coarse_cells(_unseparated(whole, near, parts, divisions), divisions),
         blur_factor=float(np.sum(read**2) / cells) * height,
         third_factor=float(np.sum(read**3) / cells) * height**2,
         skewness_ratio=float(np.sum(read**3) / cells / exact),
@@ -218,18 +253,31 @@ def _stacked(parts: list[NDArray[np.float64]]) -> NDArray[np.float32]:
     return np.stack([np.pad(part, ((0, rank - len(part)), (0, 0))) for part in parts]).astype(np.float32)
 
 
-def _wing(
+def _beyond(whole: NDArray[np.float64], near: Offsets) -> NDArray[np.float64]:
+    """The kernel without what is within `REACH` pixels."""
+    rest = whole.copy()
+    rest[np.ix_(-near[0] % whole.shape[0], -near[1] % whole.shape[1])] = 0.0
+    return rest
+
+
+def _unseparated(
     whole: NDArray[np.float64],
     near: Offsets,
     parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]],
     divisions: tuple[int, int],
-) -> NDArray[np.float32]:
-    """What separable parts leave of the kernel, averaged over the cells of coarse cells, about the pixel's centre."""
+) -> NDArray[np.float64]:
+    """What separable parts leave of the kernel."""
     (rows, columns), (down, along) = near, divisions
     rest = whole.copy()
     for n, (downward, across) in enumerate(parts):
         i, j = divmod(n, along)
         rest[np.ix_(-rows[i::down] % whole.shape[0], -columns[j::along] % whole.shape[1])] -= downward.T @ across
+    return rest
+
+
+def _on_coarse_cells(rest: NDArray[np.float64], divisions: tuple[int, int]) -> NDArray[np.float32]:
+    """Average over the cells of coarse cells, about the pixel's centre."""
+    down, along = divisions
     per_pixel = rest.reshape(SIDE, down, SIDE, along).mean(axis=(1, 3))
     centred = np.roll(per_pixel, (SIDE // 2 + COARSE // 2, SIDE // 2 + COARSE // 2), axis=(0, 1))
     coarse = SIDE // COARSE

@@ -27,7 +27,7 @@ ZERO, HALF_ONE, ONE, TWO = f4(0.0), f4(0.5), f4(1.0), f4(2.0)
 # Half the variance of u^2 - 1, and inverse of the third moment that adding a little of it to a uniform u brings.
 TWO_FIFTHS, PER_LEAN = f4(0.4), f4(1.0 / 2.4)
 # More lateness than this the scatter does not carry; screens that have it leave next to nothing to later exposures.
-MOST_LATENESS, ROOT_THREE = f4(2.1), f4(np.sqrt(3.0))
+MOST_LATENESS = f4(2.1)
 
 FAST = {"nogil": True, "fastmath": True, "error_model": "numpy", "cache": True}
 
@@ -110,32 +110,6 @@ def _pulse_row(key, row, law, brightness, out, split, high, low, probability, ne
         out[c] = (charge - mean - ions) * scale
 
 
-@njit(**FAST)
-def _sparse_row(key, row, law, brightness, out, split, high, low, probability, nearer):
-    """As `_pulse_row`, where most cells hold nothing; the division in time still lacks the arrivals' own part.
-
-    The time of arrival is the highest byte of `low`.
-    """
-    (expected, inverse, rows, gain), (quantiles, shape, _, ions) = row, law
-    _fill(key, high, low)
-    for c in range(out.size):
-        probability[c] = (f4(high[c]) + HALF_ONE) * PER_WORD * inverse[c]
-        out[c] = -(expected[c] + ions) * brightness * gain[c]
-        split[c] = ZERO
-    for c in range(out.size):
-        if probability[c] < ONE:
-            part = slice(c, c + 1)
-            _to_nearer_end(probability[part], nearer[part])
-            _looked_up(probability[part], nearer[part], rows[part], quantiles, split[part])
-            mean = expected[c]
-            centre = mean * inverse[c]
-            charge = centre + np.sqrt(centre * (ONE + ONE / shape + mean - centre)) * split[c]
-            uniform = (f4(np.int32(low[c] & u4(0xFFFF))) - MIDDLE) * UNIFORM
-            scale = brightness * gain[c]
-            split[c] = scale * charge * _spread(abs(charge), mean, shape, uniform)
-            out[c] += scale * charge
-
-
 @njit(inline="always", **FAST)
 def _likeness(charge, mean, shape):
     """1/(n k + 1), on average over the numbers n of pulses of gamma shape k that may have added up to a charge.
@@ -154,20 +128,6 @@ def _likeness(charge, mean, shape):
     few = ONE - HALF_ONE * shape / (shape + ONE)
     many = shape * shape * charge * mean * power * power
     return ONE / (few + np.sqrt((shape + ONE - few) * (shape + ONE - few) + many))
-
-
-@njit(inline="always", **FAST)
-def _spread(charge, mean, shape, uniform):
-    """Factor of one arrival's deviation that stands for those of all pulses: exact for one, else in three moments.
-
-    Its square is that of the pulses' heights over the square of their sum; its sign, at random, is turned so often that
-    the third moment is theirs too.
-    """
-    inverse = _likeness(charge, mean, shape)
-    straight = (shape + TWO) / np.sqrt((shape + ONE) * inverse) * inverse / (ONE + inverse)
-    size = np.sqrt((shape + ONE) * inverse)
-    # A uniform number of variance 1 lies below this as often as the sign is kept.
-    return size if uniform < straight * ROOT_THREE else -size
 
 
 @njit(inline="always", **FAST)
@@ -216,10 +176,8 @@ def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, sh
     ions
         (exposures, rows, columns, pulses) of the ion events, each of shape (event,).
     decay
-        (shares, arrivals): (later, spread, kept) of each component, shape (3, component): mean share of a pulse that is
-        stored for later, its standard deviation, and the share of what is stored that stays stored for one exposure
-        more; and what pulses leave beyond the mean by their time of arrival, shape (component, 256), where most cells
-        hold nothing, else no times.
+        (later, spread, kept) of each component, shape (3, component): mean share of a pulse that is stored for later,
+        its standard deviation, and the share of what is stored that stays stored for one exposure more.
     stored
         Electrons still to come from each component, shape (component, row, col); changed.
     shown
@@ -228,8 +186,8 @@ def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, sh
         Their sums over blocks, shape (exposure, plane, coarse row, coarse col); filled. Rows first..last are whole
         blocks.
     """
-    (keys, brightness), (expected, inverse, rows, gain), (shares, arrivals) = exposures, cells, decay
-    cols, block, apart = gain.shape[1], gain.shape[1] // coarse.shape[3], arrivals.shape[1] > 0
+    (keys, brightness), (expected, inverse, rows, gain) = exposures, cells
+    cols, block = gain.shape[1], gain.shape[1] // coarse.shape[3]
     high, low = np.empty(cols, np.uint32), np.empty(cols, np.uint32)
     probability, nearer = np.empty(cols, np.float32), np.empty(cols, np.float32)
     charge, split = np.empty(cols, np.float32), np.empty(cols, np.float32)
@@ -238,23 +196,15 @@ def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, sh
         row = expected[r], inverse[r], rows[r], gain[r]
         for n in range(keys.size):
             key = _row_key(keys[n], r)
-            if apart:
-                _sparse_row(key, row, law, brightness[n], charge, split, high, low, probability, nearer)
-            else:
-                _pulse_row(key, row, law, brightness[n], charge, split, high, low, probability, nearer)
+            _pulse_row(key, row, law, brightness[n], charge, split, high, low, probability, nearer)
             for event in range(ions[0].size):
                 if ions[0][event] == n and ions[1][event] == r:
                     c = ions[2][event]
                     charge[c] += ions[3][event] * brightness[n] * gain[r, c]
             own, sums = shown[n, plane, r], gathered[n]
             own[:] = charge
-            for i in range(shares.shape[1]):
-                if apart:
-                    for c in range(cols):
-                        nearer[c] = split[c] * arrivals[i, low[c] >> u4(24)]
-                    _linger(charge, nearer, shares[0, i], ONE, shares[2, i], stored[i, r], own)
-                else:
-                    _linger(charge, split, shares[0, i], shares[1, i], shares[2, i], stored[i, r], own)
+            for i in range(decay.shape[1]):
+                _linger(charge, split, decay[0, i], decay[1, i], decay[2, i], stored[i, r], own)
             for c in range(cols):
                 sums[c] += own[c]
             if (r + 1) % block == 0:

@@ -1,6 +1,7 @@
 """A steady scene made ready for the stream: light on cells becomes pulses, gains and the mean charge of every pixel."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,19 +10,23 @@ from simulate.iiccd import fourier, pattern
 from simulate.iiccd.back_end import DigitalBackEnd
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
+from simulate.iiccd.grid import Grid
 from simulate.iiccd.light import Light
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.phosphor import Afterglow
+from simulate.iiccd.streamed.cells import CellLight
 from simulate.iiccd.streamed.engine import Readout, Steady
-from simulate.iiccd.streamed.kernel import COARSE, REACH, Kernel, noise_kernel
+from simulate.iiccd.streamed.kernel import COARSE, REACH, Kernel, noise_kernel, pulse_kernel
 from simulate.iiccd.streamed.law import normal_law, pulse_law
+from simulate.iiccd.streamed.singles import SingleLight
+from simulate.iiccd.transfer import Blur
 from simulate.iiccd.video import Video
 
 # Light that has not come out after the fields that are remembered is less than this share.
 FORGOTTEN = 1e-3
 # Third moments of the lattice may be off by this share; one cell a column is then enough.
 SKEWNESS_TOLERANCE = 0.012
-# Below this mean per pixel single pulses show where in a cell they fell.
+# Below this mean per pixel single pulses are seen, and drawn.
 SPARSE_PE_PER_PX = 0.8
 # Skewness of the charge's own shot noise, over the whole noise, above which counts are drawn one by one.
 COUNTED_SKEWNESS = 0.01
@@ -31,8 +36,8 @@ BLINDING_PE = 1e9
 FARTHEST = 8.0
 # Shares of an impulse response below this are left out.
 SHORTEST_TAP = 1e-6
-# Times of arrival that are told apart where single pulses are seen: as many as a byte.
-ARRIVALS = 256
+# Moments of arrival over which shares of light are averaged, and the least mean share that is stored at all.
+MEAN_OF, LEAST_LATER = (np.arange(2000) + 0.5) / 2000, 1e-6
 EMPTY = np.zeros((1, 1), np.float32)
 
 
@@ -47,6 +52,11 @@ class Stages:
     ccd: Ccd
     video: Video | DigitalBackEnd
     fields: int
+
+    @property
+    def height(self) -> int:
+        """Rows of the chip in a pixel as read."""
+        return 2 if self.fields == 2 else 1
 
     @classmethod
     def of(cls, chain: Chain, fields: int) -> "Stages":
@@ -81,24 +91,38 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
     grid = at_plate.grid
     if grid is None or (grid.per_column, grid.per_row) != (2, 2):
         raise ValueError("a scene is made ready from two cells per column and row")
-    height = 2 if stages.fields == 2 else 1
+    per_px = max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * stages.height
+    sparse = per_px < SPARSE_PE_PER_PX and not normal
     screen = stages.behind_plate.mean(stages.plate.mean(at_plate))
-    per_px = max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * height
-    impulse, sparse = _impulse(stages.video), per_px < SPARSE_PE_PER_PX and not normal
-    kernel = noise_kernel(screen.owed, grid, height, impulse, SKEWNESS_TOLERANCE, sparse=sparse)
-    quiet = replace(stages.plate, ion_events_per_s_cm2=0.0)
-    photons = stages.behind_plate.mean(quiet.mean(at_plate)).values
-    each = _cut(_ratio(photons, at_plate.values, kernel.divisions), grid, height)
-    gain = each * stages.ccd.quantum_efficiency / stages.plate.detection_probability
-    light = np.clip(_planes(_sharpened(at_plate.values, kernel), kernel.divisions), 0.0, BLINDING_PE)
-    expected = _cut(light, grid, height) * stages.plate.detection_probability
-    law = normal_law(expected) if normal else pulse_law(stages.plate.pulse_height_shape, expected)
     mean, dark = _mean_charge(stages, stages.collection.mean(screen))
-    decay, lateness, memory = decay_of(stages.afterglow)
-    arrivals = arrivals_of(stages.afterglow) if sparse else np.empty((2, 0), np.float32)
+    drawn = _single_light if sparse else partial(_cell_light, normal=normal)
+    (later, _, kept), _, memory = decay_of(stages.afterglow)
+    return Steady(
+        light=drawn(stages, at_plate, screen.owed, mean.shape),
+        light_e=mean,
+        dark_pattern_e=dark,
+        response=_response(stages.ccd, mean.shape),
+        stays=later.astype(float),
+        kept=kept.astype(float),
+        memory=memory,
+        fields=stages.fields,
+    )
+
+
+def _cell_light(
+    stages: Stages, at_plate: Light, owed: tuple[Blur, ...], _size: tuple[int, ...], *, normal: bool
+) -> CellLight:
+    """Light of many pulses, added up in cells behind the blurs that it still owes."""
+    grid = _grid_of(at_plate)
+    kernel = noise_kernel(owed, grid, stages.height, _impulse(stages.video), SKEWNESS_TOLERANCE)
+    light = np.clip(_planes(_sharpened(at_plate.values, kernel), kernel.divisions), 0.0, BLINDING_PE)
+    expected = _cut(light, grid) * stages.plate.detection_probability
+    gain = _cut(_gain(stages, at_plate, kernel.divisions), grid)
+    law = normal_law(expected) if normal else pulse_law(stages.plate.pulse_height_shape, expected)
+    decay, lateness, _ = decay_of(stages.afterglow)
     # One block of memory for what is read together, large enough for large pages.
     cells = np.stack([expected, law.inverse, gain]).astype(np.float32)
-    return Steady(
+    return CellLight(
         expected=cells[0],
         inverse=cells[1],
         rows=law.rows,
@@ -108,15 +132,45 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
         ions_per_field=stages.plate.ions_per_cell(at_plate) * 4 * expected[0].size,
         ion_size=stages.plate.ion_event_size_pe,
         kernel=kernel,
-        light_e=mean,
-        dark_pattern_e=dark,
-        response=_response(stages.ccd, mean.shape),
         decay=decay,
-        arrivals=arrivals[: decay.shape[1]],
         lateness=lateness,
-        memory=memory,
         fields=stages.fields,
     )
+
+
+def _single_light(stages: Stages, at_plate: Light, owed: tuple[Blur, ...], size: tuple[int, ...]) -> SingleLight:
+    """Light of single pulses behind the blurs that it still owes."""
+    grid = _grid_of(at_plate)
+    light = np.maximum(_planes(at_plate.values, (2, 2)), 0.0)
+    expected = _interlocked(_cut(light, grid)) * stages.plate.detection_probability
+    gain = _interlocked(_cut(_gain(stages, at_plate, (2, 2)), grid))
+    (stays, _, kept), _, _ = decay_of(stages.afterglow)
+    return SingleLight(
+        expected=expected.astype(np.float32),
+        gain=gain.astype(np.float32),
+        shape=stages.plate.pulse_height_shape,
+        ions_per_field=stages.plate.ions_per_cell(at_plate) * gain.size,
+        ion_size=stages.plate.ion_event_size_pe,
+        kernel=pulse_kernel(owed, grid, stages.height),
+        size=(size[0], size[1]),
+        stays=stays,
+        kept=kept,
+        later=partial(_stored_of, stages.afterglow),
+        fields=stages.fields,
+    )
+
+
+def _gain(stages: Stages, at_plate: Light, divisions: tuple[int, int]) -> NDArray[np.float64]:
+    """CCD electrons for each detected photoelectron, in planes of cells."""
+    quiet = replace(stages.plate, ion_events_per_s_cm2=0.0)
+    photons = stages.behind_plate.mean(quiet.mean(at_plate)).values
+    each = _ratio(photons, at_plate.values, divisions)
+    return each * stages.ccd.quantum_efficiency / stages.plate.detection_probability
+
+
+def _grid_of(at_plate: Light) -> Grid:
+    assert at_plate.grid is not None
+    return at_plate.grid
 
 
 def _sharpened(light: NDArray[np.floating], kernel: Kernel) -> NDArray[np.float64]:
@@ -160,7 +214,13 @@ def _planes(values: NDArray[np.floating], divisions: tuple[int, int]) -> NDArray
     return cells.transpose(1, 3, 0, 2).reshape(down * along, rows, cols)
 
 
-def _cut(planes: NDArray, grid, height: int) -> NDArray:
+def _interlocked(planes: NDArray) -> NDArray:
+    """Planes of cells, two a pixel both ways, as one image of them."""
+    _, rows, cols = planes.shape
+    return planes.reshape(2, 2, rows, cols).transpose(2, 0, 3, 1).reshape(2 * rows, 2 * cols)
+
+
+def _cut(planes: NDArray, grid: Grid) -> NDArray:
     """Cells under the kernels of the frame's pixels, filled up with empty ones to whole coarse cells."""
     top, left = grid.margin_rows - REACH, grid.margin_columns - REACH
     cut = planes[:, top : top + grid.rows + 2 * REACH, left : left + grid.columns + 2 * REACH]
@@ -204,14 +264,7 @@ def readout_of(stages: Stages, scene: Steady) -> Readout:
 def _variance(scene: Steady, ccd: Ccd) -> NDArray[np.float64]:
     """Variance of the charge of a pixel of each mean, from none to the brightest, e-^2."""
     mean = np.linspace(0.0, max(float(scene.light_e.max()), 1.0), 200)
-    return mean * (1.0 + _charge_of_a_pulse(scene)) + ccd.dark_e + ccd.read_noise_e**2
-
-
-def _charge_of_a_pulse(scene: Steady) -> float:
-    """Variance over mean of what pulses bring, e-."""
-    kernel = scene.kernel
-    squares = float(np.einsum("prj,prk,psj,psk->", kernel.down, kernel.along, kernel.down, kernel.along))
-    return float(scene.gain.mean()) * (1.0 + 1.0 / scene.shape) * squares / (kernel.height * len(kernel.down))
+    return mean * (1.0 + scene.light.pulse_e) + ccd.dark_e + ccd.read_noise_e**2
 
 
 def _skewness(scene: Steady, ccd: Ccd) -> float:
@@ -229,27 +282,30 @@ def decay_of(afterglow: Afterglow) -> tuple[NDArray[np.float32], float, int]:
     each component over arrival times is its regression on what all leave together, so that the variance of the field
     and its covariance with later ones are exact.
     """
-    left, kept = _left_over(afterglow, 2000)
+    left, kept = _left_over(afterglow, MEAN_OF)
     later, together = left.mean(axis=1), left.sum(axis=0)
     scatter = float(together.std())
     spread = (left - later[:, None]) @ together / together.size / (scatter or 1.0)
-    seen = later > 1e-6
+    seen = _lasting(afterglow)
     remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
     memory = 1 + int(np.argmax(remaining < FORGOTTEN)) if seen.any() else 0
     lateness = float(np.mean(((together - together.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
     return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, memory
 
 
-def arrivals_of(afterglow: Afterglow) -> NDArray[np.float32]:
-    """Return what pulses at evenly spaced times leave in each component beyond its mean, shape (component, time)."""
-    left, _ = _left_over(afterglow, ARRIVALS)
-    return (left - left.mean(axis=1, keepdims=True)).astype(np.float32)
+def _stored_of(afterglow: Afterglow, arrival: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Shares that components store of pulses by their time of arrival, a share of the time that the gate is open."""
+    return _left_over(afterglow, arrival)[0][_lasting(afterglow)].astype(np.float32)
 
 
-def _left_over(afterglow: Afterglow, times: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _lasting(afterglow: Afterglow) -> NDArray[np.bool_]:
+    """Which components leave any light to later exposures, shape (component,)."""
+    return _left_over(afterglow, MEAN_OF)[0].mean(axis=1) > LEAST_LATER
+
+
+def _left_over(afterglow: Afterglow, arrival: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Share of its light that a pulse leaves in each component, by its arrival; share that stays a field longer."""
     tau = np.maximum(np.array([afterglow.fast_decay_ms, afterglow.slow_decay_ms]) * 1e-3, 1e-12)
     share = np.array([afterglow.fast_fraction, 1.0 - afterglow.fast_fraction]) * tau
-    arrival = afterglow.gate_s * (np.arange(times) + 0.5) / times
-    left = share[:, None] / share.sum() * np.exp(-(afterglow.field_s - arrival) / tau[:, None])
+    left = share[:, None] / share.sum() * np.exp(-(afterglow.field_s - afterglow.gate_s * arrival) / tau[:, None])
     return left, np.exp(-afterglow.field_s / tau)

@@ -1,0 +1,185 @@
+"""Light so sparse that single pulses are seen: each drawn at a place and a moment of its own."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.iiccd.streamed.kernel import COARSE, FINEST, PulseKernel
+from simulate.iiccd.streamed.screen import Shared
+
+Array = NDArray[np.float32]
+Places = NDArray[np.int32]
+# What a generator is for.
+PULSES = 59
+# Cells to a pixel pitch, and places to a cell, both ways.
+CELLS, PLACES = 2, FINEST // 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class SingleLight:
+    """Pulses that fall anywhere in their cells, two cells to a pixel both ways.
+
+    Parameters
+    ----------
+    expected
+        Mean number of detected photoelectrons of every cell in one exposure, shape (row, col); the first cell lies
+        under the kernel of the first pixel.
+    gain
+        CCD electrons per mean pulse of every cell, shape (row, col).
+    shape
+        Gamma shape of pulses.
+    ions_per_field, ion_size
+        Ion events on all cells in one exposure, and their mean number of pulses.
+    kernel
+        Spread of a pulse.
+    size
+        Rows and columns of the frame.
+    stays, kept
+        Mean share of a pulse that each component of the screen's decay stores, and the share of what is stored that
+        stays stored for one exposure more, shape (component,).
+    later
+        Shares that each component stores of pulses by their time of arrival in the exposure's open time, 0..1, shape
+        (component, pulse).
+    fields
+        Exposures in a frame.
+    """
+
+    expected: Array
+    gain: Array
+    shape: float
+    ions_per_field: float
+    ion_size: float
+    kernel: PulseKernel
+    size: tuple[int, int]
+    stays: Array
+    kept: Array
+    later: Callable[[Array], Array]
+    fields: int
+
+    @property
+    def pulse_e(self) -> float:
+        """Variance of a pixel's charge over its mean, as pulses make it, e-."""
+        squares = float(np.sum(self.kernel.shares**2)) / (FINEST**2 * self.kernel.height)
+        return float(self.gain.mean()) * (1.0 + 1.0 / self.shape) * squares
+
+    @cached_property
+    def running(self) -> NDArray[np.float64]:
+        """Photoelectrons expected in all cells up to each, shape (cell,)."""
+        return np.cumsum(self.expected, dtype=np.float64)
+
+    @cached_property
+    def charge_e(self) -> Array:
+        """Mean charge that pulses bring to cells, e-, shape (row, col)."""
+        ions = np.float32(self.ions_per_field * self.ion_size / self.gain.size)
+        return np.asarray(self.gain * (self.expected + ions), np.float32)
+
+    @cached_property
+    def near_e(self) -> Array:
+        """Mean charge that pulses bring to pixels by the compact kernel, e-, shape (row, col)."""
+        from scipy.signal import fftconvolve
+
+        shares = self.kernel.shares
+        taps, breadth = shares.shape[2:]
+        # Pulses are even over a cell: its kernel is the mean of its places'.
+        cells = shares.reshape(CELLS, PLACES, CELLS, PLACES, taps, breadth).mean(axis=(1, 3))
+        parts = [
+            fftconvolve(self.charge_e[i::CELLS, j::CELLS], cells[i, j]) for i in range(CELLS) for j in range(CELLS)
+        ]
+        rows, cols = self.size
+        return np.ascontiguousarray(np.sum(parts, axis=0)[taps - 1 :, breadth - 1 :][:rows, :cols], np.float32)
+
+    @cached_property
+    def coarse_e(self) -> Array:
+        """Mean charge that pulses bring to coarse cells, e-, shape (coarse row, coarse col)."""
+        side = CELLS * COARSE
+        rows, cols = (n // side for n in self.charge_e.shape)
+        return self.charge_e.reshape(rows, side, cols, side).sum(axis=(1, 3))
+
+    def screen(self, seed: int) -> "SingleScreen":
+        """Return a screen that has shown nothing yet."""
+        return SingleScreen(self, seed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Pulses:
+    """Places of pulses in fractions of a pixel, their electrons, and those of them that come later."""
+
+    rows: Places
+    columns: Places
+    charge: Array
+    later: Array
+
+
+class SingleScreen:
+    """What pixels are still to be lit by, from one exposure to the next."""
+
+    def __init__(self, light: SingleLight, seed: int) -> None:
+        self._light, self._seed = light, seed
+        self._stored = np.zeros((len(light.stays), *light.size), np.float32)
+        self._coarse_stored = np.zeros((len(light.stays), *light.coarse_e.shape), np.float32)
+        self.shown = np.zeros((light.fields, 1, *light.size), np.float32)
+        # Pulses are laid on pixels at once.
+        self.spread = np.ones((1, 1, 1), np.float32), np.ones((1, 1, 1), np.float32)
+        self.far = light.kernel
+
+    def forget(self) -> None:
+        """Hold nothing but the mean."""
+        self._stored[:] = 0.0
+        self._coarse_stored[:] = 0.0
+
+    def expose(self, frame: int, brightness: float, shared: Shared) -> Array:
+        """Draw the pulses of a frame's exposures and let the screen glow; see `Screen`."""
+        from simulate.iiccd.streamed.pulse_rows import pulse_rows
+
+        light, coarse = self._light, []
+        near, factor = light.near_e * np.float32(brightness), np.float32(brightness)
+        for number in range(light.fields):
+            pulses = self._drawn(frame * light.fields + number, factor)
+            places, shown = (pulses.rows, pulses.columns, pulses.charge, pulses.later), self.shown[number, 0]
+            given = (number, light.fields), places, light.kernel.shares, (near, light.stays), light.kept
+            shared(lambda a, b, g=given, s=shown: pulse_rows(a, b, *g, self._stored, s), light.size[0], 1)
+            coarse.append(self._on_coarse_cells(pulses, factor))
+        return np.stack(coarse)
+
+    def _drawn(self, exposure: int, factor: np.float32) -> _Pulses:
+        light = self._light
+        rng = np.random.default_rng([self._seed, PULSES, exposure + 2**32])
+        number, ions = rng.poisson(light.running[-1]), rng.poisson(light.ions_per_field)
+        # Even numbers in order, so that memory is walked through once: running sums of exponential ones, over the last.
+        running = np.cumsum(rng.standard_exponential(number + 1))
+        cells = np.searchsorted(light.running, running[:-1] * (light.running[-1] / running[-1]), side="right")
+        cells = np.concatenate([cells, rng.integers(light.gain.size, size=ions)])
+        heights = [
+            rng.standard_gamma(light.shape, size=number),
+            rng.standard_gamma(rng.poisson(light.ion_size, size=ions) * light.shape),
+        ]
+        charge = np.concatenate(heights) / light.shape * light.gain.ravel()[cells] * factor
+        rows, columns = np.divmod(cells, light.gain.shape[1])
+        within = rng.integers(PLACES, size=(2, len(cells)))
+        later = charge * light.later(rng.random(len(cells), np.float32))
+        return _Pulses(
+            rows=(PLACES * rows + within[0]).astype(np.int32),
+            columns=(PLACES * columns + within[1]).astype(np.int32),
+            charge=charge.astype(np.float32),
+            later=later.astype(np.float32),
+        )
+
+    def _on_coarse_cells(self, pulses: _Pulses, factor: np.float32) -> Array:
+        """What an exposure shows beyond the mean, summed over coarse cells."""
+        light, stored = self._light, self._coarse_stored
+        shape = light.coarse_e.shape
+        where = pulses.rows // (FINEST * COARSE) * shape[1] + pulses.columns // (FINEST * COARSE)
+
+        def summed(charge: Array) -> Array:
+            return np.bincount(where, charge, light.coarse_e.size).reshape(shape).astype(np.float32)
+
+        now = pulses.charge - pulses.later.sum(axis=0)
+        shown = summed(now) - factor * (np.float32(1.0) - light.stays.sum()) * light.coarse_e
+        for one, stays, kept, later in zip(stored, light.stays, light.kept, pulses.later, strict=True):
+            shown += (np.float32(1.0) - kept) * one
+            one *= kept
+            one += summed(later) - factor * stays * light.coarse_e
+        return shown
