@@ -104,8 +104,15 @@ class Shot:
 
         if not isinstance(self.camera, IntensifiedCamera):
             return self.camera.frames(self.light, self.conditions, seed=seed)
-        tier, threads = "by-cell" if self.exact else None, min(2, os.cpu_count() or 1)
+        tier, threads = tiers.most_literal(self.camera, self.light) if self.exact else None, min(2, os.cpu_count() or 1)
         return tiers.frames(self.camera, self.light, self.conditions, seed=seed, tier=tier, threads=threads)
+
+    @property
+    def explanation(self) -> str:
+        """What light and camera leave out, and what each effect can change."""
+        light = () if self.view is None else (self.view.plan.text(), "")
+        camera = "a camera without a tube: every stage is kept" if self.plan is None else self.plan.text()
+        return "\n".join((*light, camera))
 
 
 def described(sensor: str, phosphor: str | None) -> "Description":
@@ -159,8 +166,16 @@ def _of_scene(asked: Asked, description: "Description", conditions: Conditions, 
     return _of_night(asked, scene, description, conditions, progress)
 
 
-def night_of(asked: Asked, description: "Description", conditions: Conditions) -> "Night":
-    """Return the scene out of doors that a source is, before its camera; another kind of source is refused."""
+def preview_into(out: Path, asked: Asked, description: "Description", conditions: Conditions, *, explain: bool) -> None:
+    """Keep what a scene out of doors shows in seconds, and print its plan if it is asked for."""
+    view = _night_of(asked, description, conditions).seen(tolerance=asked.tolerance, seed=asked.seed, preview=True)
+    if explain:
+        print(view.plan.text())
+    _save_view(view, out)
+
+
+def _night_of(asked: Asked, description: "Description", conditions: Conditions) -> "Night":
+    """The scene out of doors that a source is, before its camera; another kind of source is refused."""
     from simulate.cameras import camera_of
     from simulate.night import Night
     from simulate.radiance.scene import load_scene
@@ -309,12 +324,12 @@ def save_frames(
                 notes=(f"simulated by charact {__version__}, seed {seed}", *shot.notes, *_economy(shot), *notes)
             )
         if shot.view is not None:
-            save_view(shot.view, out)
+            _save_view(shot.view, out)
         if shot.plan is not None:
             write_durably(out / "economy.json", json.dumps(shot.plan.document(), indent=1).encode())
 
 
-def save_view(view: "Seen", out: Path) -> None:
+def _save_view(view: "Seen", out: Path) -> None:
     """Keep what a scene out of doors shows: its radiance as a picture, the truth of each pixel, and the plan."""
     from charact.cli.radiance_picture import save_radiance
     from labdata.durable import write_durably

@@ -81,15 +81,7 @@ def simulate(
     interrupted = f"interrupted; the frames so far are kept in {out}"
     with bad_input_ends(str(source), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
         from charact.cli.simulated_conditions import conditions_of
-        from charact.cli.simulating import (
-            Asked,
-            described,
-            night_of,
-            save_frames,
-            save_stage_images,
-            save_view,
-            shot_of,
-        )
+        from charact.cli.simulating import Asked, described, preview_into, save_frames, save_stage_images, shot_of
         from labdata.target import Target
 
         camera = described(sensor, phosphor)
@@ -114,30 +106,23 @@ def simulate(
             seed=seed,
         )
         if preview:
-            night = night_of(asked, camera, conditions)
-            view = night.seen(tolerance=asked.tolerance, seed=seed, preview=True)
-            if explain:
-                print(view.plan.text())
-            save_view(view, out)
+            preview_into(out, asked, camera, conditions, explain=explain)
             print(f"{out}/radiance.png: a preview\nNext: charact simulate {source} {out} --sensor {sensor}")
             return
         shot = shot_of(asked, camera, conditions, progress)
-        said = (
-            f"camera {camera.name}",
-            *(() if gain is None else (f"asked for the gain {gain:g}",)),
-            *(
-                ()
-                if temperature_c is not None
-                else ("no temperature asked for: dark emission and current as described",)
-            ),
-        )
         if explain:
-            if shot.view is not None:
-                print(shot.view.plan.text(), end="\n\n")
-            print("a camera without a tube: every stage is kept" if shot.plan is None else shot.plan.text())
-        save_frames(shot, camera, out, frames=frames, seed=seed, notes=said, progress=progress)
+            print(shot.explanation)
+        notes = _not_asked(camera.name, gain, temperature_c)
+        save_frames(shot, camera, out, frames=frames, seed=seed, notes=notes, progress=progress)
         if stage_images is not None:
             stages = save_stage_images(shot, camera, stage_images, seed=seed)
             print(f"{stage_images}: {stages} stages")
         further = f"{out}/sensor.toml is its camera" if shot.kind == "scene" else f"Next: charact measure {out}"
         print(f"{out}: {frames} frames\n{further}")
+
+
+def _not_asked(camera: str, gain: float | None, temperature_c: float | None) -> tuple[str, ...]:
+    """What a session's notes say of the camera and of what was left to it."""
+    asked = () if gain is None else (f"asked for the gain {gain:g}",)
+    cold = "no temperature asked for: dark emission and current as described"
+    return (f"camera {camera}", *asked, *((cold,) if temperature_c is None else ()))

@@ -73,6 +73,13 @@ def frames(
     return Stream(scene, readout_of(stages, scene), states, seed=seed, threads=threads).frames(first_frame)
 
 
+def most_literal(camera: IntensifiedCamera, at_plate: Light) -> Tier:
+    """Return the tier that draws every pulse of this light: sparse ones have places of their own when streamed."""
+    from simulate.iiccd.streamed.prepare import is_sparse
+
+    return "streamed" if is_sparse(at_plate, camera.fields_per_frame) else "by-cell"
+
+
 def _effective(camera: IntensifiedCamera, at_plate: Light, conditions: Conditions) -> Callable[[int], AutomaticState]:
     """Controls by frame, brightness as the factor of the plate's output, which its load bends."""
     state_of = camera.automatic_state_of(at_plate, conditions)

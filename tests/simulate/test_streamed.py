@@ -329,3 +329,11 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
     expected = np.array([_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks])
     assert np.all(error < 0.01 * expected)
     assert np.all(np.abs(batches.mean(axis=0) - expected) < 0.004 * expected + 4.0 * error)
+
+
+@pytest.mark.parametrize(("level", "tier"), [(0.3, "streamed"), (3.0, "by-cell")])
+def test_the_most_literal_tier_is_the_one_that_draws_every_pulse(sheet, level, tier):
+    camera = IntensifiedCamera(replace(sheet, ccd=replace(sheet.ccd, rows=24, columns=32)))
+    light = Light(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
+    assert tiers.most_literal(camera, light) == tier
+    assert isinstance(_made(camera, light).light, SingleLight) == (tier == "streamed")

@@ -91,8 +91,7 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
     grid = at_plate.grid
     if grid is None or (grid.per_column, grid.per_row) != (2, 2):
         raise ValueError("a scene is made ready from two cells per column and row")
-    per_px = max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * stages.height
-    sparse = per_px < SPARSE_PE_PER_PX and not normal
+    sparse = is_sparse(at_plate, stages.fields) and not normal
     screen = stages.behind_plate.mean(stages.plate.mean(at_plate))
     mean, dark = _mean_charge(stages, stages.collection.mean(screen))
     drawn = _single_light if sparse else partial(_cell_light, normal=normal)
@@ -107,6 +106,12 @@ def made_ready(stages: Stages, at_plate: Light, *, normal: bool = False) -> Stea
         memory=memory,
         fields=stages.fields,
     )
+
+
+def is_sparse(at_plate: Light, fields: int) -> bool:
+    """Whether there is so little light, on cells two a pixel both ways, that single pulses are seen, and drawn."""
+    height = 2 if fields == 2 else 1
+    return max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * height < SPARSE_PE_PER_PX
 
 
 def _cell_light(
