@@ -81,7 +81,8 @@ def simulate(
     interrupted = f"interrupted; the frames so far are kept in {out}"
     with bad_input_ends(str(source), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
         from charact.cli.simulated_conditions import conditions_of
-        from charact.cli.simulating import Asked, described, preview_into, save_frames, save_stage_images, shot_of
+        from charact.cli.simulated_session import preview_into, save_frames, save_stage_images
+        from charact.cli.simulating import Asked, described, shot_of
         from labdata.target import Target
 
         camera = described(sensor, phosphor)
