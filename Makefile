@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study bar-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -72,6 +72,12 @@ mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_coverage
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_back
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep
+
+# Bias of the four-bar method and cover of its intervals, 153 cells of blur, frequency, tilt, noise and phase: table and
+# chart; ten minutes on two cores.
+bar-study: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bar_bias
+	$(BIN)/python -m charact.study.bar_bias_figure
 
 # Covariance gains of stacks put together from single photoelectrons, 54 cells drawn 40 times each, beside the least error
 # there can be; ten minutes on one core.

@@ -26,8 +26,8 @@ STRAIGHT, STRAIGHT_SD = 0.006, 3.5
 MISFIT, DEPARTED = 0.02, 3.5
 # Blurs fall no steeper than a Gaussian; one wide bar looks like narrow ones under a blur that does.
 STEEPEST, STEEP_SD = 2.2, 1.5
-# An MTF of fewer standard errors is an upper limit.
-LEAST_FUNDAMENTAL_SD = 2.0
+# An MTF of fewer standard errors is an upper limit: of those that chance lifts over two, too many would be ok.
+LEAST_FUNDAMENTAL_SD = 3.0
 
 
 def flags_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> list[str]:
@@ -49,7 +49,7 @@ def flags_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> l
 def flags_of_fit(fit: Fit) -> list[str]:
     """Return what a fitted picture gives away: another object, motion between fields, a fundamental under the noise."""
     flags = []
-    if _misfit(fit) or fit["exponent"] - STEEP_SD * fit.sd("exponent") > STEEPEST:
+    if _misfit(fit) or fit["log_exponent"] - STEEP_SD * fit.sd("log_exponent") > np.log(STEEPEST):
         flags.append("model-misfit")
     if abs(fit["departure"]) > DEPARTED / np.sqrt(fit.precision[fit.names.index("departure")]):
         flags.append("model-misfit")

@@ -13,13 +13,13 @@ Array = NDArray[np.float64]
 # Attenuation and exponent are tabulated over this many standard deviations at so many places each, and drawn through
 # polynomials of this degree.
 REACH_SD, PLACES, DEGREE = 4.0, 7, 4
-TABULATED, PLACE = ("log_attenuation", "exponent"), ("across_px", "along_px")
+TABULATED, PLACE = ("log_attenuation", "log_exponent"), ("across_px", "along_px")
 # What has no prior is as good as unknown over so many of its standard deviations.
 FLAT_SD = 100.0
 
 
 def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
-    """Return the log-probability of (log_attenuation, exponent, departure), all else marginalised.
+    """Return the log-probability of (log_attenuation, log_exponent, departure), all else marginalised.
 
     Notes
     -----
@@ -40,7 +40,7 @@ def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
     ]
     polynomial = np.linalg.lstsq(_powers(places), np.array(numbers), rcond=None)[0]
     inverse, response, offset = _marginal(fit)
-    exponent = fit.names.index("exponent")
+    exponent = fit.names.index("log_exponent")
     mean, precision = fit.prior_mean[exponent], fit.precision[[exponent, fit.names.index("departure")]]
 
     def log_probability(theta: Array) -> Array:

@@ -36,6 +36,8 @@ class Fit:
         Pixels less the picture, and the picture, shape (pixel,).
     slope
         Derivatives of the picture, shape (parameter, pixel).
+    inverse
+        Inverse of the normal matrix, priors included, shape (parameter, parameter).
     estimator
         What each pixel weighs in each parameter, shape (parameter, pixel).
     noise_covariance
@@ -56,6 +58,7 @@ class Fit:
     residual_dn: Array
     model_dn: Array
     slope: Array
+    inverse: Array
     estimator: Array
     noise_covariance: Array
     prior_mean: Array
@@ -147,7 +150,8 @@ def _stepped(picture: Picture, here: _Reached, bounds: Array) -> tuple[_Reached 
 def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached, noise: Noise | None) -> Fit:
     """Return the fit at a point with its covariance."""
     weighed = here.slope / problem.variance
-    inverse = np.linalg.pinv(weighed @ here.slope.T + np.diag(here.precision), rcond=1e-14, hermitian=True)
+    normal = weighed @ here.slope.T + np.diag(here.precision)
+    inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=np.float64)
     estimator = inverse @ weighed
     noise = noise or Noise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
@@ -161,6 +165,7 @@ def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached,
         residual_dn=problem.image[problem.window] - here.model,
         model_dn=here.model,
         slope=here.slope,
+        inverse=inverse,
         estimator=estimator,
         noise_covariance=spread,
         prior_mean=here.mean,

@@ -42,22 +42,24 @@ class Noise:
         window
             Which pixels they are, shape (row, col).
         """
+        return estimator @ self.shared(estimator, window).T
+
+    def shared(self, estimator: Array, window: Mask) -> Array:
+        """Return the covariance of each pixel's noise with linear estimates, shape (estimate, pixel)."""
         from scipy.fft import irfft2, next_fast_len, rfft2
 
         reach = self.correlation.shape[0] // 2
         rows, cols = np.nonzero(window)
-        top, left = rows.min(), cols.min()
-        shape = (int(rows.max() - top + 1), int(cols.max() - left + 1))
-        size = tuple(int(next_fast_len(side + reach, True) or side) for side in shape)
-        fields = np.zeros((len(estimator), *shape))
-        fields[:, rows - top, cols - left] = estimator * np.sqrt(self.variance)
+        rows, cols = rows - rows.min(), cols - cols.min()
+        size = tuple(int(next_fast_len(int(side.max()) + 1 + reach, True) or 0) for side in (rows, cols))
+        scale = np.sqrt(self.variance)
+        fields = np.zeros((len(estimator), *size))
+        fields[:, rows, cols] = estimator * scale
         kernel = np.zeros(size)
         lags = np.arange(-reach, reach + 1)
         kernel[np.ix_(lags % size[0], lags % size[1])] = self.correlation
-        spectrum = np.asarray(rfft2(fields, s=size)) * np.real(np.asarray(rfft2(kernel)))
-        shared = np.asarray(irfft2(spectrum, size))[:, : shape[0], : shape[1]]
-        flat = fields.reshape(len(fields), -1)
-        return self.inflation * flat @ shared.reshape(len(fields), -1).T
+        spectrum = np.asarray(rfft2(fields)) * np.real(np.asarray(rfft2(kernel)))
+        return self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
 
 
 def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> Noise:

@@ -12,17 +12,21 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NAMES = (
-    "log_attenuation", "exponent", "departure", "log_frequency", "log_length", "across_px", "along_px", "angle_rad",
+    "log_attenuation", "log_exponent", "departure", "log_frequency", "log_length", "across_px", "along_px", "angle_rad",
     "level_dn", "pedestal_dn", "slope_across", "slope_along",
 )  # fmt: skip
 ALONG = ("log_length", "along_px")
-# Priors, mean and standard deviation: n = 2 is a Gaussian, tubes lie near 1.2; the bars' frequency is known to a few
-# percent (STANAG 4349: 5 %), their length to a third.
-EXPONENT_PRIOR = (1.6, 0.6)
+# Priors, mean and standard deviation: n = 2 is a Gaussian, tubes lie near 1.2, and a prior so wide pulls neither MTF by
+# half a percent; the bars' frequency is known to a few percent (STANAG 4349: 5 %), their length to a third.
+LOG_EXPONENT_PRIOR = (float(np.log(1.5)), 0.8)
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
 # How far a transfer may depart from the family at the bars' frequency: share of itself, and of the whole.
 DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
-BOUNDS = {"log_attenuation": (-9.0, 2.3), "exponent": (0.7, 3.5), "departure": (-0.9, 5.0)}
+BOUNDS = {
+    "log_attenuation": (-9.0, 2.3),
+    "log_exponent": (float(np.log(0.3)), float(np.log(4.0))),
+    "departure": (-0.9, 5.0),
+}
 START_EXPONENT, START_CORE = 1.6, 0.4
 
 
@@ -46,7 +50,7 @@ class Problem:
 def priors(problem: Problem, mtf: float) -> tuple[Array, Array]:
     """Return mean and precision of the normal prior of each parameter; precision 0: none."""
     known = {
-        "exponent": EXPONENT_PRIOR,
+        "log_exponent": LOG_EXPONENT_PRIOR,
         "departure": (0.0, DEPARTURE_SD + DEPARTURE_FLOOR / max(mtf, 1e-3)),
         "log_frequency": (np.log(problem.asked), FREQUENCY_SD),
         "log_length": (np.log(problem.length_px), LENGTH_SD),
@@ -61,7 +65,7 @@ def start_of(problem: Problem, target: BarTarget, exponent: float, mtf: float) -
     low, high = np.quantile(pixels, [0.1, 0.95])
     return {
         "log_attenuation": float(np.log(-np.log(mtf))),
-        "exponent": exponent,
+        "log_exponent": float(np.log(exponent)),
         "departure": 0.0,
         "log_frequency": float(np.log(target.frequency)),
         "log_length": float(np.log(problem.length_px)),
@@ -98,7 +102,7 @@ class Picture:
             length_px=np.inf if self.problem.strip else float(np.exp(theta["log_length"])),
             reference=self.problem.asked,
             log_attenuation=theta["log_attenuation"],
-            exponent=theta["exponent"],
+            exponent=float(np.exp(theta["log_exponent"])),
             departure=theta["departure"],
             # The pixel turns so little with the bars that the angle they were found at will do.
             angle_rad=self.target.angle_rad,
@@ -119,6 +123,7 @@ class Picture:
         )
         derivative = {
             **dict(zip(NAMES[:5], level * found[1:6], strict=True)),
+            "log_exponent": level * found[2] * np.exp(theta["log_exponent"]),
             "across_px": -slopes[0],
             "along_px": -slopes[1],
             "angle_rad": slopes[0] * along - slopes[1] * across,

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.bar_amplitudes import Amplitudes
+from charact.mtf.bars_bias import mtf_bias
 from charact.mtf.bars_compressed import compressed
 from charact.mtf.bars_fit import Fit
 from charact.mtf.bars_picture import BOUNDS, Problem
@@ -14,23 +15,30 @@ from labdata.measurement import Posterior
 Array = NDArray[np.float64]
 
 LARGEST_MTF = 1.5
-SHAPE = ("log_attenuation", "exponent", "departure")
+SHAPE = ("log_attenuation", "log_exponent", "departure")
 
 
 def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
-    """Draw the transfer's shape: attenuation and exponent of the family, and the departure from it at the bars."""
+    """Draw the transfer's shape: attenuation and exponent of the family, and the departure from it at the bars.
+
+    Noise squared lifts or lowers the fitted MTF M = p exp(-a) (1 + departure) by some bias on the average: ln(a) is
+    moved by bias / (a M), which takes it off.
+    """
     own = [fit.names.index(name) for name in SHAPE]
+    lifted = mtf_bias(fit, problem) / fit.shape.mtf
+    shift = np.array([lifted / np.exp(fit["log_attenuation"]), 0.0, 0.0])
     asked = {
         "names": SHAPE,
         "units": ("1", "1", "1"),
-        "start": fit.value[own],
+        "start": fit.value[own] + shift,
         "covariance": fit.covariance[np.ix_(own, own)],
         "bounds": np.array([BOUNDS[name] for name in SHAPE]),
         "seed": context.seed,
     }
     if context.quick:
         return laplace(lambda theta: np.zeros(len(theta)), **asked)
-    return sample(compressed(fit, problem), **asked)
+    density = compressed(fit, problem)
+    return sample(lambda theta: density(theta - shift), **asked)
 
 
 def mtf_of(posterior: Posterior, fit: Fit) -> Array:

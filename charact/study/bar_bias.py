@@ -1,17 +1,33 @@
-"""Bias and cover of the bar methods cell by cell: `python -m charact.study.bar_bias` prints the table."""
+"""Bias of the bar methods and cover of their intervals, cell by cell: `make bar-study` keeps the table.
+
+A cell is one blur, frequency, tilt and grain of the noise. Its noise is drawn in pairs, once as it is and once upside
+down: what is linear in the noise cancels in the mean of a pair, and a bias of a percent stands out of a scatter of ten.
+"""
 
 import argparse
-from collections.abc import Iterator, Sequence
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import charact.mtf  # noqa: F401  (registers the methods)
 from charact.method import Context
 from charact.method.registry import METHODS
 from charact.study.bar_strips import StripScene
+from charact.study.bar_tally import TABLE, Outcome, lines, read, tally, written
 from charact.study.edge import Blur
+from charact.study.failure_map import one_thread_each
+from charact.study.harness import judged
+from labdata.measurement import Measurement
 
+METHOD = "bars-forward"
 BLURS = {
     "Gaussian 0.8 px": Blur(sigma_px=0.8),
     "Gaussian 1.5 px": Blur(sigma_px=1.5),
@@ -19,102 +35,153 @@ BLURS = {
 }
 FREQUENCIES = (0.05, 0.1, 0.2, 0.3, 0.35, 0.4)
 TILTS_DEG = (0.0, 2.0, 8.0)
+# Where untilted bars lie on the pixels, at which frequencies it may matter: a pixel's middle, its border and between.
+PHASES_PX, PHASE_FREQUENCIES = (0.0, 0.25, 0.5), (0.2, 0.25, 0.3, 0.35, 0.4)
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+DRAWN = 17
+# Pairs of a cell at least and at most, and the standard error of its bias, percent, that will do.
+LEAST_PAIRS, MOST_PAIRS, SURE_PERCENT = 20, 160, 0.4
+# Numbers of each cell that the table keeps one by one.
+FIRST = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """How a method did in one cell.
+    """What is measured many times.
 
     Parameters
     ----------
-    blur, scene
-        Name of the blur, and the scene but for its phase.
-    bias_percent, standard_error_percent, rms_percent
-        Mean error over the truth, its standard error, and the root mean squared error, percent.
-    cover68, cover95
-        Share of the intervals that hold the truth.
-    ok, refused
-        Shares of verdicts; a suspect number counts in the bias all the same.
+    blur
+        Name of the blur.
+    scene
+        The bars, but for their phase.
+    phase_px
+        Where their middle lies, px; None: evenly over a pixel.
     """
 
     blur: str
     scene: StripScene
-    bias_percent: float
-    standard_error_percent: float
-    rms_percent: float
-    cover68: float
-    cover95: float
-    ok: float
-    refused: float
+    phase_px: float | None = None
+
+    def drawn(self, pair: int) -> tuple[StripScene, StripScene]:
+        """Return the scenes of a pair, at a phase of its own where the cell has none."""
+        phase = (GOLDEN * pair) % 1.0 - 0.5 if self.phase_px is None else self.phase_px
+        scene = replace(self.scene, phase_px=float(phase))
+        return scene, replace(scene, noise_sign=-1)
 
 
-def cells() -> Iterator[tuple[str, StripScene]]:
-    """Every blur at every frequency and tilt; noise white and upright, or blurred behind the gain and turned."""
-    for (name, blur), frequency, tilt, blurred in product(BLURS.items(), FREQUENCIES, TILTS_DEG, (False, True)):
-        scene = StripScene(blur=blur, frequency_cy_per_px=frequency, angle_deg=tilt)
-        yield name, replace(scene, noise_blur_px=0.7, turned=True) if blurred else scene
+def _cells() -> tuple[Cell, ...]:
+    """Every blur at every frequency and tilt, its noise white, or blurred behind the gain and turned; then phases."""
+    axes = product(BLURS.items(), FREQUENCIES, TILTS_DEG, (False, True))
+    evenly = [
+        Cell(blur=name, scene=_scene(blur, frequency, tilt, grain=grain))
+        for (name, blur), frequency, tilt, grain in axes
+    ]
+    phases = [
+        Cell(blur=name, scene=_scene(blur, frequency, 0.0, grain=False), phase_px=phase)
+        for (name, blur), frequency, phase in product(BLURS.items(), PHASE_FREQUENCIES, PHASES_PX)
+    ]
+    return (*evenly, *phases)
 
 
-def measured(name: str, scene: StripScene, method: str, seeds: int, seed: int) -> Cell:
-    """Put one method to one scene at phases drawn evenly over a pixel."""
-    estimate = METHODS["bars", method].function
-    truth = scene.truth_mtf
-    rows = []
-    for number in range(seeds):
-        rng = np.random.default_rng([seed, number])
-        stack = replace(scene, phase_px=float(rng.uniform(-0.5, 0.5))).frames_drawn(rng)
-        context = Context(seed=number, quick=True, full_scale_dn=scene.full_scale_dn)
-        asked = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px}
-        one = estimate(stack, context=context, **asked).measurements[0]
-        if one.value is not None and one.interval68 is not None and one.interval95 is not None:
-            held = [low <= truth <= high for low, high in (one.interval68, one.interval95)]
-            rows.append((one.value, *held, one.status == "ok"))
-    table = np.array(rows, float).reshape(-1, 4)
-    error = 100.0 * (table[:, 0] / truth - 1.0)
-    return Cell(
-        blur=name,
-        scene=scene,
-        bias_percent=float(error.mean()),
-        standard_error_percent=float(error.std() / np.sqrt(max(len(error), 1))),
-        rms_percent=float(np.sqrt(np.mean(error**2))),
-        cover68=float(table[:, 1].mean()),
-        cover95=float(table[:, 2].mean()),
-        ok=float(table[:, 3].sum() / seeds),
-        refused=1.0 - len(table) / seeds,
+def _scene(blur: Blur, frequency: float, tilt_deg: float, *, grain: bool) -> StripScene:
+    scene = StripScene(blur=blur, frequency_cy_per_px=frequency, angle_deg=tilt_deg)
+    return replace(scene, noise_blur_px=0.7, turned=True) if grain else scene
+
+
+CELLS = _cells()
+
+
+def measured_once(scene: StripScene, number: int, pair: int, method: str = METHOD) -> Measurement:
+    """Measure one scene with the noise of a cell's pair."""
+    stack = scene.frames_drawn(np.random.default_rng([number, DRAWN, pair]))
+    context = Context(seed=pair, quick=True, full_scale_dn=scene.full_scale_dn)
+    asked = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px}
+    return METHODS["bars", method].function(stack, context=context, **asked).measurements[0]
+
+
+def measured_cell(number: int, *, least: int = LEAST_PAIRS, most: int = MOST_PAIRS, method: str = METHOD) -> Outcome:
+    """Measure pairs of a cell until its bias is known, or the method says that it is not."""
+    cell = CELLS[number]
+    found: list[list[Measurement]] = []
+    while len(found) < least or (len(found) < most and _unsettled(found, cell.scene.truth_mtf)):
+        found.append([measured_once(scene, number, len(found), method) for scene in cell.drawn(len(found))])
+    return _outcome(number, cell, found)
+
+
+def _unsettled(found: Sequence[Sequence[Measurement]], truth: float) -> bool:
+    """Tell whether more pairs are wanted: most numbers are ok, and the bias is not yet known well enough."""
+    ok = sum(one.status == "ok" for pair in found for one in pair)
+    _, standard_error = _bias(found, truth)
+    return ok > len(found) and (standard_error is None or standard_error > SURE_PERCENT)
+
+
+def _bias(found: Sequence[Sequence[Measurement]], truth: float) -> tuple[float | None, float | None]:
+    """Return the mean error of pairs and its standard error, percent."""
+    values = [[one.value for one in pair if one.value is not None] for pair in found]
+    mean = np.array([100.0 * (np.mean(pair) / truth - 1.0) for pair in values if len(pair) == 2])
+    if mean.size < 2:
+        return None, None
+    return float(mean.mean()), float(mean.std(ddof=1) / np.sqrt(mean.size))
+
+
+def _outcome(number: int, cell: Cell, found: Sequence[Sequence[Measurement]]) -> Outcome:
+    """Count what became of the pairs of a cell."""
+    truth = cell.scene.truth_mtf
+    every = [one for pair in found for one in pair]
+    numbers = [one for one in every if one.value is not None]
+    error = np.array([100.0 * (one.value / truth - 1.0) for one in numbers if one.value is not None])
+    bias, standard_error = _bias(found, truth)
+    return Outcome(
+        number=number,
+        blur=cell.blur,
+        frequency_cy_per_px=cell.scene.frequency_cy_per_px,
+        tilt_deg=cell.scene.angle_deg,
+        grain_px=cell.scene.noise_blur_px,
+        phase_px=cell.phase_px,
+        truth=truth,
+        draws=len(every),
+        numbers=len(numbers),
+        ok=sum(one.status == "ok" for one in every),
+        bias_percent=bias,
+        standard_error_percent=standard_error,
+        scatter_percent=float(np.sqrt(np.mean(error**2))) if error.size else None,
+        held68=sum(_holds(one.interval68, truth) for one in numbers),
+        held95=sum(_holds(one.interval95, truth) for one in numbers),
+        silent=sum(judged(one, truth)["silent"] for one in numbers),
+        first=[one.value for one in every[:FIRST]],
     )
 
 
-def line(cell: Cell) -> str:
-    """One cell as a row of the table."""
-    scene = cell.scene
-    return (
-        f"{cell.blur:19s} {scene.frequency_cy_per_px:5.2f} {scene.angle_deg:4.0f} {scene.noise_blur_px:5.1f} "
-        f"{scene.truth_mtf:7.4f} {cell.bias_percent:+8.2f} {cell.standard_error_percent:6.2f} {cell.rms_percent:7.1f} "
-        f"{cell.cover68:5.2f} {cell.cover95:5.2f} {cell.ok:5.2f} {cell.refused:5.2f}"
-    )
+def _holds(interval: tuple[float, float] | None, truth: float) -> bool:
+    return interval is not None and interval[0] <= truth <= interval[1]
+
+
+def measured_cells(numbers: Sequence[int], *, workers: int | None = None, **asked: Any) -> list[Outcome]:
+    """Measure cells as `measured_cell` does, on all cores unless told otherwise."""
+    with one_thread_each(), ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool:
+        return list(pool.map(partial(measured_cell, **asked), numbers))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure every cell and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--method", default="bars-forward")
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
+    """Measure the cells that are asked for, put them into the table and print what it says."""
+    parser = argparse.ArgumentParser(prog="python -m charact.study.bar_bias", description=__doc__)
+    parser.add_argument("--method", default=METHOD)
+    parser.add_argument("--first", type=int, default=0, help="number of the first cell")
+    parser.add_argument("--cells", type=int, default=len(CELLS), help="number of cells")
+    parser.add_argument("--least", type=int, default=LEAST_PAIRS, help="least number of pairs of each")
+    parser.add_argument("--most", type=int, default=MOST_PAIRS, help="largest number of pairs of each")
+    parser.add_argument("--workers", type=int, default=None, help="processes; else one for each core")
+    parser.add_argument("--out", type=Path, default=TABLE, help="table to write; cells that it holds already stay")
     asked = parser.parse_args(arguments)
-    print("blur                cy/px tilt grain     MTF   bias %  se %   rms %   68%   95%    ok  refused")
-    done = []
-    for name, scene in cells():
-        done.append(measured(name, scene, asked.method, asked.seeds, asked.seed))
-        print(line(done[-1]), flush=True)
-    told = [cell for cell in done if cell.scene.truth_mtf > 0.05]
-    print(
-        f"{len(told)} cells of MTF over 0.05: 68 % intervals hold {np.mean([c.cover68 for c in told]):.3f}, 95 % "
-        f"{np.mean([c.cover95 for c in told]):.3f}; largest bias beyond 1 % in standard errors "
-        f"{max((abs(c.bias_percent) - 1) / c.standard_error_percent for c in told):.1f}"
-    )
+    numbers = range(asked.first, min(asked.first + asked.cells, len(CELLS)))
+    ask = {"least": asked.least, "most": asked.most, "method": asked.method}
+    new = measured_cells(numbers, workers=asked.workers, **ask)
+    kept = [one for one in read(asked.out) if one.number not in numbers] if asked.out.is_file() else []
+    outcomes = sorted([*kept, *new], key=lambda one: one.number)
+    written(outcomes, asked.out, method=asked.method)
+    print("\n".join([*lines(new), *tally(outcomes).lines()]))
 
 
 if __name__ == "__main__":
-    import charact.mtf  # noqa: F401  (registers the methods)
-
     main()

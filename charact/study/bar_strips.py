@@ -46,6 +46,8 @@ class StripScene:
         Step of a wide bar over the standard deviation of one pixel's noise, dimensionless.
     noise_blur_px
         Gaussian blur of the noise behind the gain, px; the noise of a pixel stays what it is.
+    noise_sign
+        1, or -1: the same draw with its noise upside down.
     pedestal_dn, level_dn, full_scale_dn
         Ground, step, and highest code, DN.
     """
@@ -61,6 +63,7 @@ class StripScene:
     turned: bool = False
     snr: float = 10.0
     noise_blur_px: float = 0.0
+    noise_sign: int = 1
     pedestal_dn: float = 400.0
     level_dn: float = 1000.0
     full_scale_dn: float = 4095.0
@@ -83,7 +86,7 @@ class StripScene:
         """Draw the stack: the picture, noise, whole codes."""
         light = self.light()
         noise = correlated(rng.standard_normal((self.frames, *light.shape)), self.noise_blur_px)
-        drawn = self.pedestal_dn + self.level_dn * (light + noise / self.snr)
+        drawn = self.pedestal_dn + self.level_dn * (light + self.noise_sign * noise / self.snr)
         codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint16)
         if self.turned:
             codes = np.ascontiguousarray(np.swapaxes(codes, 1, 2))
