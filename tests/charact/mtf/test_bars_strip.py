@@ -6,6 +6,7 @@ from bar_frames import frames_of, gaussian, mtf_of, strip, tube
 
 from charact.method import Context
 from charact.mtf import measure
+from charact.study.harness import Stopwatch
 
 CORES = {"gaussian 0.8 px": gaussian(0.8), "gaussian 1.5 px": gaussian(1.5), "tube n 1.1": tube(0.25, 1.1)}
 
@@ -93,12 +94,15 @@ def test_untilted_bars_near_the_sampling_limit_are_not_identifiable(turned: bool
 def test_the_chain_on_compressed_data_agrees_with_the_curvature(seed) -> None:
     rng = np.random.default_rng(seed)
     stack = frames_of(strip(CORES["tube n 1.1"], 0.2, 3.0, 0.2), rng, snr=20.0, blur_px=0.6)
-    chain, quick = read(stack, 0.2, quick=False), read(stack, 0.2)
+    watch = Stopwatch()
+    chain = read(stack, 0.2, quick=False)
+    seconds, quick = watch.seconds(), read(stack, 0.2)
     assert chain.posterior.sampler == "emcee"
     width = np.diff(quick.interval68)[0]
     assert abs(chain.value - quick.value) < 0.4 * width
     assert np.diff(chain.interval68)[0] == pytest.approx(width, rel=0.25)
-    assert chain.seconds < 4.0
+    # Of an idle machine.
+    assert seconds < 4.0
 
 
 def test_a_fundamental_under_the_noise_is_an_upper_limit(seed) -> None:
