@@ -2,7 +2,7 @@
 
 Some pixels of each tile are tried, edges of objects and shadows apart from the rest. What single rays differ there
 counts for the pixels of the same object around. The rays of the trial enter no picture: choosing where to look closely
-would else bend what is seen.
+would else bend what is seen. Where the picture's own rays then differ more than was foreseen, further ones follow.
 """
 
 from collections.abc import Callable
@@ -29,6 +29,8 @@ LINE = 2.0
 OBJECTS = 255
 # Kind of the trials at edges whose rays go to the same place; without that, edges are kind 0.
 TOGETHER = OBJECTS + 1
+# By how many times the rays of a pixel may grow at once; and the part of those sent that is worth sending at least.
+GROWTH, LEAST_GROWTH = 4, 8
 # Numbers of rays are steps of a factor of 2^(1/2), so that pixels of a kind can be followed together.
 STEPS_PER_DOUBLING = 2
 
@@ -102,6 +104,37 @@ def allotted(here: Truth, rays: Rays, trial: Trial, seed: int) -> NDArray[np.int
     return wanted
 
 
+def further(here: Truth, rays: Rays, signal: Array, variance: Array, sent: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return the rays that each pixel needs besides those that it has sent, by the error measured; zeros: none.
+
+    Parameters
+    ----------
+    here, rays
+        What is where, and limits.
+    signal, variance, sent
+        Signals, the variances of their means, nan where one ray says nothing of it, and rays so far, shape (row, col).
+
+    Notes
+    -----
+    Variances of single rays are pooled over the pixels of the same object around, edges apart, so that no pixel alone
+    stops because its own rays missed what is bright. Rays grow `GROWTH`-fold at most, as rare bright rays make the
+    spread of few of them a poor estimate.
+    """
+    none = np.zeros_like(sent)
+    known = np.isfinite(variance)
+    if rays.allowed is None or not known.all():
+        return none
+    limit = rays.allowed(np.maximum(signal, 0.0))
+    excess = np.divide(variance, limit, out=np.zeros(limit.shape), where=(variance > 0.0) & (limit > 0.0))
+    if excess.mean() <= 1.0:
+        return none
+    pooled = _Tried(here, here.edges(), np.ones_like)
+    pooled.add(np.arange(sent.size), signal.ravel(), (excess * sent).ravel(), weight=sent.ravel())
+    wanted = _shared_out(pooled.variance(), np.zeros(sent.shape), sent, rays)
+    more = np.minimum(wanted, np.minimum(GROWTH * sent, rays.most)) - sent
+    return np.where(more * LEAST_GROWTH >= sent, _steps(more, none, rays.most), 0)
+
+
 def _shared_out(plain: Array, edge: Array, least: NDArray[np.integer], limits: Rays) -> NDArray[np.int32]:
     """Rays by variances of single ones in plain places and at edges: the fewest whose mean variance is 1.
 
@@ -145,15 +178,37 @@ class _Tried:
         # Number of trials, sums of their signals and of their variances.
         self._sums = np.zeros((3, OBJECTS + 2, *_tiles(edges.shape)))
 
-    def add(self, pixel: NDArray[np.int64], signal: Array, single: Array, *, together: bool = False) -> None:
-        """Add trials of pixels (pixel,), all at edges where their rays went to the same place."""
+    def add(
+        self,
+        pixel: NDArray[np.int64],
+        signal: Array,
+        single: Array,
+        *,
+        together: bool = False,
+        weight: NDArray[np.integer] | None = None,
+    ) -> None:
+        """Add trials of pixels (pixel,), of weights if not of 1, all at edges where their rays went to one place."""
         kind = np.full(len(pixel), TOGETHER) if together else self._kind.ravel()[pixel]
         place = (kind, *_tile_of(pixel, self._kind.shape))
-        for sums, values in zip(self._sums, (np.ones(len(pixel)), np.maximum(signal, 0.0), single), strict=True):
-            np.add.at(sums, place, values)
+        counts = np.ones(len(pixel)) if weight is None else weight
+        for sums, values in zip(self._sums, (1.0, np.maximum(signal, 0.0), single), strict=True):
+            np.add.at(sums, place, counts * values)
+
+    def variance(self) -> Array:
+        """Return variances of single rays over what is allowed, of each pixel's own kind, shape (row, col)."""
+        down, across = np.indices(self._edges.shape) // _side(self._edges.shape)
+        return self._shares()[self._kind, down, across]
 
     def variances(self) -> tuple[Array, Array]:
         """Return variances of single rays over what is allowed, in plain places and at edges, shape (row, col)."""
+        share = self._shares()
+        down, across = np.indices(self._edges.shape) // _side(self._edges.shape)
+        at_edge, together = share[0, down, across], share[TOGETHER, down, across]
+        plain = np.where(self._edges, together, share[self._object, down, across])
+        return plain, np.where(self._edges, LINE * np.maximum(at_edge - together, 0.0), 0.0)
+
+    def _shares(self) -> Array:
+        """Return variances of single rays over what is allowed, by kind and tile."""
         count, signal, variance = (_with_neighbours(sums) for sums in self._sums)
         # Where a kind was not tried around: all kinds there; where nothing was, everything.
         of_all = count.sum(axis=0) > 0.5
@@ -166,11 +221,7 @@ class _Tried:
             for total in (signal, variance)
         )
         # Where nothing varies nothing is asked for, even if nothing is allowed in the dark.
-        share = np.divide(spread, self._allowed(mean), out=np.zeros_like(spread), where=spread > 0.0)
-        down, across = np.indices(self._edges.shape) // _side(self._edges.shape)
-        at_edge, together = share[0, down, across], share[TOGETHER, down, across]
-        plain = np.where(self._edges, together, share[self._object, down, across])
-        return plain, np.where(self._edges, LINE * np.maximum(at_edge - together, 0.0), 0.0)
+        return np.divide(spread, self._allowed(mean), out=np.zeros_like(spread), where=spread > 0.0)
 
 
 def _with_neighbours(grid: Array) -> Array:

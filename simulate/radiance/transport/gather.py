@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport import direct
 from simulate.radiance.transport.air import Air
+from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.lights import Lighting
 from simulate.radiance.transport.openness import sky_beyond_known
@@ -207,6 +208,8 @@ class Stage:
                 light *= points.known[:, None]
             parts.add("sky", rows, light)
         last = depth >= effort.bounces and panels is None and not points.glossy
+        # Rays of neighbours that are even together keep their compiled loop, whatever the sky.
+        last &= even is not None or self._bright_sky is None
         if gathers and last and not parts.split and self.coats.panes is None:
             if effort.hidden_sky and not self.lighting.dome.dark:
                 even = Even.drawn(len(points), rays, rng) if even is None else even
@@ -268,22 +271,9 @@ class Stage:
     ) -> None:
         """Add what the hemisphere holds besides the open sky."""
         around = self._gathering(points, rng, rays, even)
-        dome, known = self.lighting.dome, _known_of(around.many, effort)
-        if not dome.dark:
-            # Where panes are in the way, nothing is known of what comes by them, but all of the sky behind.
-            unknown = np.float32(1.0) - known * ~(around.glazed & effort.hidden_sky)
-            seen = np.flatnonzero(around.open & (unknown > 0.0))
-            light = self._weight(around, seen)
-            light *= dome.radiance(around.last_direction[seen])
-            light *= unknown[seen, None]
-            around.weaken(seen, light)
-            parts.add("sky", *_summed(light, seen, rows, rays))
-            hides = (~around.open | around.glazed) & (around.factor > 0.0)
-            behind = np.flatnonzero(hides & (known > 0.0)) if effort.hidden_sky else around.met[:0]
-            light = self._weight(around, behind)
-            light *= dome.radiance(around.direction[behind])
-            light *= -known[behind, None]
-            parts.add("hidden sky", *_summed(light, behind, rows, rays))
+        if not self.lighting.dome.dark:
+            self._add_sky(parts, rows, around, effort, rays)
+            self._add_bright_sky(parts, rows, points, effort, rng, rays)
         if not len(around.met) or (depth >= effort.bounces and self.lighting.panels is None):
             return
         there = self._there(around)
@@ -293,6 +283,68 @@ class Stage:
             self._add_glow(parts, rows, there, around, weight, rays)
         if depth < effort.bounces:
             self._add_bounced(parts, rows, there, around.met, weight, effort, rng, rays, depth)
+
+    @property
+    def _bright_sky(self) -> BrightSky | None:
+        """How bright sky is looked for by name; not through panes, which only gathering knows."""
+        return self.lighting.bright_sky if self.coats.panes is None else None
+
+    def _add_sky(self, parts: Parts, rows: NDArray[np.int64], around: "_Around", effort: Effort, rays: int) -> None:
+        """Add the sky that gathering meets, and take what objects hide of the sky that is known."""
+        dome, known = self.lighting.dome, _known_of(around.many, effort)
+        # Where panes are in the way, nothing is known of what comes by them, but all of the sky behind.
+        unknown = np.float32(1.0) - known * ~(around.glazed & effort.hidden_sky)
+        seen = np.flatnonzero(around.open & (unknown > 0.0))
+        light = self._weight(around, seen)
+        light *= dome.radiance(around.last_direction[seen])
+        light *= (unknown[seen] * self._share_of_sky(around, seen, rays))[:, None]
+        around.weaken(seen, light)
+        parts.add("sky", *_summed(light, seen, rows, rays))
+        hides = (~around.open | around.glazed) & (around.factor > 0.0)
+        behind = np.flatnonzero(hides & (known > 0.0)) if effort.hidden_sky else around.met[:0]
+        light = self._weight(around, behind)
+        light *= dome.radiance(around.direction[behind])
+        light *= (-known[behind] * self._share_of_sky(around, behind, rays))[:, None]
+        parts.add("hidden sky", *_summed(light, behind, rows, rays))
+
+    def _share_of_sky(self, around: "_Around", which: NDArray[np.int64], rays: int) -> NDArray[np.float32]:
+        """Return what gathering finds of the sky in its own directions, beside `_add_bright_sky`, shape (ray,)."""
+        bright = self._bright_sky
+        if bright is None:
+            return np.ones(len(which), np.float32)
+        own = rays * around.density[which]
+        return (own / (own + bright.density(around.direction[which]))).astype(np.float32)
+
+    def _add_bright_sky(
+        self,
+        parts: Parts,
+        rows: NDArray[np.int64],
+        points: Points,
+        effort: Effort,
+        rng: np.random.Generator,
+        rays: int,
+    ) -> None:
+        """Add the share of the sky that is looked for by name, one ray from each point (balance heuristic, Veach 1995).
+
+        What gathering counts of a free or a hidden direction counts here too: the unknown, or less the known.
+        """
+        bright = self._bright_sky
+        if bright is None:
+            return
+        known = _known_of(points, effort)
+        asks = (known < 1.0) | effort.hidden_sky
+        towards = bright.draw(len(points), rng)
+        cosine = np.einsum("ij,ij->i", points.normal, towards)
+        which = np.flatnonzero(asks & (cosine > 0.0))
+        some, towards = points.some(which), towards[which]
+        hidden = direct.hidden(points, which, towards, self.surfaces.tracer, None)
+        counts = (1.0 - known[which] - hidden) if effort.hidden_sky else np.where(hidden, 0.0, 1.0 - known[which])
+        density = rays * self.coats.density(some, towards) + bright.density(towards)
+        light = self.coats.value(some, towards)
+        light *= (counts * cosine[which] / density).astype(np.float32)[:, None]
+        light *= self.lighting.dome.radiance(towards)
+        for name, these in (("sky", ~hidden), ("hidden sky", hidden)):
+            parts.add(name, rows[which[these]], light[these])
 
     def _gathering(self, points: Points, rng: np.random.Generator, rays: int, even: Even | None) -> "_Around":
         count = len(points)

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.trace import normals
+from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.dome import Dome
 from simulate.radiance.world.surfaces import Surfaces
 
@@ -114,6 +116,11 @@ class Lighting:
     lamps: tuple[LampLight, ...] = ()
     discs: tuple[DiscLight, ...] = ()
     panels: Panels | None = None
+
+    @cached_property
+    def bright_sky(self) -> BrightSky | None:
+        """How directions are drawn by the sky's light; None where it is even."""
+        return BrightSky.of(self.dome)
 
     @property
     def names(self) -> tuple[str, ...]:

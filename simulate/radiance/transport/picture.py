@@ -1,7 +1,8 @@
 """The picture of a scene in spectral radiance: rays where they are needed, an estimate of its own error for each pixel.
 
 A first look along the middle of each pixel finds what is where (`truth`); a trial finds how much single rays differ and
-decides how many rays a pixel gets (`allotment`). The picture is made of rays drawn afresh.
+decides how many rays a pixel gets (`allotment`). The picture is made of rays drawn afresh. What they themselves differ
+measures the error; where it is more than was to be, pixels get further rays, turn by turn.
 """
 
 import time
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.trace import NOTHING
-from simulate.radiance.transport.allotment import Rays, allotted
+from simulate.radiance.transport.allotment import Rays, allotted, further
 from simulate.radiance.transport.even import R2
 from simulate.radiance.transport.field import Field, field
 from simulate.radiance.transport.gather import Effort, Parts, Stage
@@ -35,8 +36,12 @@ SHARED_CHANCE = 0.5
 BATCH = 48_000
 # Where surfaces meet, each ray gathers by so many times as many.
 ALONE = 8
-# Side of a tile, px, and pixels and rays by which it is tried how open the sky is.
-OPEN_TILE, OPEN_TRIED, OPEN_TRIES = 4, 2, 4
+# Pixels and rays by which it is tried how open the sky is, in each tile; of small pictures tiles have one pixel.
+OPEN_TILE, OPEN_TILES, OPEN_TRIED, OPEN_TRIES = 4, 16, 2, 4
+# Stretches of a pixel's rays whose means are compared: each is spread over the pixel as evenly as all of them.
+STRETCHES = 8
+# Times that the error is measured at most.
+TURNS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +53,9 @@ class Picture:
     cube
         Spectral radiance.
     signal, variance
-        What the eye makes of each pixel, and how far chance may have moved that: an estimate of its variance from the
-        spread of the pixel's own rays, on average too large where rays are spread evenly, shape (row, col); what pixels
-        share (`field.Field.variance`) comes besides.
+        What the eye makes of each pixel, and how far chance may have moved that: an estimate of its variance from
+        stretches of the pixel's own rays, on average too large where objects meet, shape (row, col); what pixels share
+        (`field.Field.variance`) comes besides.
     rays
         Rays of each pixel, shape (row, col).
     truth
@@ -72,7 +77,7 @@ class Job:
     """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each, spread over them or not.
 
     Where `known` (pixel,) is 1 the open sky's light is taken as known, see `Points`. Where surfaces meet, light from
-    around changes within a pixel: `alone`, its rays share none of it and gather more.
+    around changes within a pixel: `alone`, its rays share none of it and gather more. Each `turn` has other rays.
     """
 
     pixels: NDArray[np.int64]
@@ -80,6 +85,7 @@ class Job:
     known: NDArray[np.float32]
     together: bool = False
     alone: bool = False
+    turn: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +102,7 @@ class Look:
 
     def seen(self, job: Job) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
-        rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0]), job.alone])
+        rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0]), job.alone, job.turn])
         count, columns = len(job.pixels), self.view.shape[1]
         apart = np.zeros(job.rays) if job.together else np.arange(job.rays)
         spread = (rng.random((count, 1, 2)) + apart[:, None] * R2) % 1.0
@@ -116,8 +122,18 @@ class Look:
             share=share,
         ).total()
         each = (light @ self.weight).reshape(count, job.rays)
-        variance = each.var(axis=1, ddof=1) / job.rays if job.rays > 1 else np.full(count, np.nan, np.float32)
-        return light.reshape(count, job.rays, -1).mean(axis=1), variance
+        return light.reshape(count, job.rays, -1).mean(axis=1), _variance_of_mean(each)
+
+
+def _variance_of_mean(each: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the variance of the mean of signals (pixel, ray), by means of stretches of them; nan for one ray."""
+    count, rays = each.shape
+    if rays < 2:
+        return np.full(count, np.nan, np.float32)
+    first = np.arange(min(rays, STRETCHES)) * rays // min(rays, STRETCHES)
+    length = np.diff(first, append=rays)
+    apart = np.add.reduceat(each, first, axis=1) / length - each.mean(axis=1, keepdims=True)
+    return (length * apart**2).sum(axis=1) / ((len(first) - 1) * rays)
 
 
 def _shared(field: Field, row: Array, col: Array, points: Points, which: NDArray[np.int64]) -> Shared:
@@ -266,15 +282,18 @@ def picture(
     alone = here.edges(shadows=False) & (
         look.field is not None and effort.bounces == 0 and stage.lighting.panels is None
     )
-    jobs = list(_jobs(wanted, known, alone, rays.gathered))
-    bands, size = len(look.weight), wanted.size
-    radiance, variance = np.empty((size, bands), np.float32), np.empty(size, np.float32)
-    results = run(look.seen, jobs)
-    done, rays_in_all = 0, int(wanted.sum())
-    for job, (light, spread) in zip(jobs, results, strict=True):
-        radiance[job.pixels], variance[job.pixels] = light, spread
-        done += len(job.pixels) * job.rays
-        progress(done / rays_in_all)
+    seen, done = _Sum(view.shape, len(look.weight)), 0
+    for turn in range(TURNS):
+        jobs = list(_jobs(wanted, known, alone, rays.gathered, turn))
+        in_all = done + int(wanted.sum())
+        for job, found in zip(jobs, run(look.seen, jobs), strict=True):
+            seen.add(job, *found)
+            done += len(job.pixels) * job.rays
+            progress(done / in_all)
+        wanted = further(here, rays, *map(seen.of, (seen.radiance @ look.weight, seen.variance, seen.rays)))
+        if not wanted.any():
+            break
+    radiance, bands = seen.radiance, len(look.weight)
     add_small_sources(stage, view, radiance)
     below_zero = int(np.count_nonzero((radiance < 0.0).any(axis=1)))
     signal = (radiance @ look.weight).reshape(view.shape)
@@ -283,11 +302,34 @@ def picture(
     return Picture(
         cube=RadianceCube(wavelength_nm=stage.coats.wavelength_nm, radiance=cube),
         signal=signal,
-        variance=variance.reshape(view.shape),
-        rays=wanted,
+        variance=seen.of(seen.variance),
+        rays=seen.of(seen.rays),
         truth=here,
         below_zero=below_zero,
     )
+
+
+class _Sum:
+    """What turns have found so far: mean radiance (pixel, band), the variance of its signal, and rays (pixel,)."""
+
+    def __init__(self, shape: tuple[int, int], bands: int) -> None:
+        self._shape = shape
+        self.radiance = np.zeros((shape[0] * shape[1], bands), np.float32)
+        self.variance = np.full(shape[0] * shape[1], np.nan, np.float32)
+        self.rays = np.zeros(shape[0] * shape[1], np.int32)
+
+    def add(self, job: Job, light: NDArray[np.float32], variance: NDArray[np.float32]) -> None:
+        """Add the rays of a job: means and their variances are weighed by rays."""
+        pixels = job.pixels
+        share = (job.rays / (self.rays[pixels] + job.rays)).astype(np.float32)
+        before = np.where(share < 1.0, self.variance[pixels], 0.0)
+        self.variance[pixels] = share**2 * variance + (1.0 - share) ** 2 * before
+        self.radiance[pixels] += share[:, None] * (light - self.radiance[pixels])
+        self.rays[pixels] += job.rays
+
+    def of(self, values: NDArray) -> NDArray:
+        """Return values of pixels (pixel,) as a picture."""
+        return values.reshape(self._shape)
 
 
 def _part(allowed: Callable[[Array], Array] | None, share: float) -> Callable[[Array], Array] | None:
@@ -302,8 +344,10 @@ def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:
     """
     rng = np.random.default_rng([seed, 1])
     columns = view.shape[1]
-    pixel, tiles = _some_pixels(view.shape, OPEN_TILE, OPEN_TRIED, rng)
-    origin, towards = view.rays(pixel // columns + 0.5, pixel % columns + 0.5)
+    tile = int(np.clip(min(view.shape) // OPEN_TILES, 1, OPEN_TILE))
+    pixel, tiles = _some_pixels(view.shape, tile, OPEN_TRIED, rng)
+    jitter = rng.random((2, len(pixel)))
+    origin, towards = view.rays(pixel // columns + jitter[0], pixel % columns + jitter[1])
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
     place = origin[met] + hit.range_m[met, None] * towards[met]
@@ -314,7 +358,7 @@ def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:
         start = stage.surfaces.tracer.above(points.face, points.place_m, points.normal)
         hidden[met] += stage.surfaces.tracer.blocked(start, direction) / OPEN_TRIES
     share = hidden.reshape(*tiles, OPEN_TRIED).mean(axis=-1)
-    return _of_tiles(1.0 - share, OPEN_TILE, view.shape).astype(np.float32)
+    return _of_tiles(1.0 - share, tile, view.shape).astype(np.float32)
 
 
 class _Tried:
@@ -356,13 +400,15 @@ def _of_tiles(values: NDArray, tile: int, shape: tuple[int, int]) -> NDArray:
 
 
 def _jobs(
-    wanted: NDArray[np.int32], known: NDArray[np.float32], alone: NDArray[np.bool_], gathered: int
+    wanted: NDArray[np.int32], known: NDArray[np.float32], alone: NDArray[np.bool_], gathered: int, turn: int
 ) -> Iterator[Job]:
     """Cut the pixels into batches of as many rays each, in the order of the picture."""
     flat = 2 * wanted.ravel() + alone.ravel()
     for kind in np.unique(flat):
         pixels, count = np.flatnonzero(flat == kind), int(kind) // 2
+        if not count:
+            continue
         batch = max(1, BATCH // (count * max(gathered, 1)))
         for start in range(0, len(pixels), batch):
             part = pixels[start : start + batch]
-            yield Job(part, count, known.ravel()[part], alone=bool(kind % 2))
+            yield Job(part, count, known.ravel()[part], alone=bool(kind % 2), turn=turn)
