@@ -24,6 +24,9 @@ from simulate.radiance.world.viewpoint import Viewpoint
 PREVIEW_PX = 192
 # Most rays of one of its pixels.
 PREVIEW_RAYS = 8
+# Errors are told as too large from so many times the promised one on: rays are not sent one by one.
+STEP = 1.1
+SPENT = "some pixels, or all together, have had the most rays that they may"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,11 @@ class Seen:
         return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
 
     @property
+    def short(self) -> bool:
+        """Whether chance is more than the plan was to leave, as far as rays grow in steps: the limit of rays."""
+        return self.chance > STEP * self.plan.chance
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the frames should know."""
         out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
@@ -63,6 +71,7 @@ class Seen:
             *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
             f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of their noise (or "
             f"{100.0 * KNOWN * self.chance:.2g} % of the signal where that is more), root mean square",
+            *((f"that is more than the {100.0 * self.plan.chance:.2g} % of the plan: {SPENT}",) if self.short else ()),
         )
 
     def document(self) -> bytes:

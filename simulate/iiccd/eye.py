@@ -4,7 +4,7 @@ import numpy as np
 
 from labdata.conditions import Conditions
 from simulate.iiccd import photons, truth
-from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.camera import SCENE_MARGIN_PX, IntensifiedCamera
 from simulate.iiccd.influence.picture import Picture
 from simulate.iiccd.solid_state import SiliconCamera
 from simulate.radiance.transport.eye import Eye
@@ -24,7 +24,7 @@ def eye_of(camera: IntensifiedCamera | SiliconCamera, conditions: Conditions) ->
     table = np.asarray(lens.detector_nm, float)
     fine = np.union1d(table, np.arange(table[0], table[-1], STEP_NM))
     relative = np.interp(fine, table, lens.detector_efficiency) / max(lens.detector_efficiency)
-    peak, area_m2, open_s, dark, factor, read = _numbers(camera, conditions)
+    peak, area_m2, open_s, dark, factor, read, evened = _numbers(camera, conditions)
     per_watt = peak * relative * fine * 1e-9 / photons.JOULE_METRE
     response = per_watt * lens.gathering_sr * area_m2 * open_s
     return Eye(
@@ -32,23 +32,30 @@ def eye_of(camera: IntensifiedCamera | SiliconCamera, conditions: Conditions) ->
         response=tuple(response),
         dark_variance=factor * dark + read,
         variance_per_signal=factor,
+        evened=evened,
         name=camera.sensor.name if isinstance(camera, IntensifiedCamera) else camera.description.name,
     )
 
 
 def _numbers(
     camera: IntensifiedCamera | SiliconCamera, conditions: Conditions
-) -> tuple[float, float, float, float, float, float]:
-    """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2 and variance of reading, pe^2."""
+) -> tuple[float, float, float, float, float, float, float]:
+    """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of reading, and `evened`.
+
+    The light of a photoelectron's pulse falls on several pixels, and its afterglow in several fields.
+    """
     if isinstance(camera, SiliconCamera):
         silicon, register = camera.silicon(conditions), camera.register(conditions)
         area_m2 = camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-6
         dark = register.dark_e + register.clock_induced_e
         read = (register.read_noise_e / register.gain) ** 2
-        return silicon.quantum_efficiency, area_m2, silicon.exposure_s, dark, register.excess_noise_factor, read
-    picture = Picture(camera, np.zeros(camera.shape, np.float32), conditions)
+        return silicon.quantum_efficiency, area_m2, silicon.exposure_s, dark, register.excess_noise_factor, read, 1.0
+    wide = tuple(side + 2 * SCENE_MARGIN_PX for side in camera.shape)
+    picture = Picture(camera, np.zeros(wide, np.float32), conditions)
     cathode = camera.photocathode(conditions)
     area_m2 = truth.field_pixel_area_cm2(camera) * 1e-4
     read = (float(camera.sensor.ccd.read_noise_e) / picture.unsaturated_e) ** 2
     factor = picture.plate.excess_noise_factor
-    return cathode.quantum_efficiency, area_m2, cathode.open_s, picture.dark_pe, factor, read
+    per_pe = (picture.pulses[0] + picture.white) / picture.charge_e
+    evened = min(1.0, float(np.sqrt(per_pe / factor)))
+    return cathode.quantum_efficiency, area_m2, cathode.open_s, picture.dark_pe, factor, read, evened

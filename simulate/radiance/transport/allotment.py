@@ -120,19 +120,18 @@ def further(here: Truth, rays: Rays, signal: Array, variance: Array, sent: NDArr
     stops because its own rays missed what is bright. Rays grow `GROWTH`-fold at most, as rare bright rays make the
     spread of few of them a poor estimate.
     """
-    none = np.zeros_like(sent)
-    known = np.isfinite(variance)
-    if rays.allowed is None or not known.all():
-        return none
+    if rays.allowed is None or not np.isfinite(variance).all():
+        return np.zeros_like(sent)
     limit = rays.allowed(np.maximum(signal, 0.0))
     excess = np.divide(variance, limit, out=np.zeros(limit.shape), where=(variance > 0.0) & (limit > 0.0))
     if excess.mean() <= 1.0:
-        return none
+        return np.zeros_like(sent)
     pooled = _Tried(here, here.edges(), np.ones_like)
     pooled.add(np.arange(sent.size), signal.ravel(), (excess * sent).ravel(), weight=sent.ravel())
     wanted = _shared_out(pooled.variance(), np.zeros(sent.shape), sent, rays)
     more = np.minimum(wanted, np.minimum(GROWTH * sent, rays.most)) - sent
-    return np.where(more * LEAST_GROWTH >= sent, _steps(more, none, rays.most), 0)
+    # One ray alone would not know its error.
+    return np.where(more * LEAST_GROWTH >= sent, _steps(more, np.full_like(sent, 2), rays.most), 0)
 
 
 def _shared_out(plain: Array, edge: Array, least: NDArray[np.integer], limits: Rays) -> NDArray[np.int32]:

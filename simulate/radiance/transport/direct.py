@@ -79,8 +79,8 @@ def from_one_lamp(
     tracer: Tracer,
     rng: np.random.Generator,
     through: Through | None,
-) -> Iterator[Lit]:
-    """Yield radiance towards the eye by light of lamps, of which one is drawn for each point by what it might give."""
+) -> Iterator[tuple[str, Lit]]:
+    """Yield names and radiance towards the eye of lamps, of which one is drawn for each point by what it might give."""
     might = np.stack([lamp_factor(points, lamp)[2] * lamp.spectrum.sum() for lamp in lamps])
     total = might.sum(axis=0)
     chance = np.divide(might, total, out=np.zeros_like(might), where=total > 0.0)
@@ -90,7 +90,7 @@ def from_one_lamp(
         if len(which):
             lit, light = from_lamp(points.some(which), lamp, coats, tracer, rng, through)
             light /= chance[number, which[lit], None].astype(np.float32)
-            yield which[lit], light
+            yield lamp.name, (which[lit], light)
 
 
 def from_panels(

@@ -25,6 +25,9 @@ class Eye:
         Variance of a pixel's signal in the dark, in that unit squared.
     variance_per_signal
         Growth of the variance with the signal, in that unit.
+    evened
+        What blur behind the eye's pixels leaves of noise that is independent from pixel to pixel, as a share of its
+        standard deviation.
     name
         Who looks.
     """
@@ -33,6 +36,7 @@ class Eye:
     response: tuple[float, ...]
     dark_variance: float
     variance_per_signal: float
+    evened: float = 1.0
     name: str = "sensor"
 
     def weight(self, wavelength_nm: ArrayLike) -> NDArray[np.float32]:
@@ -42,12 +46,20 @@ class Eye:
         return (at * band_widths(grid)).astype(np.float32)
 
     def noise(self, signal: ArrayLike) -> NDArray[np.float64]:
-        """Return the standard deviation of a pixel's signal in one frame, in the unit of the signal."""
+        """Return the standard deviation of a pixel's signal in one frame, before blur, in the unit of the signal."""
         bright = np.maximum(np.asarray(signal, float), 0.0)
         return np.sqrt(self.dark_variance + self.variance_per_signal * bright)
 
-    def grain(self, signal: ArrayLike) -> NDArray[np.float64]:
+    def grain(self, signal: ArrayLike, *, smooth: bool = False) -> NDArray[np.float64]:
         """Return the unit in which differences of signals are weighed, in the unit of the signal.
+
+        Parameters
+        ----------
+        signal
+            Signal of pixels.
+        smooth
+            Whether differences are those of many neighbours together: blur leaves these as they are, but evens out the
+            noise that they stand in. What differs by chance from pixel to pixel it evens out like the noise.
 
         Notes
         -----
@@ -55,7 +67,7 @@ class Eye:
         tolerance.
         """
         bright = np.maximum(np.asarray(signal, float), 0.0)
-        return np.maximum(self.noise(bright), KNOWN * bright)
+        return np.maximum(self.noise(bright) * (self.evened if smooth else 1.0), KNOWN * bright)
 
     @property
     def noise_equivalent_radiance(self) -> float:

@@ -138,7 +138,8 @@ class Stage:
             Parts to add to, and the place there of each point; new ones if None.
         split
             Whether sources and bounces are kept apart: parts are sources by name, "glow" of panels, "sky", "hidden sky"
-            (what objects take of it, never positive) and "bounce 1", 2, ... by number of reflections elsewhere.
+            (what objects take of it, never positive) and "bounce 1 of sun", "bounce 2 of sky" ... by number of
+            reflections elsewhere and by source.
         depth
             Bounces between the points and the surface that the eye sees.
         shared
@@ -252,8 +253,8 @@ class Stage:
                 add(disc.name, direct.from_disc(points, disc, coats, tracer, rng))
         lamps = tuple(lamp for lamp in light.lamps if lamp.name not in effort.left_out)
         if depth > 0 and len(lamps) > ASKED_LAMPS:
-            for found in direct.from_one_lamp(points, lamps, coats, tracer, rng, through):
-                add("lamps", found)
+            for name, found in direct.from_one_lamp(points, lamps, coats, tracer, rng, through):
+                add(name, found)
         else:
             for lamp in lamps:
                 add(lamp.name, direct.from_lamp(points, lamp, coats, tracer, rng, through))
@@ -430,9 +431,17 @@ class Stage:
             return
         further = self.leaving(there, effort, rng, rays=1, split=parts.split, depth=depth + 1)
         for name, light in further.found.items():
-            order = int(name.split()[1]) if name.startswith("bounce ") else 0
+            order, source = bounced(name)
             light *= weight
-            parts.add(f"bounce {order + 1}", *_summed(light, met, rows, rays))
+            parts.add(f"bounce {order + 1} of {source}", *_summed(light, met, rows, rays))
+
+
+def bounced(name: str) -> tuple[int, str]:
+    """Return how often the light of a part (`Stage.leaving`) was reflected elsewhere, and what it comes from."""
+    if not name.startswith("bounce "):
+        return 0, name
+    order, source = name.removeprefix("bounce ").split(" of ", 1)
+    return int(order), source
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
 """How much of a scene's light a sensor would notice: the bands, rays, bounces and sources that a picture needs.
 
-A trial picture of few pixels keeps every source and every bounce apart. What a part changes, over the grain of a pixel
-there (`Eye.grain`), root mean square over the sixteenth of the picture where that is most, is its influence; parts
-whose influences stay together below a share of the tolerance are left out. Bands are chosen to change no source by more
-than another share; the rest is left to chance, by which the whole picture may be off in its root mean square.
-Influences are found at the trial's places, so they are estimates and no bounds: something small that the trial missed
-may have more.
+A trial picture of few pixels keeps every source, with all that its light does, and every bounce apart. What a part
+changes, over the grain of a pixel there (`Eye.grain`), root mean square over the sixteenth of the picture where that is
+most, is its influence; parts whose influences stay together below a share of the tolerance are left out. Bands are
+chosen to change no source by more than another share; the rest is left to chance, by which the whole picture may be off
+in its root mean square. Influences are found at the trial's places, so they are estimates and no bounds: something
+small that the trial missed may have more.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from simulate.economy import Effect, Plan, plan_of
 from simulate.radiance.transport.allotment import Rays
 from simulate.radiance.transport.eye import KNOWN, Eye
-from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.gather import Effort, Stage, bounced
 from simulate.radiance.transport.picture import along
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
@@ -90,10 +90,14 @@ class LightPlan:
     sees: str
     exact: bool = False
 
+    @property
+    def chance(self) -> float:
+        """Share of the grain that is the standard deviation of chance, root mean square over the picture."""
+        return self.rays.allowed.of_grain if isinstance(self.rays.allowed, Chance) else 0.0
+
     def text(self) -> str:
         """Return the plan for people."""
-        few, most = self.rays.fewest, self.rays.most
-        chance = self.rays.allowed.of_grain if isinstance(self.rays.allowed, Chance) else 0.0
+        few, most, chance = self.rays.fewest, self.rays.most, self.chance
         follows = self.effort
         bounces = "to the end, by chance" if follows.roulette_from is not None else f"{follows.bounces}"
         return "\n".join(
@@ -130,7 +134,8 @@ class Trial:
     signal
         Signal of each place, shape (place,).
     parts
-        Signal of each part there by each ray, shape (place, ray), by name.
+        Signal of each part there by each ray, shape (place, ray), by name. What bounces of the light of a lamp or a
+        disc is part of the bounce and of the source: whoever leaves out the one or the other lacks it.
     shape
         Places (down, across).
     """
@@ -158,7 +163,9 @@ def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) 
     tried = trial(stage, view, eye, seed)
     chosen = plan_of(_effects(tried, eye, view, len(stage.coats.wavelength_nm)), SHARE * tolerance)
     bright = float(np.percentile(tried.signal, 100.0 - BRIGHTEST)) if len(tried.signal) else 0.0
-    error = float(np.clip(BANDS * tolerance * float(eye.grain(bright)) / max(bright, 1e-30), FINEST, COARSEST))
+    error = float(
+        np.clip(BANDS * tolerance * float(eye.grain(bright, smooth=True)) / max(bright, 1e-30), FINEST, COARSEST)
+    )
     if error < COARSEST:
         stage = site.on(site.bands(eye.response_nm, eye.response, error))
     plan = Plan(tolerance=tolerance, kept=chosen.kept, left_out=chosen.left_out)
@@ -217,19 +224,25 @@ def trial(stage: Stage, view: Viewpoint, eye: Eye, seed: int) -> Trial:
         gathered=TRIAL_GATHERED,
         split=True,
     ).found
+    by_name = {name: (light @ weight).reshape(-1, TRIAL_RAYS) for name, light in found.items()}
+    signal = np.asarray(sum(by_name.values(), start=np.zeros((grid[0].size, TRIAL_RAYS)))).mean(axis=1)
     parts: dict[str, NDArray[np.floating]] = {}
-    for name, light in found.items():
-        parts[_known_as(name)] = parts.get(_known_as(name), 0.0) + (light @ weight).reshape(-1, TRIAL_RAYS)
-    signal = np.asarray(sum(parts.values(), start=np.zeros((grid[0].size, TRIAL_RAYS)))).mean(axis=1)
+    for name, light in by_name.items():
+        for part in _parts_of(name, stage.lighting.names):
+            parts[part] = parts.get(part, 0.0) + light
     if stage.air.absorbs and stage.lighting.lamps:
         between = _air_between(stage, origin, towards, seed) @ weight
         parts["air before surfaces"] = between.reshape(-1, TRIAL_RAYS)
     return Trial(signal, parts, grid[0].shape)
 
 
-def _known_as(name: str) -> str:
-    """Bounces beyond those that are told apart are one part."""
-    return LAST_BOUNCE if name.startswith("bounce ") and int(name.split()[1]) >= TRIAL_BOUNCES else name
+def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
+    """Parts to which light belongs: the order of its bounce, and its lamp or disc, with which its bounces go."""
+    order, source = bounced(name)
+    if order == 0:
+        return (name,)
+    last = LAST_BOUNCE if order >= TRIAL_BOUNCES else f"bounce {order}"
+    return (last, source) if source in sources else (last,)
 
 
 def _air_between(
@@ -252,7 +265,7 @@ def _air_between(
 
 def _effects(tried: Trial, eye: Eye, view: Viewpoint, bands: int) -> list[Effect]:
     """Turn parts into effects: their influence, and what they would cost."""
-    grain = eye.grain(tried.signal)[:, None]
+    grain = eye.grain(tried.signal, smooth=True)[:, None]
     million = view.shape[0] * view.shape[1] * Rays().fewest * 1e-6 * bands / 10.0
     influence = {
         name: _influence(part / grain, tried.shape)
