@@ -1,6 +1,6 @@
 """How much of a scene's light a sensor would notice: the bands, rays, bounces and sources that a picture needs.
 
-A trial picture of few pixels keeps every source, with all that its light does, and every bounce apart. What a part
+A trial of few places keeps every source, with all that its light does, and every bounce apart. What a part
 changes, over the grain of a pixel there (`Eye.grain`), root mean square over the sixteenth of the picture where that is
 most, is its influence; parts whose influences stay together below a share of the tolerance are left out. Bands are
 chosen to change no source by more than another share; the rest is left to chance, by which the whole picture may be off
@@ -21,7 +21,7 @@ from simulate.radiance.transport.picture import along
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
 
-# Pixels of the trial, rays of each and by which each gathers; bounces that it tells apart, and follows in all.
+# Places of the trial, rays of each and by which each gathers; bounces that it tells apart, and follows in all.
 TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES, TRIAL_LAST = 1600, 2, 4, 4, 24
 # Parts of the picture, down and across, in each of which influences are found by themselves.
 REGIONS = 4
@@ -132,10 +132,10 @@ class Trial:
     Parameters
     ----------
     signal
-        Signal of each place, shape (place,).
+        Signal of each place, or of each pixel where these hold several, shape (place,).
     parts
-        Signal of each part there by each ray, shape (place, ray), by name. What bounces of the light of a lamp or a
-        disc is part of the bounce and of the source: whoever leaves out the one or the other lacks it.
+        Signal of each part there by each ray, shape (place, ray), by name. What bounces of a lamp's or a disc's light,
+        or lacks in bounces by hidden sky, is part of the bounce and of the source: who leaves out either lacks it.
     shape
         Places (down, across).
     """
@@ -204,16 +204,9 @@ def exact(site: Site, view: Viewpoint, eye: Eye, seed: int) -> tuple[LightPlan, 
 def trial(stage: Stage, view: Viewpoint, eye: Eye, seed: int) -> Trial:
     """Return the parts of the light at places spread over a picture."""
     rng = np.random.default_rng([seed, 2])
-    rows, columns = view.shape
-    across = np.sqrt(TRIAL_PIXELS * columns / rows)
-    grid = np.meshgrid(
-        np.linspace(0.0, rows, int(across * rows / columns) + 2)[1:-1],
-        np.linspace(0.0, columns, int(across) + 2)[1:-1],
-        indexing="ij",
-    )
-    row, col = (np.repeat(axis.ravel(), TRIAL_RAYS) for axis in grid)
-    jitter = rng.random((2, len(row))) - 0.5
-    origin, towards = view.rays(np.clip(row + jitter[0], 0, rows), np.clip(col + jitter[1], 0, columns))
+    place = _Places.over(view)
+    row, col = place.drawn(rng)
+    origin, towards = view.rays(row, col)
     weight = eye.weight(stage.coats.wavelength_nm)
     found = along(
         stage,
@@ -224,20 +217,63 @@ def trial(stage: Stage, view: Viewpoint, eye: Eye, seed: int) -> Trial:
         gathered=TRIAL_GATHERED,
         split=True,
     ).found
-    by_name = {name: (light @ weight).reshape(-1, TRIAL_RAYS) for name, light in found.items()}
-    signal = np.asarray(sum(by_name.values(), start=np.zeros((grid[0].size, TRIAL_RAYS)))).mean(axis=1)
+    by_name = {name: place.means(light @ weight) for name, light in found.items()}
+    signal = np.asarray(sum(by_name.values(), start=np.zeros((int(np.prod(place.shape)), TRIAL_RAYS)))).mean(axis=1)
     parts: dict[str, NDArray[np.floating]] = {}
     for name, light in by_name.items():
-        for part in _parts_of(name, stage.lighting.names):
+        for part in _parts_of(name, (*stage.lighting.names, "hidden sky")):
             parts[part] = parts.get(part, 0.0) + light
     if stage.air.absorbs and stage.lighting.lamps:
         between = _air_between(stage, origin, towards, seed) @ weight
-        parts["air before surfaces"] = between.reshape(-1, TRIAL_RAYS)
-    return Trial(signal, parts, grid[0].shape)
+        parts["air before surfaces"] = place.means(between)
+    return Trial(signal, parts, place.shape)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Places spread evenly over a picture, shape (place,); where pixels hold several, a pixel's count as one."""
+
+    row: NDArray[np.floating]
+    col: NDArray[np.floating]
+    spread: tuple[float, float]
+    pixel: NDArray[np.int64]
+    shape: tuple[int, int]
+
+    @classmethod
+    def over(cls, view: Viewpoint) -> "_Places":
+        rows, columns = view.shape
+        across = np.sqrt(TRIAL_PIXELS * columns / rows)
+        many = (max(1, int(across * rows / columns)), max(1, int(across)))
+        row, col = (
+            axis.ravel()
+            for axis in np.meshgrid(
+                *((np.arange(n) + 0.5) * side / n for n, side in zip(many, view.shape, strict=True)), indexing="ij"
+            )
+        )
+        spread = min(1.0, rows / many[0]), min(1.0, columns / many[1])
+        if min(many[0] / rows, many[1] / columns) < 1.0:
+            return cls(row, col, spread, np.arange(len(row)), many)
+        return cls(row, col, spread, row.astype(np.int64) * columns + col.astype(np.int64), view.shape)
+
+    def drawn(self, rng: np.random.Generator) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Draw rows and columns of `TRIAL_RAYS` rays around each place, (place and ray,)."""
+        jitter = rng.random((2, len(self.row) * TRIAL_RAYS)) - 0.5
+        row, col = (
+            np.repeat(axis, TRIAL_RAYS) + apart * spread
+            for axis, apart, spread in zip((self.row, self.col), jitter, self.spread, strict=True)
+        )
+        return row, col
+
+    def means(self, signal: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return signals of rays as means of each place that counts, by first and second rays, shape (place, ray)."""
+        each = signal.reshape(-1, TRIAL_RAYS).astype(float)
+        count = np.bincount(self.pixel, minlength=int(np.prod(self.shape)))
+        total = [np.bincount(self.pixel, ray, minlength=len(count)) for ray in each.T]
+        return np.stack(total, axis=1) / count[:, None]
 
 
 def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
-    """Parts to which light belongs: the order of its bounce, and its lamp or disc, with which its bounces go."""
+    """Parts to which light belongs: the order of its bounce, and its source, if it is one that a plan may leave out."""
     order, source = bounced(name)
     if order == 0:
         return (name,)
