@@ -1,9 +1,11 @@
 """Rays go where single ones differ, as many as the picture's error needs and no more; influences are free of specks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from simulate.radiance.transport.allotment import Rays, allotted
+from simulate.radiance.transport.allotment import GROWTH, Rays, allotted, further
 from simulate.radiance.transport.eye import KNOWN, Eye
 from simulate.radiance.transport.truth import Truth
 from simulate.radiance.world.plan import REGIONS, _influence
@@ -93,11 +95,46 @@ def test_rare_bright_rays_are_found_by_longer_trials():
     assert wanted.sum() == pytest.approx(100 * wanted.size, rel=0.5)
 
 
+def test_rays_go_on_until_the_error_measured_is_what_was_allowed():
+    rays = Rays(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    single, signal = spread(0.1, 40.0), np.ones(SHAPE)
+    sent, turns = np.full(SHAPE, 8, np.int32), 0
+    while (more := further(halves(), rays, signal, single / sent, sent)).any():
+        assert (sent + more <= 1.5 * GROWTH * sent).all(), "few rays are not trusted for many times as many"
+        sent, turns = sent + more, turns + 1
+    assert 2 < turns < 8
+    assert np.mean(single / sent) / ALLOWED == pytest.approx(1.0, rel=0.15)
+    plain = ~halves().edges()
+    left, right = (sent[plain & (halves().object == side)].mean() for side in (0, 1))
+    assert right / left == pytest.approx(20.0, rel=0.4), "as the root of the variance"
+    assert not further(halves(), rays, signal, 0.9 * spread(ALLOWED, ALLOWED), sent).any()
+
+
+def test_a_pixel_that_met_nothing_bright_goes_on_with_those_around_it_that_did():
+    rays = Rays(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    sent = np.full(SHAPE, 64, np.int32)
+    met = np.where(np.random.default_rng(4).random(SHAPE) < 0.1, 100.0 * ALLOWED, 0.0)
+    more = further(halves(), rays, np.ones(SHAPE), np.where(halves().object == 0, met, 0.0), sent)
+    assert (more[:, :24] > 0).mean() > 0.95
+    assert not more[:, 40:].any(), "nor do those of another thing"
+
+
+@pytest.mark.parametrize("limit", [{"most": 64}, {"most": 10_000, "in_all": 64 * SHAPE[0] * SHAPE[1]}])
+def test_no_limit_is_broken_for_the_errors_sake(limit):
+    rays = Rays(edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED), **limit)
+    sent = np.full(SHAPE, 64, np.int32)
+    assert not further(halves(), rays, np.ones(SHAPE), np.ones(SHAPE), sent).any()
+
+
 def test_differences_are_weighed_by_noise_or_by_a_share_of_the_signal():
     eye = Eye(response_nm=(500.0,), response=(1.0,), dark_variance=4.0, variance_per_signal=3.0)
     assert eye.grain(0.0) == 2.0
     assert eye.grain(20.0) == pytest.approx(8.0)
     assert eye.grain(1e6) == pytest.approx(KNOWN * 1e6)
+    blurred = replace(eye, evened=0.3)
+    assert blurred.grain(20.0) == eye.grain(20.0), "blur evens what differs by chance like the noise"
+    assert blurred.grain(20.0, smooth=True) == pytest.approx(0.3 * 8.0)
+    assert blurred.grain(1e6, smooth=True) == pytest.approx(KNOWN * 1e6)
 
 
 def test_the_influence_of_a_part_is_its_size_where_it_is_largest_and_specks_have_none():

@@ -379,6 +379,42 @@ def test_daylight_starlight_and_sodium_light_are_planned_differently(tmp_path):
     assert len({plan.text() for plan in plans.values()}) == 3
 
 
+def test_a_lamp_whose_light_arrives_by_reflection_alone_is_kept(tmp_path):
+    """A shade keeps the lamp from the wall that the camera sees, but not from the wall behind the camera."""
+    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0)
+    wall = '[[object]]\nlabel = "{}"\nshape = "box"\nsize_m = {}\nposition_m = {}\nmaterial = "grey"\n'
+    parts = wall.format("screen", [30, 0.2, 8], [0, 5, 0.02]) + wall.format("back", [30, 0.2, 8], [0, -14, 0.02])
+    shade = wall.format("shade", [4, 0.2, 4], [0, -11, 1])
+    lit = LAMP.replace("[0, 0, 3]", "[0, -12.5, 3]")
+    plan, _ = planned(Site(scene_of(tmp_path, CAMERA + GREY + parts + shade + lit)), VIEW, eye, 0.1, 1)
+    kept = {effect.name for effect in plan.plan.kept}
+    assert {"bulb", "bounce 1"} <= kept and "bulb" not in plan.effort.left_out
+
+
+def test_rays_that_trials_thought_too_few_go_on_until_the_error_is_as_promised(monkeypatch, seed):
+    """A lamp's glint in metal takes a small part of some pixels: trials are made blind for it."""
+    parts = [("floor", "m", plane(40, 40)), ("ball", "steel", at(sphere(1.0), 0, 0, 1))]
+    brdf = Metal(reflectance=grey(0.8), roughness=0.05)
+    stage = staged(parts, {"m": 0.2, "steel": brdf}, lamps=(lamp((2, -6, 5), 1000.0),))
+    few = replace(VIEW, shape=(6, 8), focal_px=(10.0, 10.0))
+    monkeypatch.setattr(
+        "simulate.radiance.transport.picture.allotted", lambda here, rays, trial, seed: np.full((6, 8), 32, np.int32)
+    )
+
+    def allowed(signal):
+        return np.full_like(signal, 0.05**2)
+
+    many = Rays(fewest=2, edge=2, most=8192, shared=None, allowed=allowed)
+    exact = picture(stage, few, replace(many, allowed=None), Effort(bounces=0), weight=WEIGHT, seed=seed)
+    assert exact.rays.max() == 32
+    found, again = (picture(stage, few, many, Effort(bounces=0), weight=WEIGHT, seed=seed + turn) for turn in (1, 2))
+    assert exact.variance.mean() > 3.0 * 0.05**2, "the rays of the trials do not do"
+    assert found.rays.mean() > 64 and np.median(found.rays) < 0.3 * found.rays.max()
+    assert found.variance.mean() < 1.2 * 0.05**2
+    # Two such pictures differ by no more than both errors.
+    assert np.mean((found.signal - again.signal) ** 2) < 3.0 * 2.0 * 0.05**2
+
+
 def test_a_dim_scene_is_planned_with_less_than_a_bright_one(tmp_path):
     eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0)
     plans = []

@@ -1,0 +1,30 @@
+"""What a renderer is told of a camera's noise is the noise of its frames."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from labdata.conditions import Conditions
+from labdata.sensors import load_camera
+from simulate.cameras import camera_of
+from simulate.iiccd import tiers
+from simulate.iiccd.exposure import from_photoelectrons
+from simulate.iiccd.eye import eye_of
+
+
+@pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
+def test_blur_evens_the_noise_of_an_intensified_camera_as_its_eye_says(seed, name):
+    described = load_camera(name)
+    camera = camera_of(replace(described, ccd=replace(described.ccd, rows=32, columns=48)))
+    conditions = Conditions(gate_ns=1e6, mcp_v=float(described.microchannel_plate.reference_v) - 100.0)
+    eye, signal = eye_of(camera, conditions), 8.0
+    dark, light = (
+        from_photoelectrons(camera, np.full(camera.shape, level, np.float32), conditions) for level in (0.0, signal)
+    )
+    dn_per_pe = float(np.mean(camera.mean_frame(light, conditions) - camera.mean_frame(dark, conditions))) / signal
+    frames = np.stack(list(islice(tiers.frames(camera, light, conditions, seed=seed), 60))).astype(float)
+    noise_pe = np.sqrt(np.mean(frames.var(axis=0, ddof=1))) / dn_per_pe
+    assert eye.evened < 0.6
+    assert noise_pe == pytest.approx(float(eye.grain(signal, smooth=True)), rel=0.1)
