@@ -57,8 +57,8 @@ def _draw_cases(axes: Any, outcomes: Sequence[Outcome]) -> None:
             own = [one for one in outcomes if one.light.startswith(light) and one.sensor == sensor]
             if own:
                 axes.plot(
-                    [one.saving for one in own], [max(one.difference, LOWEST) for one in own], mark, color=f"C{number}", alpha=0.7,
-                    label=light if sensor == CAMERAS[0] else None, ms=5,
+                    [one.saving for one in own], [max(one.difference, LOWEST) for one in own], mark,
+                    color=f"C{number}", alpha=0.7, label=light if sensor == CAMERAS[0] else None, ms=5,
                 )  # fmt: skip
     for sensor, mark in MARKS.items():
         axes.plot([], [], mark, color="0.4", ms=5, label=sensor)

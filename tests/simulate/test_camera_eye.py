@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from labdata.conditions import Conditions
-from labdata.sensors import load_camera
-from simulate.cameras import camera_of
+from labdata.sensors import load_sensor
 from simulate.iiccd import tiers
+from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.exposure import from_photoelectrons
 from simulate.iiccd.eye import eye_of
 
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
 def test_blur_evens_the_noise_of_an_intensified_camera_as_its_eye_says(seed, name):
-    described = load_camera(name)
-    camera = camera_of(replace(described, ccd=replace(described.ccd, rows=32, columns=48)))
+    described = load_sensor(name)
+    camera = IntensifiedCamera(replace(described, ccd=replace(described.ccd, rows=32, columns=48)))
     conditions = Conditions(gate_ns=1e6, mcp_v=float(described.microchannel_plate.reference_v) - 100.0)
     eye, signal = eye_of(camera, conditions), 8.0
     dark, light = (

@@ -126,10 +126,10 @@ def further(here: Truth, rays: Rays, signal: Array, variance: Array, sent: NDArr
     excess = np.divide(variance, limit, out=np.zeros(limit.shape), where=(variance > 0.0) & (limit > 0.0))
     if excess.mean() <= 1.0:
         return np.zeros_like(sent)
-    pooled = _Tried(here, here.edges(), np.ones_like)
-    pooled.add(np.arange(sent.size), signal.ravel(), (excess * sent).ravel(), weight=sent.ravel())
+    pooled = _Tried(here, here.edges(), lambda signal: np.ones(signal.shape))
+    pooled.add(np.arange(sent.size), signal.ravel(), (excess * sent.astype(float)).ravel(), weight=sent.ravel())
     wanted = _shared_out(pooled.variance(), np.zeros(sent.shape), sent, rays)
-    more = np.minimum(wanted, np.minimum(GROWTH * sent, rays.most)) - sent
+    more = (np.minimum(wanted, np.minimum(GROWTH * sent, rays.most)) - sent).astype(float)
     # One ray alone would not know its error.
     return np.where(more * LEAST_GROWTH >= sent, _steps(more, np.full_like(sent, 2), rays.most), 0)
 
