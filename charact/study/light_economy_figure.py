@@ -67,7 +67,8 @@ def _draw_cases(axes: Any, outcomes: Sequence[Outcome]) -> None:
     axes.set_yscale("log")
     axes.set_xlabel("time of the exact mode over that of the plan (1)")
     axes.set_ylabel(f"difference of frames / noise, rms (1; at least {LOWEST:g})")
-    axes.legend(fontsize=7, ncols=2)
+    axes.set_ylim(bottom=LOWEST / 15.0)
+    axes.legend(fontsize=7, ncols=2, loc="lower left")
 
 
 def main() -> None:
