@@ -72,7 +72,7 @@ def encircled(form: Form, points: Array, shares: tuple[float, ...], reach_px: fl
 
 
 def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> tuple[float, float] | None:
-    """Share of the source's light that is spread evenly over the frame, and its standard error.
+    """Light that is spread evenly over the frame over the light of the source beside it, and its standard error.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> 
     Returns
     -------
     tuple or None
-        The share and its standard error, widened where the levels scatter more than their errors; None with fewer than
+        The ratio and its standard error, widened where the levels scatter more than their errors; None with fewer than
         three levels.
     """
     if len(light) < 3:
@@ -97,4 +97,4 @@ def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> 
     chi2 = float(((background_dn / sd_dn - design @ best) ** 2).sum()) / (len(light) - 2)
     per_light = float(best[1]) / float(light.max()) * area_px2
     sd = float(np.sqrt(covariance[1, 1] * max(chi2, 1.0))) / float(light.max()) * area_px2
-    return per_light / (1.0 + max(per_light, 0.0)), sd
+    return per_light, sd

@@ -156,9 +156,10 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     told = np.array([one for one in found if one is not None])
     if not len(told):
         return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
-    rng = np.random.default_rng(posterior.seed)
-    draws = 100.0 * (told[:, 0] + told[:, 1] * rng.standard_normal(len(told)))
-    draws = draws * _as_told(best, "veiling_glare", len(draws), posterior)
+    rng = np.random.default_rng([posterior.seed, 1])
+    beside = told[:, 0] + told[:, 1] * rng.standard_normal(len(told))
+    beside = beside * _as_told(best, "veiling_glare", len(beside), posterior)
+    draws = 100.0 * beside / (1.0 + np.maximum(beside, 0.0))
     return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
 
 
