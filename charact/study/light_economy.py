@@ -158,7 +158,7 @@ def _noise(camera: Any, conditions: Conditions, light: Any, mean_dn: Image, seed
     return np.maximum(temporal_noise(stream), KNOWN * np.maximum(mean_dn - dark, 0.0))
 
 
-def temporal_noise(frames: Iterator[Image]) -> Image:
+def temporal_noise(frames: Iterator[NDArray[Any]]) -> Image:
     """Return the standard deviation of each pixel over frames, at least a digitiser's step, DN.
 
     As many frames are drawn as bring it to `NOISE_KNOWN`, by the two halves of them, or `DRAWN_MOST`.
