@@ -1,7 +1,9 @@
 """Light that glows on beyond the last lag that the frames can tell: as much as a screen that decays evenly leaves.
 
 Pixels are measured about their mean over few exposures. Light that all of these share goes with the mean, so that
-every covariance in time reads low by what lies beyond the last lag, and the sum over lags lacks it once more.
+every covariance in time reads low by what lies beyond the last lag, and the sum over lags lacks it once more. What
+chance gives to the covariances of a few exposures it gives to all lags alike, as a slow glow would: glow is put back
+so far as it is likelier than none.
 """
 
 from collections.abc import Sequence
@@ -20,9 +22,10 @@ KEPT = np.linspace(0.02, 0.9, 45)
 FIRST, LEAST = 2, 3
 # Standard errors on either side of the likeliest height that are looked at.
 REACH = 5.0
+HEIGHTS = 32
 
 
-def unseen(flats: Sequence[Level], share: Array, lags: NDArray[np.int64], correlation: Array, sd: Array
+def unseen(flats: Sequence[Level], share: Array, lags: NDArray[np.int64], correlation: Array, covariance: Array
            ) -> tuple[float, Array]:  # fmt: skip
     """Return what the sum of the correlation over all lags, earlier and later, lacks, and its change with each lag's.
 
@@ -34,34 +37,47 @@ def unseen(flats: Sequence[Level], share: Array, lags: NDArray[np.int64], correl
         Weight of each in the pooled covariances, of sum 1, shape (flat,).
     lags
         Lags from 0 that all of them have, exposures, shape (lag + 1,).
-    correlation, sd
-        Covariance at the lags from 1 over that at lag 0 as measured, and standard errors, shape (lag,).
+    correlation, covariance
+        Covariance at the lags from 1 over that at lag 0 as measured, shape (lag,), and that of its errors.
 
     Notes
     -----
     Beyond the first lag the correlation is b r^(lag - 2), r the share of the light that is left one exposure later.
     About the mean of the exposures the lag k reads less, see `beyond`. The mean over all b and r, each as likely as
-    the next, weighed by the likelihood exp(-chi^2/2); it changes with the correlation c_k, known to s_k, by the
-    covariance of what is lacking with the form at k over s_k^2.
+    the next, and over no glow, as likely as all of them, weighed by the likelihood exp(-chi^2/2); it changes with the
+    correlation c by the covariance of what is lacking with the form, over that of the errors.
     """
+    none = np.zeros(len(correlation))
     use = lags[1:] >= FIRST
     if use.sum() < LEAST:
-        return 0.0, np.zeros(len(correlation))
+        return 0.0, none
     last, taken = KEPT ** (lags[-1] - FIRST), _taken(flats, share, lags)
-    form = KEPT[:, None] ** (lags[1:] - FIRST) + last[:, None] * taken[:, 1:]
+    form = (KEPT[:, None] ** (lags[1:] - FIRST) + last[:, None] * taken[:, 1:])[:, use]
     lacking = last * (2.0 * KEPT / (1.0 - KEPT) - taken[:, 0] - 2.0 * taken[:, 1:].sum(axis=1))
-    weight = use / sd**2
-    information = form**2 @ weight
-    height = form @ (weight * correlation) / information
-    width = REACH / np.sqrt(information)
-    low, high = np.clip(height - width, 0.0, 1.0), np.clip(np.maximum(height, 0.0) + width, 0.0, 1.0)
-    heights = low + (high - low) * np.linspace(0.0, 1.0, 33)[:, None]
-    chi2 = ((correlation - heights[:, :, None] * form) ** 2) @ weight
-    likely = np.exp(-0.5 * (chi2 - chi2.min())) * (high - low)
-    likely /= likely.sum()
+    precision, measured = np.linalg.inv(covariance[np.ix_(use, use)]), correlation[use]
+    heights, step = _heights(form, measured, precision)
+    rest = measured - heights[:, :, None] * form
+    chi2 = np.einsum("brk,kl,brl->br", rest, precision, rest)
+    chi2_none = measured @ precision @ measured
+    least = min(chi2.min(), chi2_none)
+    likely = np.exp(-0.5 * (chi2 - least)) * step / len(KEPT)
+    likely /= likely.sum() + np.exp(-0.5 * (chi2_none - least))
     value = heights * lacking
     mean = float(np.sum(likely * value))
-    return mean, weight * np.einsum("br,br,rk->k", likely * (value - mean), heights, form)
+    change = none.copy()
+    change[use] = precision @ np.einsum("br,br,rk->k", likely * (value - mean), heights, form)
+    return mean, change
+
+
+def _heights(form: Array, correlation: Array, precision: Array) -> tuple[Array, Array]:
+    """Heights to look at for each decay, shape (height, kept), and the steps between them, shape (kept,)."""
+    weighed = form @ precision
+    information = np.einsum("rk,rk->r", weighed, form)
+    height = weighed @ correlation / information
+    width = REACH / np.sqrt(information)
+    low, high = np.clip(height - width, 0.0, 1.0), np.clip(np.maximum(height, 0.0) + width, 0.0, 1.0)
+    parts = (np.arange(HEIGHTS) + 0.5) / HEIGHTS
+    return low + (high - low) * parts[:, None], (high - low) / HEIGHTS
 
 
 def _taken(flats: Sequence[Level], share: Array, lags: NDArray[np.int64]) -> Array:

@@ -4,18 +4,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from charact.noise.gain.glow import unseen
 from charact.noise.gain.series import Series
 from charact.noise.stack.level import Level, rows_lags
-from charact.noise.stack.temporal import independent
+from charact.noise.stack.temporal import errors_together, independent
 
 Array = NDArray[np.float64]
 
 # Exposures of opposite rows are compared below this frequency only, cycles per row of the exposure: beyond it the
 # rows alias, and the aliases of odd and even rows have opposite signs.
 ODD_LAG_CY_PER_ROW = 0.08
-SEEN = 4.0
+# Chance that noise alone passes for lag at a lag: four and a half standard errors, where many bins tell them.
+CHANCE = 3e-6
 # Mean correlation at the last lags above which the lag does not end with them.
 OPEN = 0.02
 
@@ -208,10 +210,13 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Level
     # Residuals about a weighted mean are smaller than their errors, the more so the fewer the bins.
     rest = weight * (ratio - value) / np.sqrt(np.maximum(1.0 - square, 0.1))
     sd = np.sqrt((rest**2).sum(axis=0))
-    seen = bool((value[:3] > SEEN * sd[:3]).any())
+    freedom = max(2.0, float(1.0 / square.max() - 1.0))
+    seen = bool((value[:3] > student.isf(CHANCE, freedom) * sd[:3]).any())
     reach = len(value) if seen else min(2, len(value))
     left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
-    lacking, change = unseen(flats, share, lags, value, sd) if seen else (0.0, np.zeros(len(value)))
+    errors = errors_together(flats[0].time, flats[0].parity, lags)[1:, 1:] * np.outer(sd, sd)
+    errors *= weight.T @ weight / np.sqrt(np.outer(square, square))
+    lacking, change = unseen(flats, share, lags, value, errors) if seen else (0.0, np.zeros(len(value)))
     summed = 2.0 * (np.arange(len(value)) < reach)
     own = float(np.sqrt(np.sum((rest @ (summed + change)) ** 2)))
     factor = float(1.0 + summed @ value + lacking)

@@ -119,6 +119,25 @@ def _counted(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ..
     return float(1.0 / np.trace(chain @ chain))
 
 
+def errors_together(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]) -> Array:
+    """Return the correlation of the errors of `autocovariance` at all lags, shape (lag, lag).
+
+    Exposures of the same kind that share nothing; errors go together, as the same mean was taken from all of them.
+    """
+    return _together(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
+
+
+@lru_cache(maxsize=64)
+def _together(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
+    """The same, remembered."""
+    pairs, solve = _solved(time, parity, lags, False)
+    project = centring(np.array(parity))
+    each = np.array([pair / pair.sum() for pair in pairs])
+    weights = (project @ np.tensordot(solve, each, 1) @ project).reshape(len(lags), -1)
+    covariance = weights @ weights.T
+    return covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+
+
 def usable_lags(time: NDArray[np.int64], parity: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return the lags 0..most that the exposures can tell from the mean that was taken away."""
     frames = int(np.bincount(parity).min())
