@@ -82,7 +82,7 @@ def reference(case: Case, tracer: PathTracer, folder: Path, samples: int) -> Ref
 def _counts(case: Case) -> NDArray[np.bool_]:
     rows, columns = case.view.shape
     lamps = np.zeros((rows * columns, 1), np.float32)
-    add_small_sources(case.stage, case.view, lamps, frozenset())
+    add_small_sources(case.stage, case.view, lamps)
     row, col = (axis.ravel() + 0.5 for axis in np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"))
     origin, towards = case.view.rays(row, col)
     level = np.abs(np.rad2deg(np.arcsin(towards[:, 2]))) < HORIZON_DEG
