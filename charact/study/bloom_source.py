@@ -17,6 +17,8 @@ GLARE_SIDE_PX = 600.0
 STEP_PX = 0.2
 # What the wing alone blurs is smooth: rings of the halo there, and the step of its table, px.
 SMOOTH_RINGS, SMOOTH_STEP_PX = 60, 0.5
+# Samples of light along a pixel's side.
+FINE = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +197,7 @@ def optics_of(scene: BloomScene) -> BloomScene:
 
 @lru_cache(maxsize=64)
 def picture_of(optics: BloomScene, move_px: float) -> Array:
-    """Light before the plate of a source of overload 1 and span 1 DN, shape (row, col)."""
+    """Light before the plate of a source of overload 1 and span 1 DN, `FINE` times as finely as pixels, (row, col)."""
     row, col = optics.centre
     picture = _source(optics, row, col + move_px)
     if optics.second_distance_px is not None:
@@ -206,11 +208,16 @@ def picture_of(optics: BloomScene, move_px: float) -> Array:
     return read_only(picture)
 
 
+def at_pixels(picture: Array) -> Array:
+    """Return the samples of a fine picture that lie in the middles of pixels."""
+    return picture[..., ::FINE, ::FINE]
+
+
 def _source(optics: BloomScene, row: float, col: float) -> Array:
     from scipy.interpolate import CubicSpline
 
-    down = (np.arange(optics.rows) - row)[:, None] * optics.row_pitch
-    radius = np.hypot(down, (np.arange(optics.cols) - col)[None, :])
+    down = (np.arange(FINE * optics.rows) / FINE - row)[:, None] * optics.row_pitch
+    radius = np.hypot(down, (np.arange(FINE * optics.cols) / FINE - col)[None, :])
     table = np.arange(0.0, radius.max() + 1.0, STEP_PX)
     light = np.asarray(CubicSpline(table, radial_light(optics, table, before_gain=True))(radius))
     return optics.row_pitch * optics.source_dn(1.0) * (light + optics.glare_fraction / GLARE_SIDE_PX**2)
