@@ -122,7 +122,7 @@ class EmbreeScene:
         return found
 
 
-_intersect: Any = types.ExternalFunction("rtcIntersect16", types.void(*(types.uintp,) * 4))
+intersect: Any = types.ExternalFunction("rtcIntersect16", types.void(*(types.uintp,) * 4))
 _occluded: Any = types.ExternalFunction("rtcOccluded16", types.void(*(types.uintp,) * 4))
 
 
@@ -162,7 +162,7 @@ def _hits(scene, centre, corner, normal, origin, direction, face, range_m):
         for lane in range(many):
             aim(packet, counts, lane, centre, origin[first + lane], direction[first + lane], np.inf)
             number[GEOMETRY, lane] = NONE
-        _intersect(counts.ctypes.data, scene, packet.ctypes.data, 0)
+        intersect(counts.ctypes.data, scene, packet.ctypes.data, 0)
         for lane in range(many):
             i = first + lane
             if number[GEOMETRY, lane] == NONE:

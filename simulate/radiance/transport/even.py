@@ -35,6 +35,12 @@ class Even:
         """Return those of some places."""
         return Even(self.start[which], self.rays)
 
+    def shared_by(self, parts: int) -> "Even":
+        """Return shorter stretches, so many for each place one after the other, that make up the same."""
+        each = self.rays // parts
+        start = self.start[:, None] + (each * np.arange(parts))[:, None] * R2
+        return Even(start.reshape(-1, 2) % 1.0, each)
+
     def pairs(self) -> NDArray[np.float64]:
         """Return all pairs, shape (place, ray, 2)."""
         return (self.start[:, None] + np.arange(self.rays)[:, None] * R2) % 1.0

@@ -1,10 +1,11 @@
 """What matt surfaces gather, shared between the pixels of a picture instead of sought anew by every ray.
 
-Light from all around changes slowly along a surface. It is gathered at nodes, one for a few pixels, by two halves of
-rays that know nothing of each other, less what an open sky would give, which is known exactly. Each half is evened out
-by planes fitted to windows; the window of a node is the one whose fit of either half best foretells the other half
-nearby. So contact shadows keep their shape, wide walls lose their noise, and what is still missed is known: where it is
-more than allowed, more rays are sent, as many as their spread asks for.
+Light from all around changes slowly along a surface. It is gathered at nodes, one for four pixels or, finely, one for
+each and from places all over it, by two halves of rays that know nothing of each other, less what an open sky would
+give, which is known exactly. Each half is evened out by planes fitted to windows; the window of a node is the one whose
+fit of either half best foretells the other half nearby. So contact shadows keep their shape, wide walls lose their
+noise, and what is still missed is known: where it is more than allowed, more rays are sent, as many as their spread
+asks for.
 """
 
 from collections.abc import Callable
@@ -16,14 +17,14 @@ from numpy.typing import NDArray
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.even import Even, evenly
 from simulate.radiance.transport.gather import Effort, Stage
-from simulate.radiance.transport.local_fit import Nodes
+from simulate.radiance.transport.local_fit import Nodes, all_alike
 from simulate.radiance.transport.points import Points
 from simulate.radiance.transport.workers import Run
 from simulate.radiance.world.viewpoint import Viewpoint
 
 Array = NDArray[np.floating]
-# Pixels between nodes.
-STEP = 2
+# Pixels between nodes; and where each pixel is one, places of it that rays are sent from.
+STEP, PLACES = 2, 4
 # Halves of the windows that are tried, nodes.
 WIDTHS = (0, 1, 2, 4, 8)
 # Nodes on either side over which a window's success is judged.
@@ -50,6 +51,8 @@ class Field:
         Estimated square of the error of its signal, for a surface that reflects all light, shape (row, col).
     rays
         Rays that each node sent, shape (row, col).
+    fine
+        Whether each pixel is a node.
     """
 
     stage: Stage
@@ -57,6 +60,7 @@ class Field:
     change: NDArray[np.float32]
     variance: NDArray[np.float64]
     rays: NDArray[np.int64]
+    fine: bool = False
 
     def at(self, points: Points, row: Array, col: Array) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Return which points can share, and the irradiance that they get, shape (sharing point, band).
@@ -68,7 +72,7 @@ class Field:
         row, col
             Coordinates of those rays in the picture, shape (point,), whole numbers at the corners of pixels.
         """
-        at = (row / STEP - 0.5, col / STEP - 0.5)
+        at = (np.floor(row), np.floor(col)) if self.fine else (row / STEP - 0.5, col / STEP - 0.5)
         light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
         for which, _ in points.glossy:
             has[which] = False
@@ -91,6 +95,7 @@ def field(
     weight: Array,
     seed: int,
     run: Run,
+    fine: bool = False,
 ) -> Field:
     """Return the light that the surfaces of a picture gather.
 
@@ -109,9 +114,14 @@ def field(
         Signal of each band's radiance, shape (band,).
     seed, run
         Seed, and what does parts of the work.
+    fine
+        Whether each pixel is a node, which sends its rays from places all over the pixel: for shadows narrower than
+        two pixels.
     """
-    seen = _seen(stage, view, known)
+    step = 1 if fine else STEP
+    seen = _seen(stage, view, known, step)
     white = seen.points.whitened()
+    places = _Places(stage, view, seen, white, PLACES if fine else 1)
     grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal)
     budget = None if allowed is None else _Budget.of(stage, seen.points, effort, allowed, weight)
     light = np.zeros((2, len(white), len(stage.coats.wavelength_nm)), np.float32)
@@ -121,7 +131,7 @@ def field(
             for many in np.unique(half[half > 0]).tolist():
                 which, seeds = np.flatnonzero(half == many), [[seed, kind, turn, part, many] for kind in (5, 6)]
                 even = evenly(seen.row[which], seen.col[which], many, seeds[0])
-                found = _gathered(stage, white.some(which), effort, even, seeds[1], run)
+                found = _gathered(stage, places, which, effort, even, seeds[1], run)
                 share = (many / (sent[which] + many)).astype(np.float32)[:, None]
                 light[part, which] += share * (found - light[part, which])
         sent += half
@@ -135,7 +145,7 @@ def field(
         if not half.any():
             break
     change = grid.fitted(grid.spread(light.mean(axis=0)), width, run)
-    return Field(stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent))
+    return Field(stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent), fine=fine)
 
 
 @dataclass(frozen=True)
@@ -148,21 +158,48 @@ class _Seen:
     shape: tuple[int, int]
 
 
-def _seen(stage: Stage, view: Viewpoint, known: Array) -> _Seen:
-    """Look along the nodes, which lie at corners of pixels."""
-    shape = (-(-view.shape[0] // STEP), -(-view.shape[1] // STEP))
+def _seen(stage: Stage, view: Viewpoint, known: Array, step: int) -> _Seen:
+    """Look along the middles of nodes."""
+    shape = (-(-view.shape[0] // step), -(-view.shape[1] // step))
     row, col = (axis.ravel() for axis in np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
-    origin, towards = view.rays(STEP * (row + 0.5), STEP * (col + 0.5))
+    origin, towards = view.rays(step * (row + 0.5), step * (col + 0.5))
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
     place = origin[met] + hit.range_m[met, None] * towards[met]
-    share = known[np.minimum(STEP * row[met], view.shape[0] - 1), np.minimum(STEP * col[met], view.shape[1] - 1)]
+    share = known[np.minimum(step * row[met], view.shape[0] - 1), np.minimum(step * col[met], view.shape[1] - 1)]
     points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met], share)
     matt = np.ones(len(met), bool)
     for which, _ in points.glossy:
         matt[which] = False
     kept = np.flatnonzero(matt)
     return _Seen(points.some(kept), row[met[kept]], col[met[kept]], shape)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where nodes, given by their numbers, send rays from: their middles, or each from so many places of its pixel."""
+
+    stage: Stage
+    view: Viewpoint
+    seen: _Seen
+    white: Points
+    each: int
+
+    def of(self, nodes: NDArray[np.int64], rng: np.random.Generator) -> Points:
+        """Return a place for each of some nodes; the middle where its own surface is not met elsewhere."""
+        middle = self.white.some(nodes)
+        if self.each == 1:
+            return middle
+        at = rng.random((2, len(nodes)))
+        origin, towards = self.view.rays(self.seen.row[nodes] + at[0], self.seen.col[nodes] + at[1])
+        hit = self.stage.surfaces.tracer.hits(origin, towards)
+        met = np.flatnonzero(hit.face != NOTHING)
+        place = origin[met] + hit.range_m[met, None] * towards[met]
+        there = self.stage.coats.points(self.stage.surfaces, hit.face[met], place, towards[met])
+        same = all_alike(middle.place_m[met], middle.normal[met], place, there.normal)
+        for values, found in ((middle.place_m, place), (middle.face, there.face), (middle.normal, there.normal)):
+            values[met[same]] = found[same]
+        return middle
 
 
 @dataclass(frozen=True)
@@ -218,22 +255,23 @@ def _further(excess: Array, sent: NDArray[np.int64], most: int) -> NDArray[np.in
 
 
 def _gathered(
-    stage: Stage, points: Points, effort: Effort, even: Even, seed: list[int], run: Run
+    stage: Stage, start_from: _Places, nodes: NDArray[np.int64], effort: Effort, even: Even, seed: list[int], run: Run
 ) -> NDArray[np.float32]:
-    """Gather at places: what surroundings change of an open sky's irradiance, shape (point, band)."""
-    sky, rays = stage.lighting.dome, even.rays
+    """Gather at nodes: what surroundings change of an open sky's irradiance, shape (node, band)."""
+    sky, places = stage.lighting.dome, min(even.rays, start_from.each)
 
     def gathered(start: int) -> NDArray[np.float32]:
-        part = np.arange(start, min(start + count, len(points)))
-        here, rng = points.some(part), np.random.default_rng([*seed, start])
-        light = stage.around(here, effort, rng, rays=rays, even=even.some(part)).total()
+        part = np.arange(start, min(start + count, len(nodes)))
+        rng = np.random.default_rng([*seed, start])
+        here, shared = start_from.of(np.repeat(nodes[part], places), rng), even.some(part).shared_by(places)
+        light = stage.around(here, effort, rng, rays=shared.rays, even=shared).total()
         light *= np.float32(np.pi)
         if not sky.dark:
             light -= sky.irradiance(here.normal)
-        return light
+        return light.reshape(len(part), places, -1).mean(axis=1)
 
-    count = max(1, BATCH // rays)
-    found = list(run(gathered, list(range(0, len(points), count))))
+    count = max(1, BATCH // even.rays)
+    found = list(run(gathered, list(range(0, len(nodes), count))))
     return np.concatenate(found) if found else np.zeros((0, len(stage.coats.wavelength_nm)), np.float32)
 
 

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.brdf.lambert import Lambert
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport import direct
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.bright_sky import BrightSky
+from simulate.radiance.transport.compiled_lights import disc_arrays, lamp_arrays, sky_arrays
 from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.lights import Lighting
-from simulate.radiance.transport.openness import sky_beyond_known
 from simulate.radiance.transport.panes import Passed, passed
+from simulate.radiance.transport.paths import Plain
 from simulate.radiance.transport.points import Coats, Points
 from simulate.radiance.world.surfaces import Surfaces
 
@@ -208,16 +210,73 @@ class Stage:
             if effort.hidden_sky:
                 light *= points.known[:, None]
             parts.add("sky", rows, light)
-        last = depth >= effort.bounces and panels is None and not points.glossy
-        # Rays of neighbours that are even together keep their compiled loop, whatever the sky.
-        last &= even is not None or self._bright_sky is None
-        if gathers and last and not parts.split and self.coats.panes is None:
-            if effort.hidden_sky and not self.lighting.dome.dark:
-                even = Even.drawn(len(points), rays, rng) if even is None else even
-                light = sky_beyond_known(points, even, self.lighting.dome, self.surfaces.tracer)
-                parts.add("sky", rows, light * self.coats.matt(points))
-        elif gathers:
+        if not gathers or self.surfaces.tracer.scene is None:
+            return
+        if parts.split or panels is not None or self.coats.panes is not None:
             self._add_gathered(parts, rows, points, effort, rng, rays, depth, even)
+            return
+        shines = np.zeros(len(points), np.bool_)
+        for which, _ in points.glossy:
+            shines[which] = True
+        if shines.any():
+            glossy, matt = np.flatnonzero(shines), np.flatnonzero(~shines)
+            some = None if even is None else even.some(glossy)
+            self._add_gathered(parts, rows[glossy], points.some(glossy), effort, rng, rays, depth, some)
+            points, rows, even = points.some(matt), rows[matt], None if even is None else even.some(matt)
+        if len(points):
+            self._add_by_paths(parts, rows, points, effort, rng, rays, depth, even)
+
+    def _add_by_paths(
+        self,
+        parts: Parts,
+        rows: NDArray[np.int64],
+        points: Points,
+        effort: Effort,
+        rng: np.random.Generator,
+        rays: int,
+        depth: int,
+        even: Even | None,
+    ) -> None:
+        """Add what matt points gather where nothing glows, by compiled loops, which hand back what is not matt."""
+        if depth >= effort.bounces and (not effort.hidden_sky or self.lighting.dome.dark):
+            return
+        # Rays of neighbours that are even together find the whole sky themselves where only its shadow counts.
+        bright = None if even is not None and depth >= effort.bounces else self._bright_sky
+        if bright is not None:
+            self._add_bright_sky(parts, rows, points, effort, rng, rays)
+        light, back = self._plain(effort, bright).irradiance(
+            points,
+            Even.drawn(len(points), rays, rng) if even is None else even,
+            known=_known_of(points, effort),
+            hidden_sky=effort.hidden_sky,
+            depth=depth,
+            bounces=effort.bounces,
+            roulette_from=effort.roulette_from,
+            asked_lamps=ASKED_LAMPS,
+            seed=int(rng.integers(1 << 63)),
+        )
+        for behind in np.unique(back.depth).tolist():
+            these = np.flatnonzero(back.depth == behind)
+            owner = back.owner[these]
+            there = self.coats.points(
+                self.surfaces, back.face[these], back.place_m[these], back.direction[these], points.known[owner]
+            )
+            further = self.leaving(there, effort, rng, rays=1, depth=behind).total()
+            np.add.at(light, owner, further * back.weight[these])
+        parts.add("around", rows, light * self.coats.matt(points))
+
+    def _plain(self, effort: Effort, bright: BrightSky | None) -> Plain:
+        """The scene as compiled loops need it."""
+        bands, light = len(self.coats.wavelength_nm), self.lighting
+        return Plain(
+            tracer=self.surfaces.tracer,
+            material_of=self.surfaces.material_of,
+            rho_by_pi=self.coats.rho_by_pi,
+            matt=np.array([isinstance(brdf, Lambert) for brdf in self.coats.brdfs]),
+            sky=sky_arrays(light.dome, bright),
+            discs=disc_arrays(tuple(disc for disc in light.discs if disc.name not in effort.left_out), bands),
+            lamps=lamp_arrays(tuple(lamp for lamp in light.lamps if lamp.name not in effort.left_out), bands),
+        )
 
     def _between(self, effort: Effort, depth: int) -> direct.Through | None:
         """What air takes between lamps and surfaces that the eye sees."""

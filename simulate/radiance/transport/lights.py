@@ -1,18 +1,38 @@
 """What lights a scene, on the bands that are computed: lamps, discs of sun and moon, glowing surfaces, and the sky."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.lamps.distribution import Distribution
 from simulate.radiance.trace import normals
 from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.dome import Dome
 from simulate.radiance.world.surfaces import Surfaces
 
 Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Where a lamp shines.
+
+    Parameters
+    ----------
+    distribution
+        Share of its light per solid angle, in its own frame.
+    frame
+        That frame's axes in the scene's, as rows, shape (3, 3).
+    """
+
+    distribution: Distribution
+    frame: NDArray[np.float64]
+
+    def __call__(self, direction: Array) -> Array:
+        """Return the share per sr in unit directions (ray, 3) away from the lamp, shape (ray,)."""
+        return self.distribution.per_sr(direction @ self.frame.T)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,16 +48,16 @@ class LampLight:
     radius_m
         Radius of the ball, m; shadows are as soft as that.
     spectrum
-        Radiant intensity where the pattern is 1, shape (band,), W sr-1 nm-1.
+        Radiant flux, shape (band,), W nm-1.
     pattern
-        Intensity relative to that by unit directions (ray, 3) away from the lamp in the scene's axes, shape (ray,).
+        Where it goes.
     """
 
     name: str
     position_m: NDArray[np.float64]
     radius_m: float
     spectrum: NDArray[np.float32]
-    pattern: Callable[[Array], Array]
+    pattern: Pattern
 
 
 @dataclass(frozen=True, kw_only=True)

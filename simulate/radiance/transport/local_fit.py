@@ -106,6 +106,18 @@ class Nodes:
         return found, has
 
 
+def all_alike(
+    place_m: NDArray[np.floating],
+    normal: NDArray[np.floating],
+    other_place_m: NDArray[np.floating],
+    other_normal: NDArray[np.floating],
+) -> NDArray[np.bool_]:
+    """Return which pairs of places (pair, 3), with unit normals, lie on one smooth surface, shape (pair,)."""
+    found = np.empty(len(place_m), np.bool_)
+    _all_alike(place_m, normal, other_place_m, other_normal, found)
+    return found
+
+
 @numba.njit(**COMPILED)
 def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
     """Return whether two places lie on one smooth surface."""
@@ -118,6 +130,12 @@ def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
         square += step * step
     limit = OFF_PLANE * np.sqrt(square) + LEAST_OFF_M
     return facing > SAME_NORMAL and abs(off) < limit and abs(off_other) < limit
+
+
+@numba.njit(**COMPILED)
+def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, found: Any) -> None:
+    for pair in range(len(found)):
+        found[pair] = alike(place[pair], normal[pair], other_place[pair], other_normal[pair])
 
 
 @numba.njit(**COMPILED)

@@ -34,8 +34,8 @@ Sharing = Callable[[Points, NDArray[np.int64]], Shared]
 SHARED_CHANCE = 0.5
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
-# Where surfaces meet, each ray gathers by so many times as many.
-ALONE = 8
+# Pixels that share nothing gather by so many times as many rays: more where only the sky's shadow is to be found.
+ALONE, ALONE_IN_SHADOW = 2, 8
 # Pixels and rays by which it is tried how open the sky is, in each tile; of small pictures tiles have one pixel.
 OPEN_TILE, OPEN_TILES, OPEN_TRIED, OPEN_TRIES = 4, 16, 2, 4
 # Stretches of a pixel's rays whose means are compared: each is spread over the pixel as evenly as all of them.
@@ -100,6 +100,16 @@ class Look:
     seed: int
     field: Field | None = None
 
+    @property
+    def only_shadow(self) -> bool:
+        """Whether of all around only what hides the sky is to be found, which takes so little that none need share."""
+        return self.effort.bounces == 0 and self.stage.lighting.panels is None
+
+    @property
+    def gathers_alone(self) -> int:
+        """By how many times as many rays pixels gather that share none."""
+        return ALONE_IN_SHADOW if self.only_shadow else ALONE
+
     def seen(self, job: Job) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
         rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0]), job.alone, job.turn])
@@ -117,7 +127,7 @@ class Look:
             towards,
             self.effort,
             rng,
-            gathered=self.gathered * (ALONE if job.alone else 1),
+            gathered=self.gathered * (self.gathers_alone if job.alone else 1),
             known=known,
             share=share,
         ).total()
@@ -272,16 +282,15 @@ def picture(
     here = truth(stage, view)
     known = sky_known(stage, view, seed)
     if rays.shared is not None and effort.gathers:
-        sent = {"rays": rays.shared, "most": rays.shared_most, "allowed": _part(rays.allowed, SHARED_CHANCE)}
-        around = field(stage, view, effort, known, **sent, weight=look.weight, seed=seed, run=run)
+        fine = rays.fine and not look.only_shadow
+        first = max(rays.shared // 2, 2) if fine else rays.shared
+        sent = {"rays": first, "most": rays.shared_most, "allowed": _part(rays.allowed, SHARED_CHANCE)}
+        around = field(stage, view, effort, known, **sent, weight=look.weight, seed=seed, run=run, fine=fine)
         look, rays = replace(look, field=around), replace(rays, allowed=_part(rays.allowed, 1.0 - SHARED_CHANCE))
     tried = _Tried(look, known)
     wanted = allotted(here, rays, tried, seed)
     announce(tried.seconds_a_ray * float(wanted.sum()))
-    # Only the sky's shadow is gathered so cheaply that pixels need not share it.
-    alone = here.edges(shadows=False) & (
-        look.field is not None and effort.bounces == 0 and stage.lighting.panels is None
-    )
+    alone = here.edges(shadows=False) & (look.field is not None and (rays.fine or look.only_shadow))
     seen, done = _Sum(view.shape, len(look.weight)), 0
     for turn in range(TURNS):
         jobs = list(_jobs(wanted, known, alone, rays.gathered, turn))

@@ -25,6 +25,8 @@ from simulate.radiance.world.viewpoint import Viewpoint
 TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES, TRIAL_LAST = 1600, 2, 4, 4, 24
 # Parts of the picture, down and across, in each of which influences are found by themselves.
 REGIONS = 4
+# Tolerance, as a share of the grain, below which shadows narrower than two pixels are worth twice the time.
+FINE_BELOW = 0.1
 # Shares of the tolerance: for what is left out, for bands, and for chance, which adds by its square.
 SHARE, BANDS, CHANCE = 0.4, 0.2, 0.6
 # Spectral error allowed of any source's signal, at least and at most, and that of the trial.
@@ -173,7 +175,11 @@ def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) 
         wavelength_nm=stage.coats.wavelength_nm,
         spectral_error=error,
         rays=Rays(
-            most=MOST, in_all=RAYS_IN_ALL, shared=_shared(view), allowed=Chance(eye=eye, of_grain=CHANCE * tolerance)
+            most=MOST,
+            in_all=RAYS_IN_ALL,
+            shared=_shared(view),
+            fine=tolerance < FINE_BELOW,
+            allowed=Chance(eye=eye, of_grain=CHANCE * tolerance),
         ),
         effort=_effort(plan),
         plan=plan,

@@ -20,7 +20,7 @@ from simulate.radiance.spectrum import Spectrum
 from simulate.radiance.transport import dome
 from simulate.radiance.transport.air import Air, air
 from simulate.radiance.transport.gather import Stage
-from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Panels, panels_of
+from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Panels, Pattern, panels_of
 from simulate.radiance.transport.panes import Panes
 from simulate.radiance.transport.points import Coats, frames
 from simulate.radiance.world.build import built
@@ -225,17 +225,6 @@ def _lamp(scene: Scene, post: LampPost) -> Lamp:
     return Lamp(flux=flux, distribution=distribution)
 
 
-@dataclass(frozen=True)
-class _Pattern:
-    """A lamp's distribution in the scene's axes."""
-
-    lamp: Lamp
-    frame: NDArray[np.float64]
-
-    def __call__(self, direction: Array) -> Array:
-        return self.lamp.distribution.per_sr(direction @ self.frame.T)
-
-
 def _lamp_light(post: LampPost, lamp: Lamp, grid: NDArray[np.float64]) -> LampLight:
     position = np.asarray(post.position_m, float)
     axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.asarray(post.aim_m, float) - position
@@ -245,7 +234,7 @@ def _lamp_light(post: LampPost, lamp: Lamp, grid: NDArray[np.float64]) -> LampLi
         position_m=position,
         radius_m=post.radius_m,
         spectrum=lamp.flux.on(grid).astype(np.float32),
-        pattern=_Pattern(lamp, frame),
+        pattern=Pattern(lamp.distribution, frame),
     )
 
 

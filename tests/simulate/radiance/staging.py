@@ -5,11 +5,12 @@ from numpy.typing import NDArray
 
 from simulate.radiance.brdf.lambert import Lambert
 from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.lamps.distribution import Isotropic
 from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.dome import black, dome
 from simulate.radiance.transport.gather import Effort, Stage
-from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, panels_of
+from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Pattern, panels_of
 from simulate.radiance.transport.points import Coats
 from simulate.radiance.world.shapes import Mesh
 from simulate.radiance.world.surfaces import surfaces
@@ -57,14 +58,11 @@ def upright(mesh: Mesh) -> Mesh:
 
 def lamp(position, intensity=1.0, radius=1e-3) -> LampLight:
     """Return an isotropic lamp."""
-    spectrum = np.full(2, intensity, np.float32)
+    spectrum = np.full(2, 4.0 * np.pi * intensity, np.float32)
     place = np.asarray(position, float)
-    return LampLight(name="lamp", position_m=place, radius_m=radius, spectrum=spectrum, pattern=everywhere)
-
-
-def everywhere(direction: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The same in all directions."""
-    return np.ones(len(direction))
+    return LampLight(
+        name="lamp", position_m=place, radius_m=radius, spectrum=spectrum, pattern=Pattern(Isotropic(), np.eye(3))
+    )
 
 
 def disc_light(direction, radius_rad=0.00465, irradiance=1.0) -> DiscLight:

@@ -1,0 +1,90 @@
+"""Light followed by compiled loops is the light that batches for all kinds of surfaces find."""
+
+import numpy as np
+import pytest
+
+from simulate.radiance.brdf.glossy import Glossy
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, Spot, Table
+from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.transport.compiled_lights import lamp_arrays, lamp_pattern
+from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.lights import LampLight, Pattern
+from simulate.radiance.world.shapes import box, plane
+from tests.simulate.radiance.staging import OVERCAST, at, disc_light, lamp, staged
+
+# A glow of a hundred times the rest around a place 30 degrees high.
+GLOWING = lambda way: np.ones((2, 1)) * (0.2 + 20.0 * np.exp(-(((1.0 - way @ [0.866, 0.0, 0.5]) / 0.02) ** 2)))  # noqa: E731
+EVEN = {"effort": Effort(bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
+CASES = {
+    "a lamp under an overcast sky": EVEN,
+    "one bounce": {**EVEN, "effort": Effort(bounces=1)},
+    "without hidden sky": {**EVEN, "effort": Effort(bounces=2, hidden_sky=False)},
+    "many lamps": {
+        **EVEN,
+        "sky": None,
+        "lamps": tuple(lamp((x, 0.5, 2), 2.0 + x, 0.1) for x in (-2.0, -1.0, 0.0, 1.5)),
+    },
+    "the sun and a glow around it": {**EVEN, "sky": GLOWING, "lamps": (), "discs": (disc_light((0.866, 0, 0.5)),)},
+    "paths that chance ends": {**EVEN, "effort": Effort(bounces=100, roulette_from=1)},
+    "something glossy": {**EVEN, "gloss": True},
+}
+
+
+def crowded(case: dict) -> Stage:
+    """A box and a beam on a floor; the beam may shine."""
+    gloss = Glossy(reflectance=grey(0.3), roughness=0.3) if case.get("gloss") else 0.3
+    parts = [
+        ("floor", "floor", plane(12, 12)),
+        ("box", "box", at(box(1, 1, 1), 1.0, 0.8, 0.0)),
+        ("beam", "beam", at(box(4, 0.3, 0.3), 0.0, -0.7, 0.6)),
+    ]
+    rho = {"floor": 0.5, "box": 0.7, "beam": gloss}
+    return staged(parts, rho, sky=case["sky"], lamps=case["lamps"], discs=case.get("discs", ()))
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@pytest.mark.parametrize("known", [1.0, 0.4])
+def test_loops_find_what_batches_find(case, known, seed):
+    """Light asked for in parts is gathered in batches: over 300 places the means agree to four standard errors."""
+    stage, rng = crowded(case), np.random.default_rng(seed)
+    place = np.column_stack([rng.uniform(-2.0, 2.0, (300, 2)), np.zeros(300)])
+    down, share = np.broadcast_to([0.0, 0.0, -1.0], place.shape), np.full(300, known, np.float32)
+    points = stage.coats.points(stage.surfaces, np.zeros(300, np.int64), place, down, share)
+    found = np.array(
+        [
+            [stage.leaving(points, case["effort"], rng, rays=16, split=split).total()[:, 0] for split in (True, False)]
+            for _ in range(24)
+        ],
+        float,
+    )
+    apart = (found[:, 0] - found[:, 1]).mean(axis=1)
+    mean, error = apart.mean(), apart.std(ddof=1) / np.sqrt(len(apart))
+    assert abs(mean) < 4.0 * error
+    assert error < 0.01 * found.mean()
+
+
+def measured() -> Table:
+    azimuth, polar = np.array([0.0, 30.0, 90.0, 180.0]), np.array([0.0, 20.0, 50.0, 120.0])
+    return Table(polar_deg=polar, azimuth_deg=azimuth, candela=np.random.default_rng(1).uniform(1.0, 9.0, (4, 4)))
+
+
+def same_around() -> Table:
+    return Table(polar_deg=np.array([10.0, 40.0, 90.0]), azimuth_deg=np.zeros(1), candela=np.array([[5.0, 2.0, 1.0]]))
+
+
+@pytest.mark.parametrize("distribution", [Isotropic(), Cosine(), Spot(half_angle_deg=12.0), measured(), same_around()])
+def test_loops_know_where_lamps_shine(distribution, seed):
+    rng = np.random.default_rng(seed)
+    frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    way = rng.normal(size=(500, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    light = LampLight(
+        name="lamp",
+        position_m=np.zeros(3),
+        radius_m=0.0,
+        spectrum=np.ones(2, np.float32),
+        pattern=Pattern(distribution, frame),
+    )
+    *_, axes, ends, tables = lamp_arrays((light, light), 2)
+    found = [lamp_pattern(tables[ends[1] : ends[2]], axes[1], *towards) for towards in way]
+    assert found == pytest.approx(light.pattern(way), rel=1e-9, abs=1e-12)
