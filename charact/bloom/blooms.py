@@ -19,7 +19,7 @@ COUNTING = 0.84
 # Width of a 95 % interval, px and share of the diameter, from which on the noise all but hides where light ends.
 VAGUE_PX, VAGUE = 3.0, 0.3
 # Codes from dark to the highest below which steps hide where light ends.
-LEAST_CODES = 16
+LEAST_CODES = 20
 LEVELS = {
     "bloom_diameter": "half of full scale",
     "bloom_diameter_background": "twice the background over dark",

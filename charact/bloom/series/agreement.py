@@ -6,6 +6,7 @@ sides of a border that codes cut.
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,16 +33,23 @@ READ: dict[str, Callable[[Spot], Extent | None]] = {
     "bloom_diameter_background": lambda spot: spot.background,
 }
 CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
+# The extents by which both are compared over all levels.
+JUDGED = "bloom_diameter"
 # Times the contour's own error that the mean of both keeps, by the quantity where the contour is long, and where it is
 # short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
 # pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
 LONG = {"bloom_diameter": 0.65, "bloom_diameter_clip": 0.3, "bloom_diameter_background": 0.6}
 SHORT, SHORT_PX = 1.5, 6.0
+# Where the light falls slowly both err alike: what the mean keeps besides of a contour much less sure than this, px.
+SLOW, SLOW_PX = {"bloom_diameter": 0.3}, 0.08
 # Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
 # both at 95 %, and to a contour that stays alone.
 CHARGED_MEAN, CHARGED_ALONE = 0.3, 0.4
 # What the diameter of a fitted form is off by at its best, px.
 FORM_PX = 0.008
+# Chance below which the two differ over all levels by more than noise: another source, or a form that none of ours is.
+# What they differ by without either, px, is that of the best forms.
+CHANCE, APART_PX = 1e-4, 0.02
 
 
 def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measurement, ...]) -> tuple[Measurement, ...]:
@@ -59,13 +67,14 @@ def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measuremen
     Notes
     -----
     A streak belongs to the frame alone: the extent that it pulls stays as read, and is flagged where the streak may
-    have joined it to a rim which the round light leaves apart. So is one that the fitted light contradicts.
+    have joined it to a rim which the round light leaves apart. So is one that the fitted light contradicts, and so are
+    all whose differences from it over the levels are more than noise makes.
     """
     problem = best.problem
     light = problem.light_at(best.peak.point[None])[..., 0]
     streaked = {one.stack for one in extents if one.quantity == "streak_level" and one.status != "refused"}
     spots = {spot.label: spot for spot in group}
-    out = []
+    out, apart = [], []
     for one in extents:
         if one.quantity in LEVELS and one.interval95 is not None and one.stack in spots:
             spot = spots[one.stack]
@@ -74,10 +83,29 @@ def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measuremen
             off = joined or _is_off(problem.series.node_px, curve, level, one.interval95)
             read = READ[one.quantity](spot)
             alone = off or read is None or read.pulled or read.contour is None
-            one = _met(one, _diameter(problem.series.node_px, curve, level), alone=alone)
+            diameter = _diameter(problem.series.node_px, curve, level)
+            if one.quantity == JUDGED and not alone and np.isfinite(diameter):
+                apart.append((cast(float, one.value) - diameter) / np.hypot(_sd(one), APART_PX))
+            one = _met(one, diameter, alone=alone)
             one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
         out.append(one)
-    return tuple(out)
+    differ = _differ(apart)
+    return tuple(
+        one.with_(flags=MISFIT) if differ and one.quantity == JUDGED and one.status != "refused" else one for one in out
+    )
+
+
+def _differ(apart: list[float]) -> bool:
+    """Whether differences between contours and light, in standard errors, are more than noise makes."""
+    from scipy.stats import chi2
+
+    return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < CHANCE)
+
+
+def _sd(extent: Measurement) -> float:
+    """Standard error of an extent, px."""
+    low, high = cast(tuple[float, float], extent.interval95)
+    return (high - low) / 3.92
 
 
 def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement:
@@ -86,7 +114,7 @@ def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
     mean = value if alone else 0.5 * (value + diameter_px)
-    kept, charged = (1.0, CHARGED_ALONE) if alone else (_kept(extent.quantity, mean), CHARGED_MEAN)
+    kept, charged = (1.0, CHARGED_ALONE) if alone else (_kept(extent, mean), CHARGED_MEAN)
     sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else FORM_PX))
     wide = [
         (
@@ -98,9 +126,11 @@ def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement
     return replace(extent, value=mean, interval68=wide[0], interval95=wide[1])
 
 
-def _kept(quantity: str, diameter_px: float) -> float:
+def _kept(extent: Measurement, diameter_px: float) -> float:
     """Times a contour's own error that its mean with the fitted light keeps."""
-    return LONG[quantity] + (SHORT - LONG[quantity]) / (1.0 + (diameter_px / SHORT_PX) ** 4)
+    slow = SLOW.get(extent.quantity, 0.0) / (1.0 + (SLOW_PX / max(_sd(extent), 1e-9)) ** 2)
+    long = LONG[extent.quantity] + slow
+    return long + (SHORT - long) / (1.0 + (diameter_px / SHORT_PX) ** 4)
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:

@@ -54,7 +54,8 @@ def unseen(flats: Sequence[Level], share: Array, lags: NDArray[np.int64], correl
     last, taken = KEPT ** (lags[-1] - FIRST), _taken(flats, share, lags)
     form = (KEPT[:, None] ** (lags[1:] - FIRST) + last[:, None] * taken[:, 1:])[:, use]
     lacking = last * (2.0 * KEPT / (1.0 - KEPT) - taken[:, 0] - 2.0 * taken[:, 1:].sum(axis=1))
-    precision, measured = np.linalg.inv(covariance[np.ix_(use, use)]), correlation[use]
+    precision = np.asarray(np.linalg.inv(covariance[np.ix_(use, use)]), np.float64)
+    measured = correlation[use]
     heights, step = _heights(form, measured, precision)
     rest = measured - heights[:, :, None] * form
     chi2 = np.einsum("brk,kl,brl->br", rest, precision, rest)

@@ -20,9 +20,9 @@ Sky = tuple[NDArray, NDArray, bool, NDArray, NDArray, NDArray]
 
 def sky_arrays(dome: Dome, bright: BrightSky | None) -> Sky:
     """Return the sky for compiled loops; no chances at all where it is not looked for by its brightness."""
-    chances = (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulated, bright.per_sr)
-    sines = np.sin(np.linspace(0.0, 0.5 * np.pi, len(chances[1]) + 1))
-    return dome.radiance_table, dome.irradiance_table, not dome.dark, *chances, sines
+    cumulated, per_sr = (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulated, bright.per_sr)
+    sines = np.sin(np.linspace(0.0, 0.5 * np.pi, len(per_sr) + 1))
+    return dome.radiance_table, dome.irradiance_table, not dome.dark, cumulated, per_sr, sines
 
 
 def disc_arrays(discs: tuple[DiscLight, ...], bands: int) -> tuple[NDArray, NDArray, NDArray]:
@@ -97,7 +97,7 @@ def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float
 
 
 @numba.njit(**COMPILED)
-def _cell(values: Any, value: float) -> tuple[int, float]:
+def _cell(values: Any, value: float) -> Any:
     """The stretch between ascending values where a value lies, and how far along."""
     at = min(max(np.searchsorted(values, value, side="right") - 1, 0), len(values) - 2)
     return at, (value - values[at]) / (values[at + 1] - values[at])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from charact.bloom.series.agreement import _met
+from charact.bloom.series.agreement import _differ, _met
 from labdata.measurement import Provenance, from_sd
 
 READ_PX, FITTED_PX = 40.0, 40.6
@@ -22,9 +22,20 @@ def test_whichever_of_two_readings_is_right_the_interval_of_their_mean_holds_it(
 
 
 def test_readings_that_agree_are_surer_together_than_one_alone():
-    low, high = _met(extent(0.1), READ_PX + 0.01, alone=False).interval95
-    alone_low, alone_high = extent(0.1).interval95
+    low, high = _met(extent(0.03), READ_PX + 0.01, alone=False).interval95
+    alone_low, alone_high = extent(0.03).interval95
     assert high - low < 0.8 * (alone_high - alone_low)
+
+
+def test_where_light_falls_slowly_both_err_alike_and_their_mean_is_hardly_surer():
+    shares = [_met(extent(sd_px), READ_PX, alone=False).interval95[1] - READ_PX for sd_px in (0.03, 0.3)]
+    assert shares[1] > 12.0 * shares[0]
+
+
+def test_differences_over_the_levels_are_judged_together():
+    assert not _differ([1.5, -2.0, 2.2, 0.3, -1.0])
+    assert _differ([3.0, -2.5, 2.8, 0.3, -2.0])
+    assert not _differ([])
 
 
 def test_an_extent_that_stays_alone_keeps_its_value_and_owns_to_the_difference():
