@@ -38,15 +38,17 @@ JUDGED = "bloom_diameter"
 # Times the contour's own error that the mean of both keeps, by the quantity where the contour is long, and where it is
 # short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
 # pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
-LONG = {"bloom_diameter": 0.65, "bloom_diameter_clip": 0.3, "bloom_diameter_background": 0.6}
-SHORT, SHORT_PX = 1.5, 6.0
+LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.3, "bloom_diameter_background": 0.6}
+SHORT, SHORT_PX = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}, 6.0
 # Where the light falls slowly both err alike: what the mean keeps besides of a contour much less sure than this, px.
-SLOW, SLOW_PX = {"bloom_diameter": 0.3}, 0.08
+SLOW, SLOW_PX = {"bloom_diameter": 0.35}, 0.06
+# Few frames tell their own noise badly: by so much over their number the mean keeps more.
+FEW = {"bloom_diameter": 3.0}
 # Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
 # both at 95 %, and to a contour that stays alone.
 CHARGED_MEAN, CHARGED_ALONE = 0.3, 0.4
 # What the diameter of a fitted form is off by at its best, px.
-FORM_PX = 0.008
+FORM_PX = 0.004
 # Chance below which the two differ over all levels by more than noise: another source, or a form that none of ours is.
 # What they differ by without either, px, is that of the best forms.
 CHANCE, APART_PX = 1e-4, 0.02
@@ -86,7 +88,7 @@ def compared(best: Candidate, group: tuple[Spot, ...], extents: tuple[Measuremen
             diameter = _diameter(problem.series.node_px, curve, level)
             if one.quantity == JUDGED and not alone and np.isfinite(diameter):
                 apart.append((cast(float, one.value) - diameter) / np.hypot(_sd(one), APART_PX))
-            one = _met(one, diameter, alone=alone)
+            one = _met(one, diameter, alone=alone, frames=spot.frames)
             one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
         out.append(one)
     differ = _differ(apart)
@@ -108,13 +110,13 @@ def _sd(extent: Measurement) -> float:
     return (high - low) / 3.92
 
 
-def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement:
+def _met(extent: Measurement, diameter_px: float, *, alone: bool, frames: int) -> Measurement:
     """The mean of an extent and the fitted light's, or the extent alone; what they differ by is in the intervals."""
     value, low68, low95 = extent.value, extent.interval68, extent.interval95
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
     mean = value if alone else 0.5 * (value + diameter_px)
-    kept, charged = (1.0, CHARGED_ALONE) if alone else (_kept(extent, mean), CHARGED_MEAN)
+    kept, charged = (1.0, CHARGED_ALONE) if alone else (_kept(extent, mean, frames), CHARGED_MEAN)
     sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else FORM_PX))
     wide = [
         (
@@ -126,11 +128,12 @@ def _met(extent: Measurement, diameter_px: float, *, alone: bool) -> Measurement
     return replace(extent, value=mean, interval68=wide[0], interval95=wide[1])
 
 
-def _kept(extent: Measurement, diameter_px: float) -> float:
+def _kept(extent: Measurement, diameter_px: float, frames: int) -> float:
     """Times a contour's own error that its mean with the fitted light keeps."""
-    slow = SLOW.get(extent.quantity, 0.0) / (1.0 + (SLOW_PX / max(_sd(extent), 1e-9)) ** 2)
-    long = LONG[extent.quantity] + slow
-    return long + (SHORT - long) / (1.0 + (diameter_px / SHORT_PX) ** 4)
+    name = extent.quantity
+    long = LONG[name] + SLOW.get(name, 0.0) / (1.0 + (SLOW_PX / max(_sd(extent), 1e-9)) ** 2)
+    kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / SHORT_PX) ** 4)
+    return kept * (1.0 + FEW.get(name, 0.0) / frames)
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:
