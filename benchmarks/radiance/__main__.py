@@ -21,7 +21,7 @@ from benchmarks.radiance.export import export
 from benchmarks.radiance.path_tracer import PathTracer, Timed
 from benchmarks.radiance.scenes import Case, cases
 from simulate.radiance.transport.allotment import Rays
-from simulate.radiance.transport.gather import Effort
+from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.picture import picture
 from simulate.radiance.transport.workers import workers
 

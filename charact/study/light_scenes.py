@@ -17,7 +17,7 @@ from simulate.radiance.lamps import KINDS
 from simulate.radiance.materials.library import material, material_names
 from simulate.radiance.sky.ephemeris import Place
 from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.transport.gather import Effort
+from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.picture import along
 from simulate.radiance.world.description import Camera, LampPost, Object, Scene, Surface, Where
 

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import Even, evenly
-from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.local_fit import Nodes, all_alike
 from simulate.radiance.transport.points import Points
 from simulate.radiance.transport.workers import Run

@@ -6,7 +6,6 @@ object adds what the object sends and takes away the sky behind it. Where little
 round, see `Points.known`. Surfaces that are not matt gather half of their rays by their gloss, and the sky by rays.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +15,14 @@ from simulate.radiance.brdf.lambert import Lambert
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport import direct
 from simulate.radiance.transport.air import Air
+from simulate.radiance.transport.around import Around
 from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.compiled_lights import disc_arrays, lamp_arrays, sky_arrays
+from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.lights import Lighting
-from simulate.radiance.transport.panes import Passed, passed
+from simulate.radiance.transport.panes import passed
+from simulate.radiance.transport.parts import Parts, bounced, summed
 from simulate.radiance.transport.paths import Plain
 from simulate.radiance.transport.points import Coats, Points
 from simulate.radiance.world.surfaces import Surfaces
@@ -28,69 +30,6 @@ from simulate.radiance.world.surfaces import Surfaces
 Array = NDArray[np.floating]
 # More lamps than this are not all asked at places that an eye does not see: one is drawn.
 ASKED_LAMPS = 2
-
-
-@dataclass(frozen=True, kw_only=True)
-class Effort:
-    """How far light is followed.
-
-    Parameters
-    ----------
-    bounces
-        Reflections by other objects on the way from a source to the surface that the eye sees; what would need more is
-        left out, so that the picture is never too bright.
-    hidden_sky
-        Whether objects hide the sky from surfaces; without, and without bounces, nothing is gathered.
-    air_between
-        Whether air weakens light between lamps and the surfaces that the eye sees.
-    left_out
-        Names of lamps and discs without influence.
-    roulette_from
-        From this bounce on a path goes on with a chance only, and counts for more; None: never.
-    """
-
-    bounces: int = 1
-    hidden_sky: bool = True
-    air_between: bool = True
-    left_out: frozenset[str] = frozenset()
-    roulette_from: int | None = None
-
-    @property
-    def gathers(self) -> bool:
-        """Whether anything is gathered at all."""
-        return self.hidden_sky or self.bounces > 0
-
-
-class Parts:
-    """Light at places (place, band), in parts by name, or all in one where nobody asks.
-
-    Parameters
-    ----------
-    shape
-        Places and bands.
-    split
-        Whether parts are kept apart.
-    """
-
-    def __init__(self, shape: tuple[int, int], *, split: bool = False) -> None:
-        self.shape, self.split = shape, split
-        self.found: dict[str, NDArray[np.float32]] = {}
-
-    def add(self, name: str, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
-        """Add light to a part at some places, each named once."""
-        if not len(which):
-            return
-        key = name if self.split else ""
-        if key not in self.found:
-            self.found[key] = np.zeros(self.shape, np.float32)
-        if len(which) == self.shape[0]:
-            self.found[key] += light
-        else:
-            self.found[key][which] += light
-
-    def total(self) -> NDArray[np.float32]:
-        """Return all parts together."""
-        return sum(self.found.values(), start=np.zeros(self.shape, np.float32))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,7 +288,7 @@ class Stage:
         """How bright sky is looked for by name; not through panes, which only gathering knows."""
         return self.lighting.bright_sky if self.coats.panes is None else None
 
-    def _add_sky(self, parts: Parts, rows: NDArray[np.int64], around: "_Around", effort: Effort, rays: int) -> None:
+    def _add_sky(self, parts: Parts, rows: NDArray[np.int64], around: "Around", effort: Effort, rays: int) -> None:
         """Add the sky that gathering meets, and take what objects hide of the sky that is known."""
         dome, known = self.lighting.dome, _known_of(around.many, effort)
         # Where panes are in the way, nothing is known of what comes by them, but all of the sky behind.
@@ -359,15 +298,15 @@ class Stage:
         light *= dome.radiance(around.last_direction[seen])
         light *= (unknown[seen] * self._share_of_sky(around, seen, rays))[:, None]
         around.weaken(seen, light)
-        parts.add("sky", *_summed(light, seen, rows, rays))
+        parts.add("sky", *summed(light, seen, rows, rays))
         hides = (~around.open | around.glazed) & (around.factor > 0.0)
         behind = np.flatnonzero(hides & (known > 0.0)) if effort.hidden_sky else around.met[:0]
         light = self._weight(around, behind)
         light *= dome.radiance(around.direction[behind])
         light *= (-known[behind] * self._share_of_sky(around, behind, rays))[:, None]
-        parts.add("hidden sky", *_summed(light, behind, rows, rays))
+        parts.add("hidden sky", *summed(light, behind, rows, rays))
 
-    def _share_of_sky(self, around: "_Around", which: NDArray[np.int64], rays: int) -> NDArray[np.float32]:
+    def _share_of_sky(self, around: "Around", which: NDArray[np.int64], rays: int) -> NDArray[np.float32]:
         """Return what gathering finds of the sky in its own directions, beside `_add_bright_sky`, shape (ray,)."""
         bright = self._bright_sky
         if bright is None:
@@ -406,7 +345,7 @@ class Stage:
         for name, these in (("sky", ~hidden), ("hidden sky", hidden)):
             parts.add(name, rows[which[these]], light[these])
 
-    def _gathering(self, points: Points, rng: np.random.Generator, rays: int, even: Even | None) -> "_Around":
+    def _gathering(self, points: Points, rng: np.random.Generator, rays: int, even: Even | None) -> "Around":
         count = len(points)
         many = points if rays == 1 else points.some(np.repeat(np.arange(count), rays))
         if even is None:
@@ -422,7 +361,7 @@ class Stage:
             glass = passed(self.coats.panes, self.surfaces.tracer, start, direction, hit.range_m, rng)
             hit.face[glass.which], hit.range_m[glass.which] = glass.face, glass.range_m
         missed = hit.face == NOTHING
-        return _Around(
+        return Around(
             many,
             start,
             direction,
@@ -435,13 +374,13 @@ class Stage:
             glass,
         )
 
-    def _weight(self, around: "_Around", which: NDArray[np.int64]) -> NDArray[np.float32]:
+    def _weight(self, around: "Around", which: NDArray[np.int64]) -> NDArray[np.float32]:
         """BRDF times cosine over density and number of rays, of some rays, shape (ray, band)."""
         weight = self.coats.value(around.many.some(which), around.direction[which])
         weight *= around.factor[which, None].astype(np.float32)
         return weight
 
-    def _there(self, around: "_Around") -> Points:
+    def _there(self, around: "Around") -> Points:
         """What the rays that met something met."""
         met = around.met
         direction = around.last_direction[met]
@@ -453,7 +392,7 @@ class Stage:
         parts: Parts,
         rows: NDArray[np.int64],
         there: Points,
-        around: "_Around",
+        around: "Around",
         weight: NDArray[np.float32],
         rays: int,
     ) -> None:
@@ -468,7 +407,7 @@ class Stage:
         # What panes mirror is found by gathering alone.
         share = np.where(around.turned[ray], 1.0, share)
         light = glow * share.astype(np.float32)[:, None] * weight[glows]
-        parts.add("glow", *_summed(light, ray, rows, rays))
+        parts.add("glow", *summed(light, ray, rows, rays))
 
     def _add_bounced(
         self,
@@ -492,69 +431,7 @@ class Stage:
         for name, light in further.found.items():
             order, source = bounced(name)
             light *= weight
-            parts.add(f"bounce {order + 1} of {source}", *_summed(light, met, rows, rays))
-
-
-def bounced(name: str) -> tuple[int, str]:
-    """Return how often the light of a part (`Stage.leaving`) was reflected elsewhere, and what it comes from."""
-    if not name.startswith("bounce "):
-        return 0, name
-    order, source = name.removeprefix("bounce ").split(" of ", 1)
-    return int(order), source
-
-
-@dataclass(frozen=True)
-class _Around:
-    """Rays that gather: their points, starts, directions, densities and factors, and what they meet."""
-
-    many: Points
-    start_m: Array
-    direction: Array
-    density: Array
-    factor: Array
-    face: NDArray[np.int64]
-    range_m: Array
-    met: NDArray[np.int64]
-    open: NDArray[np.bool_]
-    glass: Passed | None = None
-
-    @property
-    def glazed(self) -> NDArray[np.bool_]:
-        """Whether rays met panes."""
-        return self._of_glass(np.zeros(len(self.face), np.bool_), lambda glass: np.ones(len(glass.which), np.bool_))
-
-    @property
-    def last_start_m(self) -> Array:
-        """Where the last legs of rays begin."""
-        return self._of_glass(self.start_m, lambda glass: glass.start_m)
-
-    @property
-    def last_direction(self) -> Array:
-        """Directions of the last legs of rays."""
-        return self._of_glass(self.direction, lambda glass: glass.direction)
-
-    @property
-    def gone_m(self) -> Array:
-        """Ways before the last legs, m."""
-        return self._of_glass(np.zeros(len(self.face)), lambda glass: glass.gone_m)
-
-    @property
-    def turned(self) -> NDArray[np.bool_]:
-        """Whether panes mirrored rays."""
-        return self._of_glass(np.zeros(len(self.face), np.bool_), lambda glass: glass.turned)
-
-    def weaken(self, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
-        """Weaken the light of some rays (ray, band) by the panes that they met."""
-        if self.glass is not None:
-            _, among, here = np.intersect1d(self.glass.which, which, assume_unique=True, return_indices=True)
-            light[here] *= self.glass.weight[among]
-
-    def _of_glass(self, plain: NDArray, own: Callable[[Passed], NDArray]) -> NDArray:
-        if self.glass is None:
-            return plain
-        found = plain.copy()
-        found[self.glass.which] = own(self.glass)
-        return found
+            parts.add(f"bounce {order + 1} of {source}", *summed(light, met, rows, rays))
 
 
 def _known_of(points: Points, effort: Effort) -> NDArray[np.float32]:
@@ -563,14 +440,3 @@ def _known_of(points: Points, effort: Effort) -> NDArray[np.float32]:
     for which, _ in points.glossy:
         known[which] = 0.0
     return known
-
-
-def _summed(
-    light: NDArray[np.float32], which: NDArray[np.int64], rows: NDArray[np.int64], rays: int
-) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Add up the light of some rays at their points, which come one after the other: rows of points and light."""
-    owner = which // rays
-    first = np.flatnonzero(np.diff(owner, prepend=-1))
-    if len(first) == len(which):
-        return rows[owner], light
-    return rows[owner[first]], np.add.reduceat(light, first, axis=0)

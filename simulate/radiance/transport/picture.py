@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.allotment import Rays, allotted, further
+from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import R2
 from simulate.radiance.transport.field import Field, field
-from simulate.radiance.transport.gather import Effort, Parts, Stage
+from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.panes import MOST, SPLIT, Met, Panes, chosen, mirrored
+from simulate.radiance.transport.parts import Parts
 from simulate.radiance.transport.points import Points
 from simulate.radiance.transport.small_sources import add_small_sources
 from simulate.radiance.transport.truth import Truth, truth

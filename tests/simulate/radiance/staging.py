@@ -9,7 +9,8 @@ from simulate.radiance.lamps.distribution import Isotropic
 from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.dome import black, dome
-from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.effort import Effort
+from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Pattern, panels_of
 from simulate.radiance.transport.points import Coats
 from simulate.radiance.world.shapes import Mesh

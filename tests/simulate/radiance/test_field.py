@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from simulate.radiance.transport.allotment import Rays
+from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import TILE, evenly
 from simulate.radiance.transport.field import STEP, field
-from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.local_fit import Nodes
 from simulate.radiance.transport.picture import picture
 from simulate.radiance.transport.workers import one_by_one, workers

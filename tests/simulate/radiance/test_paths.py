@@ -7,7 +7,8 @@ from simulate.radiance.brdf.glossy import Glossy
 from simulate.radiance.lamps.distribution import Cosine, Isotropic, Spot, Table
 from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.transport.compiled_lights import lamp_arrays, lamp_pattern
-from simulate.radiance.transport.gather import Effort, Stage
+from simulate.radiance.transport.effort import Effort
+from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import LampLight, Pattern
 from simulate.radiance.world.shapes import box, plane
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, lamp, staged

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simulate.radiance.transport.allotment import Rays
-from simulate.radiance.transport.gather import Effort
+from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.picture import picture
 from simulate.radiance.world.shapes import shape
 from simulate.radiance.world.viewpoint import Viewpoint
