@@ -46,7 +46,8 @@ def test_halo_diameters_are_within_a_pixel_or_two_percent_and_intervals_hold_wha
 def test_bloom_diameters_are_within_a_pixel_or_five_percent_and_intervals_hold_what_they_say(told, quantity):
     blooms = told["quantities"][quantity]
     assert blooms["within_tolerance_percent"] >= 99.9
-    assert HOLDS[0] <= blooms["covers95_percent"] <= HOLDS[1]
+    error = 100.0 * np.sqrt(0.02 * 0.98 / blooms["ok"])
+    assert HOLDS[0] - 2.0 * error <= blooms["covers95_percent"] <= HOLDS[1] + 2.0 * error
     assert blooms["silent"] == 0
 
 
