@@ -21,6 +21,7 @@ from simulate.radiance.transport.compiled_lights import disc_arrays, lamp_arrays
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.lights import Lighting
+from simulate.radiance.transport.openness import sky_beyond_known
 from simulate.radiance.transport.panes import passed
 from simulate.radiance.transport.parts import Parts, bounced, summed
 from simulate.radiance.transport.paths import Plain
@@ -181,11 +182,16 @@ class Stage:
             return
         # Rays of neighbours that are even together find the whole sky themselves where only its shadow counts.
         bright = None if even is not None and depth >= effort.bounces else self._bright_sky
+        even = Even.drawn(len(points), rays, rng) if even is None else even
+        if bright is None and depth >= effort.bounces:
+            light = sky_beyond_known(points, even, self.lighting.dome, self.surfaces.tracer)
+            parts.add("sky", rows, light * self.coats.matt(points))
+            return
         if bright is not None:
             self._add_bright_sky(parts, rows, points, effort, rng, rays)
         light, back = self._plain(effort, bright).irradiance(
             points,
-            Even.drawn(len(points), rays, rng) if even is None else even,
+            even,
             known=_known_of(points, effort),
             hidden_sky=effort.hidden_sky,
             depth=depth,
