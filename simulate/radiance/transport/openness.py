@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.embree import COMPILED, DIRECTION, PACKET, REACH, aim, new_packet, stop
 from simulate.radiance.trace import Tracer
+from simulate.radiance.transport.compiled_lights import sky_light
 from simulate.radiance.transport.dome import Dome
 from simulate.radiance.transport.even import R2, Even
 from simulate.radiance.transport.points import Points
@@ -51,6 +52,7 @@ def _add_sky(
     found: Any,
 ) -> None:
     packet, counts = new_packet()
+    whole = np.ones(found.shape[1], np.float32)
     way, total = np.zeros(3), len(place) * rays
     step_x, step_y = np.cos(2.0 * np.pi * step[1]), np.sin(2.0 * np.pi * step[1])
     square, along, across = 0.0, 1.0, 0.0
@@ -85,19 +87,4 @@ def _add_sky(
             if counts[lane] != 0 and share != 0.0:
                 for axis in range(3):
                     way[axis] = packet[DIRECTION + axis, lane]
-                _add(table, way, share * np.pi / rays, found[i])
-
-
-@numba.njit(**COMPILED)
-def _add(table: Any, way: Any, share: float, found: Any) -> None:
-    """Add a share of the sky's radiance from a direction."""
-    rows, columns, bands = table.shape
-    row = np.arcsin(min(way[2], 1.0)) / (0.5 * np.pi) * (rows - 1)
-    col = np.arctan2(way[1], way[0]) / (2.0 * np.pi)
-    col = (col - np.floor(col)) * (columns - 1)
-    top, left = min(int(row), rows - 2), min(int(col), columns - 2)
-    below, right = row - top, col - left
-    for band in range(bands):
-        upper = table[top, left, band] * (1.0 - right) + table[top, left + 1, band] * right
-        lower = table[top + 1, left, band] * (1.0 - right) + table[top + 1, left + 1, band] * right
-        found[band] += share * (upper * (1.0 - below) + lower * below)
+                sky_light(table, way[0], way[1], way[2], share * np.pi / rays, whole, found[i])
