@@ -10,6 +10,7 @@ asks for.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
@@ -259,7 +260,7 @@ def _gathered(
     stage: Stage, start_from: _Places, nodes: NDArray[np.int64], effort: Effort, even: Even, seed: list[int], run: Run
 ) -> NDArray[np.float32]:
     """Gather at nodes: what surroundings change of an open sky's irradiance, shape (node, band)."""
-    sky, places = stage.lighting.dome, min(even.rays, start_from.each)
+    sky, places = stage.lighting.dome, gcd(even.rays, start_from.each)
 
     def gathered(start: int) -> NDArray[np.float32]:
         part = np.arange(start, min(start + count, len(nodes)))
