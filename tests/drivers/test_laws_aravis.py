@@ -45,6 +45,7 @@ class TestAravis(CameraLaws):
             is_whole=is_whole,
             frames=50,
             loses=share > 0,
+            counts_from=1,
             asked=(
                 CameraSettings(rows=40, columns=64, first_row=3, first_column=8),
                 CameraSettings(pixel_format="Mono16"),

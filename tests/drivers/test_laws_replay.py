@@ -46,6 +46,7 @@ class TestReplay(CameraLaws):
             open=lambda: ReplayCamera(recorded, label=label, speed=None),
             is_whole=is_whole,
             loses=label == "lossy",
+            counts_from=1,
             asked=(
                 CameraSettings(rows=24, columns=32, first_row=0, first_column=0, pixel_format="Mono8"),
                 CameraSettings(exposure_s=0.016, gain_db=3.0, frame_rate_hz=1 / PERIOD_S, trigger="off"),
