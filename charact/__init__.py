@@ -10,7 +10,11 @@ for measurement in result.find("mtf50"):
 
 from typing import TYPE_CHECKING, Any
 
+from labdata.loops import keep_loops
+
 __version__ = "0.1.0"
+
+keep_loops()
 
 if TYPE_CHECKING:
     from charact.fit import fit_sensor
