@@ -224,8 +224,9 @@ class _Tried:
             )
             for total in (signal, variance)
         )
-        # Where nothing varies nothing is asked for, even if nothing is allowed in the dark.
-        return np.divide(spread, self._allowed(mean), out=np.zeros_like(spread), where=spread > 0.0)
+        # Where nothing is allowed, as in the dark, nothing is asked for: no rays would do.
+        limit = self._allowed(mean)
+        return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
 
 
 def _with_neighbours(grid: Array) -> Array:

@@ -10,7 +10,7 @@ from simulate.radiance.embree import COMPILED
 from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, Spot, Table
 from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.dome import Dome
-from simulate.radiance.transport.lights import DiscLight, LampLight
+from simulate.radiance.transport.lights import DiscLight, LampLight, Panels
 from simulate.radiance.transport.points import frames
 
 # The arrays of the sky: radiance and irradiance tables, whether there is any light, cumulated chances and densities of
@@ -44,6 +44,30 @@ def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
         np.array([lamp.pattern.frame for lamp in lamps], float).reshape(-1, 3, 3),
         ends,
         np.concatenate([*tables, np.zeros(0)]),
+    )
+
+
+def panel_arrays(panels: Panels | None, bands: int) -> tuple:
+    """Return what is known of glowing triangles, see `Panels`; none at all where nothing glows."""
+    if panels is None:
+        nothing, no_face = np.zeros(0), np.zeros(0, np.int64)
+        return (
+            nothing,
+            no_face,
+            np.zeros((0, 3, 3)),
+            np.zeros((0, 3)),
+            nothing,
+            no_face,
+            np.zeros((0, bands), np.float32),
+        )
+    return (
+        panels.cumulated,
+        panels.face,
+        panels.corners_m,
+        panels.normal,
+        panels.per_m2_of_face,
+        panels.kind_of_face,
+        panels.spectra,
     )
 
 

@@ -5,7 +5,7 @@ each and from places all over it, by two halves of rays that know nothing of eac
 give, which is known exactly. Each half is evened out by planes fitted to windows; the window of a node is the one whose
 fit of either half best foretells the other half nearby. So contact shadows keep their shape, wide walls lose their
 noise, and what is still missed is known: where it is more than allowed, more rays are sent, as many as their spread
-asks for.
+asks for. What windows that follow the noise lose of the whole is put back evenly.
 """
 
 from collections.abc import Callable
@@ -29,8 +29,8 @@ Array = NDArray[np.floating]
 STEP, PLACES = 2, 4
 # Halves of the windows that are tried, nodes.
 WIDTHS = (0, 1, 2, 4, 8)
-# Nodes on either side over which a window's success is judged.
-JUDGED = 2
+# Nodes on either side over which a window's success is judged, and what single rays may find where none did so far.
+JUDGED, PROMISED = 2, 16
 # Nodes send rays in so many turns at most, and in each so many times as many as they have sent.
 TURNS, GROWTH = 6, 8
 # Rays that are followed at once.
@@ -142,11 +142,12 @@ def field(
         turn += 1
         if budget is None or turn == TURNS:
             break
-        excess = budget.excess(smooth[seen.row, seen.col], variance[seen.row, seen.col])
+        expected = np.maximum(variance, grid.near(variance, PROMISED))
+        excess = budget.excess(smooth[seen.row, seen.col], expected[seen.row, seen.col])
         half = _further(excess, sent, most // 2)
         if not half.any():
             break
-    change = grid.fitted(grid.spread(light.mean(axis=0)), width, run)
+    change = _evened(grid, grid.spread(light.mean(axis=0)), width, run)
     return Field(stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent), fine=fine)
 
 
@@ -275,6 +276,19 @@ def _gathered(
     count = max(1, BATCH // even.rays)
     found = list(run(gathered, list(range(0, len(nodes), count))))
     return np.concatenate(found) if found else np.zeros((0, len(stage.coats.wavelength_nm)), np.float32)
+
+
+def _evened(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run) -> NDArray[np.float32]:
+    """Return values of nodes evened out over their windows, and what that loses of the whole put back evenly.
+
+    Notes
+    -----
+    Windows chosen by noisy values keep away from what only few rays find: it would count for too few nodes. The mean of
+    what is lost, over windows that no noise chose, is as noisy as the widest fit and knows no such choice (twicing,
+    Tukey 1977).
+    """
+    evened = grid.fitted(values, width, run)
+    return evened + grid.fitted(values - evened, np.full(width.shape, WIDTHS[-1]), run)
 
 
 def _windows(

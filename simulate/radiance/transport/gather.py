@@ -17,7 +17,7 @@ from simulate.radiance.transport import direct
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.around import Around
 from simulate.radiance.transport.bright_sky import BrightSky
-from simulate.radiance.transport.compiled_lights import disc_arrays, lamp_arrays, sky_arrays
+from simulate.radiance.transport.compiled_lights import disc_arrays, lamp_arrays, panel_arrays, sky_arrays
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.lights import Lighting
@@ -152,7 +152,7 @@ class Stage:
             parts.add("sky", rows, light)
         if not gathers or self.surfaces.tracer.scene is None:
             return
-        if parts.split or panels is not None or self.coats.panes is not None:
+        if parts.split or self.coats.panes is not None:
             self._add_gathered(parts, rows, points, effort, rng, rays, depth, even)
             return
         shines = np.zeros(len(points), np.bool_)
@@ -177,13 +177,14 @@ class Stage:
         depth: int,
         even: Even | None,
     ) -> None:
-        """Add what matt points gather where nothing glows, by compiled loops, which hand back what is not matt."""
-        if depth >= effort.bounces and (not effort.hidden_sky or self.lighting.dome.dark):
+        """Add what matt points gather, by compiled loops, which hand back what is not matt."""
+        last = depth >= effort.bounces and self.lighting.panels is None
+        if last and (not effort.hidden_sky or self.lighting.dome.dark):
             return
         # Rays of neighbours that are even together find the whole sky themselves where only its shadow counts.
-        bright = None if even is not None and depth >= effort.bounces else self._bright_sky
+        bright = None if even is not None and last else self._bright_sky
         even = Even.drawn(len(points), rays, rng) if even is None else even
-        if bright is None and depth >= effort.bounces:
+        if bright is None and last:
             light = sky_beyond_known(points, even, self.lighting.dome, self.surfaces.tracer)
             parts.add("sky", rows, light * self.coats.matt(points))
             return
@@ -221,6 +222,7 @@ class Stage:
             sky=sky_arrays(light.dome, bright),
             discs=disc_arrays(tuple(disc for disc in light.discs if disc.name not in effort.left_out), bands),
             lamps=lamp_arrays(tuple(lamp for lamp in light.lamps if lamp.name not in effort.left_out), bands),
+            panels=panel_arrays(light.panels, bands),
         )
 
     def _between(self, effort: Effort, depth: int) -> direct.Through | None:

@@ -1,7 +1,7 @@
 """Light by way of matt surfaces, followed by compiled loops: rays from place to place until nothing counts any more.
 
-What `gather` does in batches for all kinds of surfaces is done here, sixteen rays at a time, where places are matt and
-nothing glows. Rays that meet a surface which is not matt are handed back from where they met it.
+What `gather` does in batches for all kinds of surfaces is done here, sixteen rays at a time, where places are matt.
+Rays that meet a surface which is not matt are handed back from where they met it.
 """
 
 from dataclasses import dataclass
@@ -23,19 +23,20 @@ from simulate.radiance.embree import (
     new_packet,
     stop,
 )  # fmt: skip
-from simulate.radiance.trace import CLEARANCE_SHARE, Tracer
-from simulate.radiance.transport.compiled_lights import (
-    bright_density,
-    bright_way,
-    lamp_pattern,
-    sky_irradiance,
-    sky_light,
+from simulate.radiance.trace import Tracer
+from simulate.radiance.transport.arrivals import (
+    add_bright,
+    add_discs,
+    add_glow,
+    add_known_sky,
+    add_lamps,
+    add_panels,
 )  # fmt: skip
+from simulate.radiance.transport.compiled_lights import bright_density, sky_light
 from simulate.radiance.transport.even import R2, Even
+from simulate.radiance.transport.lanes import by_cosine, new_lanes, raised, uniform
 from simulate.radiance.transport.points import Points
 
-# A ray to a lamp ends so far before it.
-SHORT = 1.0 - 1e-4
 # Chances with which paths go on, at least and at most.
 LEAST_CHANCE, MOST_CHANCE = 0.05, 0.95
 NEVER = 1 << 30
@@ -77,7 +78,7 @@ class Plain:
         Material of each triangle, shape (face,).
     rho_by_pi, matt
         Of each material, shape (material, band), sr-1, and (material,).
-    sky, discs, lamps
+    sky, discs, lamps, panels
         Sources, see `compiled_lights`.
     """
 
@@ -88,6 +89,7 @@ class Plain:
     sky: tuple
     discs: tuple
     lamps: tuple
+    panels: tuple
 
     def irradiance(
         self,
@@ -126,7 +128,8 @@ class Plain:
         Notes
         -----
         pi/rays times the sum over rays. A free one adds (1 - known) of the sky's radiance, one that is stopped takes
-        known of it away and adds what leaves from where it stops.
+        known of it away and adds what leaves from where it stops. What glows is found by rays and by name, by shares
+        (`direct.found_by_gathering`); at the points themselves it is left to others to look for it by name.
         """
         found = np.zeros((len(points), self.rho_by_pi.shape[1]), np.float32)
         tracer, room = self.tracer, 0 if self.matt.all() else len(points) * even.rays
@@ -144,7 +147,7 @@ class Plain:
         count = _follow(
             (tracer.scene.address, tracer.centre_m, tracer.corner_m, tracer.normal, tracer.clearance_m),
             (self.material_of, self.rho_by_pi, self.matt),
-            (self.sky, self.discs, self.lamps),
+            (self.sky, self.discs, self.lamps, self.panels),
             (start, np.asarray(points.normal, np.float64), known, even.start),
             (even.rays, R2),
             (depth, bounces, roulette, hidden_sky, asked_lamps),
@@ -156,90 +159,43 @@ class Plain:
 
 
 @numba.njit(**COMPILED)
-def _uniform(state: Any) -> float:
-    """Draw an even number in [0, 1): SplitMix64 (Steele, Lea and Flood, 2014)."""
-    state[0] += np.uint64(0x9E3779B97F4A7C15)
-    z = state[0]
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return float((z ^ (z >> np.uint64(31))) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-
-
-@numba.njit(**COMPILED)
-def _turned(normal: Any, u: float, v: float, w: float, way: Any) -> None:
-    """Set a direction from its parts in the frame of a normal, that of `points.frames`."""
-    x, y, z = normal[0], normal[1], normal[2]
-    sign = 1.0 if z >= 0.0 else -1.0
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    way[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
-    way[1] = u * sign * b + v * (sign + y * y * a) + w * y
-    way[2] = -u * sign * x - v * y + w * z
-
-
-@numba.njit(**COMPILED)
-def _by_cosine(normal: Any, square: float, turn: float, way: Any) -> float:
-    """Set a direction by the cosine law from two even numbers, and return its cosine."""
-    radius, cosine = np.sqrt(square), np.sqrt(1.0 - square)
-    _turned(normal, radius * np.cos(2.0 * np.pi * turn), radius * np.sin(2.0 * np.pi * turn), cosine, way)
-    return cosine
-
-
-@numba.njit(**COMPILED)
-def _above(clearance: Any, centre: Any, face: Any, place: Any, normal: Any, start: Any) -> None:
-    """Set where a ray from a surface starts, as `Tracer.above`."""
-    shift = 0.0
-    for axis in range(3):
-        shift = max(shift, abs(place[axis] - centre[axis]))
-    shift = max(clearance[face], CLEARANCE_SHARE * shift)
-    for axis in range(3):
-        start[axis] = place[axis] + shift * normal[axis]
-
-
-@numba.njit(**COMPILED)
 def _follow(scene: Any, coats: Any, lights: Any, points: Any, rays: Any, limits: Any, state: Any, found: Any, back: Any
             ) -> int:  # fmt: skip
     """Follow all rays of points, a packet at a time, and return how many are handed back."""
     each, step = rays
-    sky = lights[0]
+    sky, discs, lamps, panels = lights
     depth_first, bounces, _, hidden_sky, asked_lamps = limits
+    sky_counts, glows = hidden_sky and sky[2], len(panels[0]) > 0
     packet, counts = new_packet()
-    lanes = _lanes(found.shape[1])
+    lanes = new_lanes(found.shape[1])
     alive, total, handed = lanes[0], len(points[0]) * each, 0
     for first in range(0, total, PACKET):
         _send(lanes, points, each, step, first, total)
         depth, sent = depth_first, each
         while alive.any():
-            onwards = depth < bounces
-            _ask(scene, packet, counts, lanes, onwards)
-            _meet_sky(sky, packet, lanes, points[2], sent, onwards, hidden_sky, found)
-            handed = _meet(scene, coats, packet, lanes, depth, limits, state, handed, back)
+            meets = depth < bounces or glows
+            _ask(scene, packet, counts, lanes, meets)
+            _meet_sky(sky, packet, lanes, points[2], sent, meets, sky_counts, found)
+            if meets:
+                _arrive(scene, packet, lanes)
+            if glows:
+                add_glow(panels, scene[3], lanes, sent, found)
+            if depth >= bounces:
+                alive[:] = False
+            handed = _reflect(scene, coats, lanes, depth, limits, state, handed, back)
             if not alive.any():
                 break
             if sky[2]:
-                _add_known_sky(sky[1], lanes, points[2], hidden_sky, found)
-            _add_discs(scene, lights[1], packet, counts, lanes, state, found)
-            _add_lamps(scene, lights[2], asked_lamps, packet, counts, lanes, state, found)
-            if hidden_sky and sky[2] and len(sky[4]):
-                _add_bright(scene, sky, packet, counts, lanes, points[2], state, found)
+                add_known_sky(sky[1], lanes, points[2], hidden_sky, found)
+            add_discs(scene, discs, packet, counts, lanes, state, found)
+            add_lamps(scene, lamps, asked_lamps, packet, counts, lanes, state, found)
+            if glows:
+                add_panels(scene, panels, packet, counts, lanes, state, found)
+            if sky_counts and len(sky[4]):
+                add_bright(scene, sky, packet, counts, lanes, points[2], state, found)
             depth, sent = depth + 1, 1
-            _turn(lanes, depth < bounces or (hidden_sky and sky[2]), state)
+            _turn(lanes, depth < bounces or glows or sky_counts, state)
     return handed
-
-
-@numba.njit(**COMPILED)
-def _lanes(bands: int) -> Any:
-    """Room for the rays of a packet, a row for each.
-
-    Whether it goes on, its owner, the triangle it is at, weight and light leaving by band; place, start above it,
-    normal and direction; cosine of the direction, mean of what the place reflects, a factor, and the source asked.
-    """
-    return (
-        np.zeros(PACKET, np.bool_), np.zeros(PACKET, np.int64), np.zeros(PACKET, np.int64),
-        np.zeros((PACKET, bands), np.float32), np.zeros((PACKET, bands), np.float32),
-        np.zeros((PACKET, 3)), np.zeros((PACKET, 3)), np.zeros((PACKET, 3)), np.zeros((PACKET, 3)),
-        np.zeros(PACKET), np.zeros(PACKET), np.zeros(PACKET), np.zeros(PACKET, np.int64),
-    )  # fmt: skip
 
 
 @numba.njit(**COMPILED)
@@ -255,14 +211,14 @@ def _send(lanes: Any, points: Any, each: int, step: Any, first: int, total: int)
         ray = first + lane - i * each
         owner[lane], last[lane] = i, 1.0
         square, turn = (even[i, 0] + ray * step[0]) % 1.0, (even[i, 1] + ray * step[1]) % 1.0
-        cosine[lane] = _by_cosine(normals[i], square, turn, way[lane])
+        cosine[lane] = by_cosine(normals[i], square, turn, way[lane])
         for axis in range(3):
             start[lane, axis] = starts[i, axis]
         weight[lane] = np.pi / each
 
 
 @numba.njit(**COMPILED)
-def _ask(scene: Any, packet: Any, counts: Any, lanes: Any, onwards: bool) -> None:
+def _ask(scene: Any, packet: Any, counts: Any, lanes: Any, meets: bool) -> None:
     """Find what rays meet, or of last ones whether they meet anything."""
     address, centre = scene[0], scene[1]
     alive, start, way = lanes[0], lanes[6], lanes[8]
@@ -270,11 +226,11 @@ def _ask(scene: Any, packet: Any, counts: Any, lanes: Any, onwards: bool) -> Non
     counts[:] = 0
     for lane in range(PACKET):
         # A last ray that points below the horizon has nothing to find.
-        alive[lane] &= onwards or way[lane, 2] >= 0.0
+        alive[lane] &= meets or way[lane, 2] >= 0.0
         if alive[lane]:
             aim(packet, counts, lane, centre, start[lane], way[lane], np.inf)
             number[GEOMETRY, lane] = NONE
-    if onwards:
+    if meets:
         intersect(counts.ctypes.data, address, packet.ctypes.data, 0)
     else:
         stop(address, packet, counts)
@@ -282,7 +238,7 @@ def _ask(scene: Any, packet: Any, counts: Any, lanes: Any, onwards: bool) -> Non
 
 @numba.njit(**COMPILED)
 def _meet_sky(
-    sky: Any, packet: Any, lanes: Any, known: Any, sent: int, onwards: bool, hidden: bool, found: Any
+    sky: Any, packet: Any, lanes: Any, known: Any, sent: int, meets: bool, sky_counts: bool, found: Any
 ) -> None:
     """Add what free rays find of the sky, and take away what stopped ones hide of it; rays that go no farther end."""
     alive, owner, _, weight, _, _, _, _, way, cosine, _, _, _ = lanes
@@ -291,33 +247,25 @@ def _meet_sky(
         if not alive[lane]:
             continue
         i = owner[lane]
-        hit = number[GEOMETRY, lane] != NONE if onwards else packet[REACH, lane] < 0.0
+        hit = number[GEOMETRY, lane] != NONE if meets else packet[REACH, lane] < 0.0
         share = -float(known[i]) if hit else 1.0 - float(known[i])
-        alive[lane] = hit and onwards
+        alive[lane] = hit and meets
         x, y, z = way[lane, 0], way[lane, 1], way[lane, 2]
-        if sky[2] and hidden and z >= 0.0 and share != 0.0:
+        if sky_counts and z >= 0.0 and share != 0.0:
             own = sent * cosine[lane] / np.pi
             share *= own / (own + bright_density(sky[4], x, y, z))
             sky_light(sky[0], x, y, z, share, weight[lane], found[i])
 
 
 @numba.njit(**COMPILED)
-def _meet(scene: Any, coats: Any, packet: Any, lanes: Any, depth: int, limits: Any, state: Any, handed: int, back: Any
-          ) -> int:  # fmt: skip
-    """Bring rays to what they met, unless chance ends them; those that met what is not matt are handed back."""
-    _, centre, corner, face_normal, clearance = scene
-    material_of, rho_by_pi, matt = coats
-    alive, owner, face, weight, leaves, place, start, normal, way, _, last, _, _ = lanes
+def _arrive(scene: Any, packet: Any, lanes: Any) -> None:
+    """Bring rays to what they met."""
+    _, _, corner, face_normal, _ = scene
+    alive, face, place, start, normal, way = lanes[0], lanes[2], lanes[5], lanes[6], lanes[7], lanes[8]
     number = packet.view(np.uint32)
     for lane in range(PACKET):
         if not alive[lane]:
             continue
-        if depth >= limits[2]:
-            chance = min(max(last[lane], LEAST_CHANCE), MOST_CHANCE)
-            alive[lane] = _uniform(state) < chance
-            if not alive[lane]:
-                continue
-            weight[lane] /= np.float32(chance)
         one = np.int64(number[TRIANGLE, lane])
         face[lane] = one
         height, slope = 0.0, 0.0
@@ -330,6 +278,24 @@ def _meet(scene: Any, coats: Any, packet: Any, lanes: Any, depth: int, limits: A
         for axis in range(3):
             place[lane, axis] = start[lane, axis] + length * way[lane, axis]
             normal[lane, axis] = side * face_normal[one, axis]
+
+
+@numba.njit(**COMPILED)
+def _reflect(scene: Any, coats: Any, lanes: Any, depth: int, limits: Any, state: Any, handed: int, back: Any) -> int:
+    """Let rays leave from where they are, unless chance ends them; from what is not matt they are handed back."""
+    _, centre, _, _, clearance = scene
+    material_of, rho_by_pi, matt = coats
+    alive, owner, face, weight, leaves, place, start, normal, way, _, last, _, _ = lanes
+    for lane in range(PACKET):
+        if not alive[lane]:
+            continue
+        if depth >= limits[2]:
+            chance = min(max(last[lane], LEAST_CHANCE), MOST_CHANCE)
+            alive[lane] = uniform(state) < chance
+            if not alive[lane]:
+                continue
+            weight[lane] /= np.float32(chance)
+        one = face[lane]
         material = material_of[one]
         if not matt[material]:
             owners, depths, faces, places, ways, weights = back
@@ -343,7 +309,7 @@ def _meet(scene: Any, coats: Any, packet: Any, lanes: Any, depth: int, limits: A
             leaves[lane, band] = weight[lane, band] * rho_by_pi[material, band]
             weight[lane, band] = leaves[lane, band] * np.pi
             last[lane] += rho_by_pi[material, band] * np.pi / len(weight[lane])
-        _above(clearance, centre, one, place[lane], normal[lane], start[lane])
+        raised(clearance, centre, one, place[lane], normal[lane], start[lane])
     return handed
 
 
@@ -354,138 +320,4 @@ def _turn(lanes: Any, goes_on: bool, state: Any) -> None:
     for lane in range(PACKET):
         alive[lane] &= goes_on
         if alive[lane]:
-            cosine[lane] = _by_cosine(normal[lane], _uniform(state), _uniform(state), way[lane])
-
-
-@numba.njit(**COMPILED)
-def _add_known_sky(irradiance: Any, lanes: Any, known: Any, hidden_sky: bool, found: Any) -> None:
-    """Add the part of the sky that is taken as known at places."""
-    alive, owner, leaves, normal = lanes[0], lanes[1], lanes[4], lanes[7]
-    for lane in range(PACKET):
-        if alive[lane]:
-            i, up = owner[lane], normal[lane]
-            share = float(known[i]) if hidden_sky else 1.0
-            sky_irradiance(irradiance, up[0], up[1], up[2], share, leaves[lane], found[i])
-
-
-@numba.njit(**COMPILED)
-def _add_discs(scene: Any, discs: Any, packet: Any, counts: Any, lanes: Any, state: Any, found: Any) -> None:
-    """Add light of sun and moon at places."""
-    axes, least, light = discs
-    alive, start, normal, way, factor, chosen = lanes[0], lanes[6], lanes[7], lanes[8], lanes[11], lanes[12]
-    for disc in range(len(least)):
-        counts[:] = 0
-        for lane in range(PACKET):
-            if not alive[lane]:
-                continue
-            up, turn = 1.0 - _uniform(state) * (1.0 - least[disc]), 2.0 * np.pi * _uniform(state)
-            flat = np.sqrt(max(1.0 - up * up, 0.0))
-            u, v = flat * np.cos(turn), flat * np.sin(turn)
-            chosen[lane], factor[lane] = disc, 0.0
-            for axis in range(3):
-                way[lane, axis] = u * axes[disc, 0, axis] + v * axes[disc, 1, axis] + up * axes[disc, 2, axis]
-                factor[lane] += way[lane, axis] * normal[lane, axis]
-            if factor[lane] > 0.0:
-                aim(packet, counts, lane, scene[1], start[lane], way[lane], np.inf)
-        _add_unless_stopped(scene[0], packet, counts, lanes, light, found)
-
-
-@numba.njit(**COMPILED)
-def _add_lamps(
-    scene: Any, lamps: Any, asked: int, packet: Any, counts: Any, lanes: Any, state: Any, found: Any
-) -> None:
-    """Add light of lamps at places: of all if few are asked, else of one that is drawn."""
-    position, radius, spectrum = lamps[0], lamps[1], lamps[2]
-    alive, place, start, normal = lanes[0], lanes[5], lanes[6], lanes[7]
-    way, factor, chosen = lanes[8], lanes[11], lanes[12]
-    draws = len(radius) > asked
-    for lamp in range(1 if draws else len(radius)):
-        counts[:] = 0
-        for lane in range(PACKET):
-            if not alive[lane]:
-                continue
-            one, chance = lamp, 1.0
-            if draws:
-                one, chance = _drawn(lamps, place[lane], normal[lane], _uniform(state))
-            might = _lamp_factor(lamps, one, place[lane], normal[lane]) if chance > 0.0 else 0.0
-            if might <= 0.0:
-                continue
-            chosen[lane], factor[lane], square = one, might / chance, 0.0
-            for axis in range(3):
-                way[lane, axis] = position[one, axis] - place[lane, axis]
-                square += way[lane, axis] ** 2
-            distance = np.sqrt(square)
-            middle = (way[lane, 0] / distance, way[lane, 1] / distance, way[lane, 2] / distance)
-            off, turn = radius[one] * np.sqrt(_uniform(state)), 2.0 * np.pi * _uniform(state)
-            _turned(middle, off * np.cos(turn), off * np.sin(turn), distance, way[lane])
-            aim(packet, counts, lane, scene[1], start[lane], way[lane], SHORT)
-        _add_unless_stopped(scene[0], packet, counts, lanes, spectrum, found)
-
-
-@numba.njit(**COMPILED)
-def _add_unless_stopped(address: Any, packet: Any, counts: Any, lanes: Any, spectra: Any, found: Any) -> None:
-    """Add light of the chosen sources of a packet's rays that reach them."""
-    owner, leaves, factor, chosen = lanes[1], lanes[4], lanes[11], lanes[12]
-    stop(address, packet, counts)
-    for lane in range(PACKET):
-        if counts[lane] != 0 and packet[REACH, lane] >= 0.0:
-            for band in range(found.shape[1]):
-                found[owner[lane], band] += leaves[lane, band] * factor[lane] * spectra[chosen[lane], band]
-
-
-@numba.njit(**COMPILED)
-def _add_bright(scene: Any, sky: Any, packet: Any, counts: Any, lanes: Any, known: Any, state: Any, found: Any) -> None:
-    """Add the share of the sky that is looked for by its brightness, see `Stage._add_bright_sky`."""
-    alive, owner, leaves, start = lanes[0], lanes[1], lanes[4], lanes[6]
-    normal, way, factor = lanes[7], lanes[8], lanes[11]
-    radiance, _, _, cumulated, per_sr, sines = sky
-    counts[:] = 0
-    for lane in range(PACKET):
-        if not alive[lane]:
-            continue
-        bright_way(cumulated, sines, _uniform(state), _uniform(state), _uniform(state), way[lane])
-        x, y, z = way[lane, 0], way[lane, 1], way[lane, 2]
-        cosine = x * normal[lane, 0] + y * normal[lane, 1] + z * normal[lane, 2]
-        if cosine > 0.0:
-            factor[lane] = cosine / (cosine / np.pi + bright_density(per_sr, x, y, z))
-            aim(packet, counts, lane, scene[1], start[lane], way[lane], np.inf)
-    stop(scene[0], packet, counts)
-    for lane in range(PACKET):
-        if counts[lane] != 0:
-            i = owner[lane]
-            share = -float(known[i]) if packet[REACH, lane] < 0.0 else 1.0 - float(known[i])
-            x, y, z = way[lane, 0], way[lane, 1], way[lane, 2]
-            sky_light(radiance, x, y, z, share * factor[lane], leaves[lane], found[i])
-
-
-@numba.njit(**COMPILED)
-def _lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
-    """Irradiance of a lamp over its spectrum were nothing in the way, as `direct.lamp_factor`."""
-    position, _, _, _, axes, ends, tables = lamps
-    x, y, z = (position[lamp, 0] - place[0], position[lamp, 1] - place[1], position[lamp, 2] - place[2])
-    square = x * x + y * y + z * z
-    distance = np.sqrt(square)
-    cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
-    if not cosine > 0.0:
-        return 0.0
-    pattern = tables[ends[lamp] : ends[lamp + 1]]
-    return cosine * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance) / square
-
-
-@numba.njit(**COMPILED)
-def _drawn(lamps: Any, place: Any, normal: Any, even: float) -> tuple[int, float]:
-    """Draw one of several lamps by what it might give, and return it with its chance; zero where none gives any."""
-    sums, total = lamps[3], 0.0
-    for lamp in range(len(sums)):
-        total += _lamp_factor(lamps, lamp, place, normal) * sums[lamp]
-    if not total > 0.0:
-        return 0, 0.0
-    so_far, might, chosen = 0.0, 0.0, 0
-    for lamp in range(len(sums)):
-        this = _lamp_factor(lamps, lamp, place, normal) * sums[lamp]
-        if this > 0.0:
-            chosen, might = lamp, this
-        so_far += this
-        if so_far > even * total:
-            break
-    return chosen, might / total
+            cosine[lane] = by_cosine(normal[lane], uniform(state), uniform(state), way[lane])

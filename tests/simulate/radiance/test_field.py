@@ -69,18 +69,52 @@ def test_shared_light_knows_its_own_error(seed):
 
 
 def test_nodes_that_miss_more_than_is_allowed_send_more_rays(seed):
-    stage, known = beside_a_wall(), np.ones(ABOVE.shape, np.float32)
-    weight, limits = np.array([1.0, 0.0]), {"rays": 4, "most": 256}
+    stage, finer = beside_a_wall(), replace(ABOVE, shape=(288, 60), focal_px=(400.0, 400.0))
+    known, weight, limits = np.ones(finer.shape, np.float32), np.array([1.0, 0.0]), {"rays": 4, "most": 256}
 
     def shared(share: float):
         allowed, effort = partial(squared, share), Effort(bounces=0)
-        return field(stage, ABOVE, effort, known, **limits, allowed=allowed, weight=weight, seed=seed, run=one_by_one)
+        return field(stage, finer, effort, known, **limits, allowed=allowed, weight=weight, seed=seed, run=one_by_one)
 
     strict, middling, loose = shared(1e-4), shared(5e-3), shared(1.0)
     assert (loose.rays == 4).all()
     assert 128 < strict.rays.max() <= 256
     # Near the wall, where the sky is hidden, rays differ most.
     assert middling.rays[-4:].mean() > 1.5 * middling.rays[:4].mean()
+
+
+@pytest.mark.parametrize(("share", "fine"), [(0.01, False), (0.003, False), (0.003, True)])
+def test_what_few_rays_find_counts_for_the_whole(share, fine, seed):
+    """A plate that one ray in 180 meets, of 4 from each node at first: those that missed it do not stop at that.
+
+    Windows chosen by what nodes found, or further rays only for those that found something, would lose 30 %.
+    """
+    parts = [("floor", "m", plane(20, 20)), ("plate", "m", at(plane(0.5, 0.5), 0.0, 0.0, 3.0))]
+    stage, below = staged(parts, {"m": 0.5}, sky=UNIFORM), replace(ABOVE, position_m=(0.0, 0.0, 2.0))
+    known, weight = np.ones(below.shape, np.float32), np.array([1.0, 0.0])
+    limits = {"rays": 4, "most": 2048, "allowed": partial(squared, share), "fine": fine}
+
+    def lost(number: int) -> float:
+        asked = {"known": known, "weight": weight, "seed": 100 * seed + number, "run": one_by_one}
+        return field(stage, below, Effort(bounces=0), **limits, **asked).change[..., 0].mean() / np.pi
+
+    relative = np.array([lost(number) for number in range(24)]) / -hidden_by_a_square(below, 0.5, 3.0) - 1.0
+    error = relative.std(ddof=1) / np.sqrt(len(relative))
+    assert abs(relative.mean()) < 4.0 * error
+    assert error < 0.05
+
+
+def hidden_by_a_square(view: Viewpoint, side_m: float, height_m: float) -> float:
+    """Mean share of an even sky that a square over the origin hides from the floor that a camera sees straight down.
+
+    Of a small patch at height h and distance r that is h**2 / r**4 / pi per square metre: a cosine at either end.
+    """
+    row, col = (np.arange(n) + 0.5 - n / 2.0 for n in view.shape)
+    x, y = (axis * view.position_m[2] / view.focal_px[0] for axis in (col, row))
+    patch = (np.arange(16) + 0.5) / 16.0 * side_m - side_m / 2.0
+    apart = [(a[:, None] - patch) ** 2 for a in (x, y)]
+    square = apart[0][:, :, None, None] + apart[1][None, None] + height_m**2
+    return float((height_m**2 / square**2).mean() * side_m**2 / np.pi)
 
 
 def test_a_furnace_of_shared_light_is_evenly_bright(seed):

@@ -11,11 +11,15 @@ from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import LampLight, Pattern
 from simulate.radiance.world.shapes import box, plane
-from tests.simulate.radiance.staging import OVERCAST, at, disc_light, lamp, staged
+from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
 # A glow of a hundred times the rest around a place 30 degrees high.
 GLOWING = lambda way: np.ones((2, 1)) * (0.2 + 20.0 * np.exp(-(((1.0 - way @ [0.866, 0.0, 0.5]) / 0.02) ** 2)))  # noqa: E731
 EVEN = {"effort": Effort(bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
+# Things that glow unlike each other; the plate shines upwards, and its underside is dark.
+SHINING = {"beam": 1.0, "box": 3.0, "plate": 20.0}
+UPWARDS = {"beam": 1e-3, "plate": 1.0}
+DARK = {"sky": None, "lamps": (), "glow": SHINING}
 CASES = {
     "a lamp under an overcast sky": EVEN,
     "one bounce": {**EVEN, "effort": Effort(bounces=1)},
@@ -28,19 +32,29 @@ CASES = {
     "the sun and a glow around it": {**EVEN, "sky": GLOWING, "lamps": (), "discs": (disc_light((0.866, 0, 0.5)),)},
     "paths that chance ends": {**EVEN, "effort": Effort(bounces=100, roulette_from=1)},
     "something glossy": {**EVEN, "gloss": True},
+    "glowing things alone, without bounces": {**DARK, "effort": Effort(bounces=0)},
+    "glowing things alone, one bounce": {**DARK, "effort": Effort(bounces=1)},
+    "glowing things under the sky": {**EVEN, "glow": SHINING},
+    "glowing things, paths that chance ends": {**DARK, "effort": Effort(bounces=100, roulette_from=1)},
+    "a glow by way of the ceiling": {**DARK, "effort": Effort(bounces=1), "glow": UPWARDS, "ceiling": True},
+    "glowing and glossy things": {**EVEN, "glow": SHINING, "gloss": True},
 }
 
 
 def crowded(case: dict) -> Stage:
-    """A box and a beam on a floor; the beam may shine."""
+    """A box, a beam and a plate over a floor; the beam may be glossy, and they may glow."""
     gloss = Glossy(reflectance=grey(0.3), roughness=0.3) if case.get("gloss") else 0.3
     parts = [
         ("floor", "floor", plane(12, 12)),
         ("box", "box", at(box(1, 1, 1), 1.0, 0.8, 0.0)),
         ("beam", "beam", at(box(4, 0.3, 0.3), 0.0, -0.7, 0.6)),
+        ("plate", "plate", at(plane(1, 1), -1.2, 0.6, 0.9)),
     ]
-    rho = {"floor": 0.5, "box": 0.7, "beam": gloss}
-    return staged(parts, rho, sky=case["sky"], lamps=case["lamps"], discs=case.get("discs", ()))
+    if case.get("ceiling"):
+        parts.append(("ceiling", "floor", inside_out(at(plane(12, 12), 0.0, 0.0, 2.0))))
+    rho = {"floor": 0.5, "box": 0.7, "beam": gloss, "plate": 0.2}
+    lights = {"sky": case["sky"], "lamps": case["lamps"], "discs": case.get("discs", ()), "glow": case.get("glow")}
+    return staged(parts, rho, **lights)
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
