@@ -28,21 +28,21 @@ from simulate.radiance.transport.workers import workers
 KEPT = Path("study/radiance")
 RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")
 THREADS, REPEATS = 2, 1
-# After a picture that took so much processor time, s, no stricter one of ours is made.
+# After a picture that took so much processor time, s, no stricter one of ours is made, as fine or not.
 LONGEST_S = 5.0
-# What a pixel may err by chance, as a share of its signal; and samples of the path tracer's pixels.
-OURS = (0.3, 0.1, 0.03, 0.01, 0.004)
-# From here on each pixel gathers for itself what is narrower than two.
-FINE = 0.01
-THEIRS = (4, 16, 64, 256)
-REFERENCE_SAMPLES = {"yard": 10240, "lab": 2048, "hangar": 3072, "road": 1024, "room": 2048}
+# What a pixel may err by chance, as a share of its signal, and whether each gathers for itself what is narrower than
+# two; and samples of the path tracer's pixels.
+OURS = ((1.0, False), (0.1, False), (0.03, False), (0.01, False), (0.004, False), (0.01, True), (0.004, True))
+THEIRS = (4, 16, 64, 256, 1024)
+REFERENCE_SAMPLES = {"yard": 10240, "lab": 8192, "hangar": 6144, "road": 2048, "room": 8192}
 
 
-def ours(case: Case, share: float, seed: int) -> Timed:
-    """Return our picture, with as many rays as a share of each pixel's signal asks for."""
+def ours(case: Case, how: tuple[float, bool], seed: int) -> Timed:
+    """Return our picture, with as many rays as a share of each pixel's signal asks for, finely or not."""
+    share, fine = how
     effort = Effort(bounces=200, roulette_from=3) if case.bounces is None else Effort(bounces=case.bounces)
     allowed = lambda signal: (share * signal) ** 2  # noqa: E731
-    rays = Rays(fewest=2, edge=4, most=1024, shared_most=2048, fine=share <= FINE, allowed=allowed)
+    rays = Rays(fewest=2, edge=4, most=1024, shared_most=2048, fine=fine, allowed=allowed)
     start, used = time.perf_counter(), time.process_time()
     with workers(THREADS) as run:
         found = picture(case.stage, case.view, rays, effort, weight=np.ones(1), seed=seed, run=run)
@@ -54,18 +54,22 @@ def measured(case: Case, tracer: PathTracer, truth: Reference) -> Iterator[dict]
     # The first picture of either compiles what the others use.
     ours(case, OURS[0], 0)
     tracer.picture(case.name, THEIRS[0], 0)
-    taken: dict[tuple[str, float], list[Timed]] = {}
-    for share, samples in zip_longest(OURS, THEIRS):
-        if share is not None and all(made.core_seconds < LONGEST_S for pictures in taken.values() for made in pictures):
-            taken["ours", share] = [ours(case, share, seed) for seed in range(1, REPEATS + 1)]
+    taken: dict[tuple[str, float, bool], list[Timed]] = {}
+    long = {False: False, True: False}
+    for how, samples in zip_longest(OURS, THEIRS):
+        if how is not None and not long[how[1]]:
+            taken["ours", *how] = [ours(case, how, seed) for seed in range(1, REPEATS + 1)]
+            long[how[1]] = min(made.core_seconds for made in taken["ours", *how]) > LONGEST_S
         if samples is not None:
-            taken["Mitsuba", samples] = [tracer.picture(case.name, samples, seed) for seed in range(1, REPEATS + 1)]
-    for (who, how), pictures in taken.items():
+            pictures = [tracer.picture(case.name, samples, seed) for seed in range(1, REPEATS + 1)]
+            taken["Mitsuba", samples, False] = pictures
+    for (who, how, fine), pictures in taken.items():
         errors = [truth.errors(made.image) for made in pictures]
         yield {
             "scene": case.name,
             "who": who,
             "setting": how,
+            "fine": fine,
             "seconds": min(made.seconds for made in pictures),
             "core_seconds": min(made.core_seconds for made in pictures),
             **{name: float(np.median([error[name] for error in errors])) for name in errors[0]},

@@ -31,7 +31,8 @@ def draw(told: dict, path: Path) -> None:
             axis = axes[row, column]
             for who in COLOURS:
                 x, y = _curve(told, scene, who, kind)
-                axis.loglog(x, y, MARKS[who] + "-", color=COLOURS[who], label=who, ms=5)
+                axis.loglog(x, y, MARKS[who], color=COLOURS[who], label=who, ms=5)
+                axis.loglog(*_best(x, y), "-", color=COLOURS[who])
             if kind == "median":
                 axis.axhline(told["references"][scene]["median_noise"], color="0.5", lw=1, ls=":")
                 axis.set_title(NAMES[scene])
@@ -56,7 +57,8 @@ def table(told: dict) -> str:
     ]
     for scene in _scenes(told):
         for row in (row for row in told["rows"] if row["scene"] == scene):
-            how = f"{100.0 * row['setting']:g} %" if row["who"] == "ours" else f"{row['setting']:.0f} samples"
+            finely = ", finely" if row["fine"] else ""
+            how = f"{100.0 * row['setting']:g} %{finely}" if row["who"] == "ours" else f"{row['setting']:.0f} samples"
             lines.append(
                 f"| {scene} | {row['who']} | {how} | {0.5 * row['core_seconds']:.2f} | {row['seconds']:.2f} | "
                 f"{row['median']:.4f} | {row['rms']:.4f} | {100.0 * row['mean']:+.2f} % |"
@@ -73,7 +75,7 @@ def _verdicts(told: dict) -> list[str]:
         "|---|---|" + "---|" * len(LEVELS),
     ]
     for scene in _scenes(told):
-        x, y = _curve(told, scene, "ours", "median")
+        x, y = _best(*_curve(told, scene, "ours", "median"))
         theirs = _curve(told, scene, "Mitsuba", "median")
         ratios = [time / _time_at(*theirs, error) for time, error in zip(x, y, strict=True)]
         at = [_compared(told, scene, level) for level in LEVELS]
@@ -101,6 +103,12 @@ def _curve(told: dict, scene: str, who: str, kind: str) -> tuple[np.ndarray, np.
     rows = [row for row in told["rows"] if row["scene"] == scene and row["who"] == who]
     points = sorted((0.5 * row["core_seconds"], row[kind]) for row in rows)
     return np.array([point[0] for point in points]), np.maximum([point[1] for point in points], 1e-6)
+
+
+def _best(seconds: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Those points, by time, that are better than all that took less."""
+    better = errors < np.minimum.accumulate(np.concatenate([[np.inf], errors[:-1]]))
+    return seconds[better], errors[better]
 
 
 def _time_at(seconds: np.ndarray, errors: np.ndarray, level: float) -> float:

@@ -2,10 +2,6 @@
 
 `make edge-map` writes the table. A cell is one scene: blur, size, direction, noise and light, and in half of the
 cells one thing that breaks edge methods, from too little to matter to far too much.
-
-The table's rows with a median standard error over 9 % are younger than the others: they alone were measured again when
-quick intervals of uncertain edges were drawn by importance and flagged from 15 % on. All are older than quick intervals
-whose errors are even in the width of the blur, which skews those of edges known to 3 to 10 %.
 """
 
 from dataclasses import replace

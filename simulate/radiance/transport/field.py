@@ -30,7 +30,7 @@ STEP, PLACES = 2, 4
 # Halves of the windows that are tried, nodes.
 WIDTHS = (0, 1, 2, 4, 8)
 # Nodes on either side over which a window's success is judged, and what single rays may find where none did so far.
-JUDGED, PROMISED = 2, 16
+JUDGED, PROMISED = 2, 8
 # Nodes send rays in so many turns at most, and in each so many times as many as they have sent.
 TURNS, GROWTH = 6, 8
 # Rays that are followed at once.
