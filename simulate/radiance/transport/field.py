@@ -287,8 +287,9 @@ def _evened(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], 
     what is lost, over windows that no noise chose, is as noisy as the widest fit and knows no such choice (twicing,
     Tukey 1977).
     """
-    evened = grid.fitted(values, width, run)
-    return evened + grid.fitted(values - evened, np.full(width.shape, WIDTHS[-1]), run)
+    evened = grid.fitted(values, width, run).astype(np.float32)
+    evened += grid.fitted(values - evened, np.full(width.shape, WIDTHS[-1]), run)
+    return evened
 
 
 def _windows(
