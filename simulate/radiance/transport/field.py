@@ -142,9 +142,8 @@ def field(
         turn += 1
         if budget is None or turn == TURNS:
             break
-        expected = np.maximum(variance, grid.near(variance, PROMISED))
-        excess = budget.excess(smooth[seen.row, seen.col], expected[seen.row, seen.col])
-        half = _further(excess, sent, most // 2)
+        excess = budget.excess(smooth[seen.row, seen.col], variance[seen.row, seen.col])
+        half = _further(grid, excess, sent, most // 2)
         if not half.any():
             break
     change = _evened(grid, grid.spread(light.mean(axis=0)), width, run)
@@ -231,11 +230,13 @@ class _Budget:
         return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
 
 
-def _further(excess: Array, sent: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def _further(grid: Nodes, excess: Array, sent: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """How many rays more each node sends, a power of two or none.
 
     Parameters
     ----------
+    grid
+        The nodes.
     excess
         Variance of each node over what is allowed, shape (node,).
     sent, most
@@ -245,10 +246,12 @@ def _further(excess: Array, sent: NDArray[np.int64], most: int) -> NDArray[np.in
     -----
     n as the root of the variance v of single rays brings the mean of v/n to 1 by the fewest rays (Neyman, 1934). What a
     few rays tell of v is not trusted for more than `GROWTH` times as many. What the most rays could not mend, as where
-    light comes by way of a place that a lamp almost touches, is not made up for by others.
+    light comes by way of a place that a lamp almost touches, is not made up for by others. A node whose rays met
+    nothing rare expects what nodes around it expect on average.
     """
     # Sums that run along the picture leave a hair below zero where nothing varies.
     single = np.clip(excess * sent, 0.0, most)
+    single = np.maximum(single, grid.near(grid.spread(single), PROMISED)[grid.row, grid.col])
     if not sent.size or (single / sent).mean() <= 1.0:
         return np.zeros_like(sent)
     wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(GROWTH * sent, most))
