@@ -1,10 +1,11 @@
 """What economy of light changes in frames: random scenes by their plans and exactly, frame beside frame.
 
-`make radiance-economy` writes the table; cases already in it are kept, so that it goes on where it was interrupted. A
-case is a scene, a light and a camera (`charact.study.light_scenes`). The difference of its two frames without noise is
-taken over the temporal noise of each pixel, which is found by drawing frames; the root mean square over the frame is
-what the tolerance is for. A plan that its rays did not bring to the chance it promised says so: such cases are counted
-apart among those beyond the tolerance.
+`make radiance-economy` writes the table; cases already in it are kept where the same sources of `simulate.radiance`
+made them, so that it goes on where it was interrupted. A case is a scene, a light and a camera
+(`charact.study.light_scenes`). The difference of its two frames without noise is taken over the temporal noise of
+each pixel, which is found by drawing frames; the root mean square over the frame is what the tolerance is for. A plan
+that its rays did not bring to the chance it promised says so: such cases are counted apart among those beyond the
+tolerance.
 """
 
 import argparse
@@ -22,13 +23,16 @@ from numpy.typing import NDArray
 import charact
 from charact.study.light_scenes import Case, case_of
 from labdata.conditions import Conditions
+from labdata.loops import stamp_of
 from simulate.iiccd import tiers
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.exposure import freed_by_radiance
 from simulate.night import Seen
-from simulate.radiance.transport.eye import KNOWN
+from simulate.radiance.transport import eye
 
 TABLE = Path(__file__).resolve().parent / "tables" / "light_economy.json"
+# One of the sources whose change makes cases old.
+SOURCE = Path(eye.__file__)
 CASES, TOLERANCE = 100, 0.2
 # Relative error to which the temporal noise of pixels is found, root mean square, and frames drawn for that at first
 # and at most: where photoelectrons are few and pulses of many heights, hundreds show no more of it than tens elsewhere.
@@ -149,13 +153,13 @@ def _readable(camera: Any, frame: Image) -> Image:
 
 
 def _noise(camera: Any, conditions: Conditions, light: Any, mean_dn: Image, seed: int) -> Image:
-    """Temporal noise of drawn frames, DN; or `KNOWN` of the signal where that is more, as in plans of light."""
+    """Temporal noise of drawn frames, DN; or `eye.KNOWN` of the signal where that is more, as in plans of light."""
     if isinstance(camera, IntensifiedCamera):
         stream = tiers.frames(camera, light, conditions, seed=seed)
     else:
         stream = camera.frames(light, conditions, seed=seed)
     dark = float(np.percentile(mean_dn, 0.0))
-    return np.maximum(temporal_noise(stream), KNOWN * np.maximum(mean_dn - dark, 0.0))
+    return np.maximum(temporal_noise(stream), eye.KNOWN * np.maximum(mean_dn - dark, 0.0))
 
 
 def temporal_noise(frames: Iterator[NDArray[Any]]) -> Image:
@@ -230,10 +234,17 @@ def read(path: Path = TABLE) -> list[Outcome]:
     return [Outcome(**{**row, "left_out": tuple(row["left_out"])}) for row in rows]
 
 
+def kept(path: Path = TABLE) -> list[Outcome]:
+    """Return the cases of a table that the present sources made."""
+    same = path.is_file() and json.loads(path.read_text()).get("sources") == stamp_of(SOURCE)
+    return read(path) if same else []
+
+
 def written(outcomes: Sequence[Outcome], path: Path = TABLE) -> None:
     """Write a table: a row for each case, and what they say together."""
     table = {
         "charact": charact.__version__,
+        "sources": stamp_of(SOURCE),
         "told": told(outcomes),
         "cases": [asdict(one) for one in sorted(outcomes, key=lambda one: one.number)],
     }
@@ -247,10 +258,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--cases", type=int, default=CASES, help="how many cases")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--again", action="store_true", help="measure all anew")
     parser.add_argument("--table", type=Path, default=TABLE, help="where the table is")
     asked = parser.parse_args()
-    outcomes = [] if asked.again else read(asked.table)
+    outcomes = kept(asked.table)
     have = {one.number for one in outcomes}
     for number in range(asked.first, asked.first + asked.cases):
         if number not in have:
