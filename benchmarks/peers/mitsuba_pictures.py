@@ -2,7 +2,8 @@
 
 Called with a folder of scenes as `benchmarks.radiance.export` writes them. Each line of input is a JSON object with
 `scene`, `samples`, `seed` and `path`; the picture goes to that path (.npy), and a line with `seconds` and
-`core_seconds` answers.
+`core_seconds` answers. `lights` chooses "all", "sky" or "lamps", `by` Mitsuba's integrator ("path" or "ptracer"), and
+`depth` how far it goes instead of as far as the scene says.
 """
 
 from __future__ import annotations
@@ -53,6 +54,23 @@ def define_beam() -> None:
         def eval(self, si, active=True):
             return mitsuba.Spectrum(0.0)
 
+        def sample_ray(self, time, sample1, sample2, sample3, active=True):
+            cosine = drjit.power(1.0 - sample2.x, 1.0 / (self.power + 1.0))
+            flat = drjit.sqrt(drjit.maximum(1.0 - cosine * cosine, 0.0))
+            sine, around = drjit.sincos(2.0 * drjit.pi * sample2.y)
+            towards = mitsuba.Frame3f(self.axis).to_world(mitsuba.Vector3f(flat * around, flat * sine, cosine))
+            ray = mitsuba.Ray3f(self.place, towards, time, mitsuba.Color0f())
+            return ray, mitsuba.Spectrum(self.peak * 2.0 * drjit.pi / (self.power + 1.0)) & active
+
+        def sample_position(self, time, sample, active=True):
+            found = mitsuba.PositionSample3f()
+            found.p, found.n, found.uv = self.place, mitsuba.Normal3f(0), mitsuba.Point2f(0)
+            found.time, found.pdf, found.delta = time, 1.0, True
+            return found, mitsuba.Float(1.0)
+
+        def sample_wavelengths(self, si, sample, active=True):
+            return mitsuba.Color0f(), mitsuba.Spectrum(1.0)
+
         def bbox(self):
             return mitsuba.ScalarBoundingBox3f(mitsuba.ScalarPoint3f(0))
 
@@ -62,14 +80,13 @@ def define_beam() -> None:
     mitsuba.register_emitter("beam", Beam)
 
 
-def scene_of(folder: Path) -> mitsuba.Scene:
-    """Return a scene as Mitsuba has it."""
+def scene_of(folder: Path, lights: str) -> mitsuba.Scene:
+    """Return a scene as Mitsuba has it, with "all" of its lights, the "sky" alone or the "lamps" alone."""
     told = json.loads((folder / "scene.json").read_text())
     at = mitsuba.ScalarTransform4f
     rows, columns = told["shape"]
     parts = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": told["max_depth"]},
         "sensor": {
             "type": "perspective",
             "fov": told["field_deg"],
@@ -101,7 +118,7 @@ def scene_of(folder: Path) -> mitsuba.Scene:
                 "type": "area",
                 "radiance": {"type": "spectrum", "value": mesh["radiance"]},
             }
-    for number, lamp in enumerate(told["lamps"]):
+    for number, lamp in enumerate(told["lamps"] if lights != "sky" else ()):
         if lamp["power"] is None:
             parts[f"lamp {number}"] = {
                 "type": "point",
@@ -116,6 +133,8 @@ def scene_of(folder: Path) -> mitsuba.Scene:
                 "peak": lamp["peak"],
                 "power": lamp["power"],
             }
+    if lights == "lamps":
+        return mitsuba.load_dict(parts)
     if told["even_sky"] is not None:
         parts["sky"] = {"type": "constant", "radiance": {"type": "spectrum", "value": told["even_sky"]}}
     elif (folder / "sky.npy").exists():
@@ -124,12 +143,13 @@ def scene_of(folder: Path) -> mitsuba.Scene:
     return mitsuba.load_dict(parts)
 
 
-def rendered(scene: mitsuba.Scene, samples: int, seed: int) -> np.ndarray:
+def rendered(scene: mitsuba.Scene, integrator: mitsuba.Integrator, samples: int, seed: int) -> np.ndarray:
     """Return a picture, in passes where there are many samples."""
     passes = max(1, samples // PASS)
     total = None
     for number in range(passes):
-        image = np.array(mitsuba.render(scene, spp=samples // passes, seed=seed * 4096 + number), np.float64)[..., 0]
+        made = mitsuba.render(scene, integrator=integrator, spp=samples // passes, seed=seed * 4096 + number)
+        image = np.array(made, np.float64)[..., 0]
         total = image if total is None else total + image
     assert total is not None
     return total / passes
@@ -141,15 +161,18 @@ def main() -> None:
     mitsuba.set_variant(variant)
     drjit.set_thread_count(THREADS)
     define_beam()
-    scenes: dict[str, mitsuba.Scene] = {}
+    scenes: dict[tuple[str, str], mitsuba.Scene] = {}
     print(json.dumps({"mitsuba": mitsuba.__version__, "variant": variant}), flush=True)
     for line in sys.stdin:
         asked = json.loads(line)
-        name = asked["scene"]
-        if name not in scenes:
-            scenes[name] = scene_of(Path(sys.argv[1]) / name)
+        folder, lights = Path(sys.argv[1]) / asked["scene"], asked.get("lights", "all")
+        kept = (asked["scene"], lights)
+        if kept not in scenes:
+            scenes[kept] = scene_of(folder, lights)
+        depth = asked.get("depth", json.loads((folder / "scene.json").read_text())["max_depth"])
+        integrator = mitsuba.load_dict({"type": asked.get("by", "path"), "max_depth": depth})
         start, used = time.perf_counter(), time.process_time()
-        image = rendered(scenes[name], asked["samples"], asked["seed"])
+        image = rendered(scenes[kept], integrator, asked["samples"], asked["seed"])
         told = {"seconds": time.perf_counter() - start, "core_seconds": time.process_time() - used}
         np.save(asked["path"], image)
         print(json.dumps(told), flush=True)

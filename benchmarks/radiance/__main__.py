@@ -9,11 +9,14 @@ import re
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.radiance.chart import draw, table
 from benchmarks.radiance.errors import Reference, reference
@@ -28,21 +31,44 @@ from simulate.radiance.transport.workers import workers
 KEPT = Path("study/radiance")
 RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")
 THREADS, REPEATS = 2, 1
-# After a picture that took so much processor time, s, no stricter one of ours is made, as fine or not.
+# After a picture that took so much processor time, s, no stricter one of its family is made.
 LONGEST_S = 12.0
-# What a pixel may err by chance, as a share of its signal, and whether each gathers for itself what is narrower than
-# two; and samples of the path tracer's pixels.
-OURS = (*((share, False) for share in (1.0, 0.1, 0.03, 0.01, 0.004)), *((share, True) for share in (0.03, 0.01, 0.004)))
+# What a pixel may err by chance, as a share of its signal; rays of each pixel and of each place that gathers, where all
+# get as many; and samples of the path tracer's pixels.
+ERRORS, FINE_ERRORS = (1.0, 0.1, 0.03, 0.01, 0.004), (0.03, 0.01, 0.004)
+PLAIN = ((2, 32), (4, 64), (8, 256))
 THEIRS = (4, 16, 64, 256, 1024)
 REFERENCE_SAMPLES = {"yard": 10240, "lab": 8192, "hangar": 6144, "road": 2048, "room": 8192}
 
 
-def ours(case: Case, how: tuple[float, bool], seed: int) -> Timed:
-    """Return our picture, with as many rays as a share of each pixel's signal asks for, finely or not."""
-    share, fine = how
+@dataclass(frozen=True)
+class Setting:
+    """A way to render: its name, which of them it is a stricter form of, and its rays."""
+
+    name: str
+    family: str
+    rays: Rays
+
+
+def settings() -> Iterator[Setting]:
+    """Ours: rays by the error that is asked for, or as many everywhere; finely, each pixel gathers for itself."""
+    for fine in (False, True):
+        finely = ", finely" if fine else ""
+        for share in FINE_ERRORS if fine else ERRORS:
+            rays = Rays(fewest=2, edge=4, most=1024, shared_most=2048, fine=fine, allowed=partial(_allowed, share))
+            yield Setting(f"{100.0 * share:g} %{finely}", f"errors{finely}", rays)
+        for each, shared in PLAIN:
+            rays = Rays(fewest=each, edge=4 * each, most=1024, shared=shared, fine=fine)
+            yield Setting(f"{each} and {shared} rays{finely}", f"plain{finely}", rays)
+
+
+def _allowed(share: float, signal: NDArray[np.floating]) -> NDArray[np.floating]:
+    return (share * signal) ** 2
+
+
+def ours(case: Case, rays: Rays, seed: int) -> Timed:
+    """Return our picture."""
     effort = Effort(bounces=200, roulette_from=3) if case.bounces is None else Effort(bounces=case.bounces)
-    allowed = lambda signal: (share * signal) ** 2  # noqa: E731
-    rays = Rays(fewest=2, edge=4, most=1024, shared_most=2048, fine=fine, allowed=allowed)
     start, used = time.perf_counter(), time.process_time()
     with workers(THREADS) as run:
         found = picture(case.stage, case.view, rays, effort, weight=np.ones(1), seed=seed, run=run)
@@ -52,24 +78,24 @@ def ours(case: Case, how: tuple[float, bool], seed: int) -> Timed:
 def measured(case: Case, tracer: PathTracer, truth: Reference) -> Iterator[dict]:
     """Yield errors and times at all settings, both in turns; of several pictures the least time counts."""
     # The first picture of either compiles what the others use.
-    ours(case, OURS[0], 0)
+    ours(case, next(settings()).rays, 0)
     tracer.picture(case.name, THEIRS[0], 0)
-    taken: dict[tuple[str, float, bool], list[Timed]] = {}
-    long = {False: False, True: False}
-    for how, samples in zip_longest(OURS, THEIRS):
-        if how is not None and not long[how[1]]:
-            taken["ours", *how] = [ours(case, how, seed) for seed in range(1, REPEATS + 1)]
-            long[how[1]] = min(made.core_seconds for made in taken["ours", *how]) > LONGEST_S
+    taken: dict[tuple[str, str], list[Timed]] = {}
+    long = set()
+    for how, samples in zip_longest(settings(), THEIRS):
+        if how is not None and how.family not in long:
+            made = taken["ours", how.name] = [ours(case, how.rays, seed) for seed in range(1, REPEATS + 1)]
+            if min(picture.core_seconds for picture in made) > LONGEST_S:
+                long.add(how.family)
         if samples is not None:
             pictures = [tracer.picture(case.name, samples, seed) for seed in range(1, REPEATS + 1)]
-            taken["Mitsuba", samples, False] = pictures
-    for (who, how, fine), pictures in taken.items():
+            taken["Mitsuba", f"{samples} samples"] = pictures
+    for (who, setting), pictures in taken.items():
         errors = [truth.errors(made.image) for made in pictures]
         yield {
             "scene": case.name,
             "who": who,
-            "setting": how,
-            "fine": fine,
+            "setting": setting,
             "seconds": min(made.seconds for made in pictures),
             "core_seconds": min(made.core_seconds for made in pictures),
             **{name: float(np.median([error[name] for error in errors])) for name in errors[0]},

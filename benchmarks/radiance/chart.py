@@ -56,15 +56,18 @@ def table(told: dict) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for scene in _scenes(told):
-        for row in (row for row in told["rows"] if row["scene"] == scene):
-            finely = ", finely" if row["fine"] else ""
-            how = f"{100.0 * row['setting']:g} %{finely}" if row["who"] == "ours" else f"{row['setting']:.0f} samples"
-            lines.append(
-                f"| {scene} | {row['who']} | {how} | {0.5 * row['core_seconds']:.2f} | {row['seconds']:.2f} | "
-                f"{row['median']:.4f} | {row['rms']:.4f} | {100.0 * row['mean']:+.2f} % |"
-            )
+        lines += [_line(row) for row in told["rows"] if row["scene"] == scene]
     lines += ["", *_verdicts(told)]
     return "\n".join(lines)
+
+
+def _line(row: dict) -> str:
+    cells = (
+        *(row["scene"], row["who"], row["setting"]),
+        *(f"{0.5 * row['core_seconds']:.2f}", f"{row['seconds']:.2f}"),
+        *(f"{row['median']:.4f}", f"{row['rms']:.4f}", f"{100.0 * row['mean']:+.2f} %"),
+    )
+    return f"| {' | '.join(cells)} |"
 
 
 def _verdicts(told: dict) -> list[str]:

@@ -53,11 +53,11 @@ class PathTracer:
         self._process.stdin.close()
         self._process.wait(timeout=60)
 
-    def picture(self, scene: str, samples: int, seed: int) -> Timed:
-        """Return a picture of a scene by so many samples a pixel."""
+    def picture(self, scene: str, samples: int, seed: int, **how: str | int) -> Timed:
+        """Return a picture of a scene by so many samples a pixel; how: `lights`, `by` and `depth`, see its program."""
         assert self._process.stdin is not None
         path = self._folder / f"{scene}.npy"
-        asked = {"scene": scene, "samples": samples, "seed": seed, "path": str(path)}
+        asked = {"scene": scene, "samples": samples, "seed": seed, "path": str(path), **how}
         self._process.stdin.write(json.dumps(asked) + "\n")
         self._process.stdin.flush()
         told = self._answer("seconds")

@@ -7,16 +7,16 @@ import numpy as np
 
 from simulate.radiance.embree import COMPILED, PACKET, REACH, aim, stop
 from simulate.radiance.transport.compiled_lights import (
+    SHORT,
     bright_density,
     bright_way,
-    lamp_pattern,
+    lamp_factor,
     sky_irradiance,
     sky_light,
+    towards_lamp,
 )  # fmt: skip
-from simulate.radiance.transport.lanes import raised, turned, uniform
-
-# A ray to a lamp ends so far before it.
-SHORT = 1.0 - 1e-4
+from simulate.radiance.transport.lanes import raised, uniform
+from simulate.radiance.transport.lit_places import share_by_light
 
 
 @numba.njit(**COMPILED)
@@ -53,33 +53,58 @@ def add_discs(scene: Any, discs: Any, packet: Any, counts: Any, lanes: Any, stat
 
 
 @numba.njit(**COMPILED)
-def add_lamps(scene: Any, lamps: Any, asked: int, packet: Any, counts: Any, lanes: Any, state: Any, found: Any) -> None:
-    """Add light of lamps at places: of all if few are asked, else of one that is drawn."""
-    position, radius, spectrum = lamps[0], lamps[1], lamps[2]
-    alive, place, start, normal = lanes[0], lanes[5], lanes[6], lanes[7]
-    way, factor, chosen = lanes[8], lanes[11], lanes[12]
-    draws = len(radius) > asked
-    for lamp in range(1 if draws else len(radius)):
+def add_lamps(
+    scene: Any, lamps: Any, beams: Any, asked: int, packet: Any, counts: Any, lanes: Any, state: Any, found: Any
+) -> None:
+    """Add light of lamps at places, less what is found from the lamps: of all if few are asked, else of one drawn."""
+    place, start, way, chosen = lanes[5], lanes[6], lanes[8], lanes[12]
+    draws = len(lamps[0]) > asked
+    for lamp in range(1 if draws else len(lamps[0])):
+        _choose(lamps, lamp, draws, lanes, state)
+        if len(beams[0]):
+            _leave_to_light(scene, lamps, beams, packet, counts, lanes)
         counts[:] = 0
         for lane in range(PACKET):
-            if not alive[lane]:
-                continue
-            one, chance = lamp, 1.0
-            if draws:
-                one, chance = _drawn(lamps, place[lane], normal[lane], uniform(state))
-            might = _lamp_factor(lamps, one, place[lane], normal[lane]) if chance > 0.0 else 0.0
-            if might <= 0.0:
-                continue
-            chosen[lane], factor[lane], square = one, might / chance, 0.0
+            if lanes[0][lane] and lanes[11][lane] > 0.0:
+                towards_lamp(lamps, chosen[lane], place[lane], state, way[lane])
+                aim(packet, counts, lane, scene[1], start[lane], way[lane], SHORT)
+        _add_unless_stopped(scene[0], packet, counts, lanes, lamps[2], found)
+
+
+@numba.njit(**COMPILED)
+def _choose(lamps: Any, lamp: int, draws: bool, lanes: Any, state: Any) -> None:
+    """Set which lamp each place asks, and what it would get of it."""
+    alive, place, normal, factor, chosen = lanes[0], lanes[5], lanes[7], lanes[11], lanes[12]
+    for lane in range(PACKET):
+        if not alive[lane]:
+            continue
+        one, chance = lamp, 1.0
+        if draws:
+            one, chance = _drawn(lamps, place[lane], normal[lane], uniform(state))
+        might = lamp_factor(lamps, one, place[lane], normal[lane]) if chance > 0.0 else 0.0
+        chosen[lane], factor[lane] = one, might / chance if might > 0.0 else 0.0
+
+
+@numba.njit(**COMPILED)
+def _leave_to_light(scene: Any, lamps: Any, beams: Any, packet: Any, counts: Any, lanes: Any) -> None:
+    """Take from what places get the share that `lit_places.add_lit_places` finds: where the lamp's middle sees them."""
+    alive, place, start, normal = lanes[0], lanes[5], lanes[6], lanes[7]
+    factor, chosen, by_ray = lanes[11], lanes[12], lanes[13]
+    share, way = np.zeros(PACKET), np.empty(3)
+    counts[:] = 0
+    for lane in range(PACKET):
+        if not alive[lane] or factor[lane] <= 0.0:
+            continue
+        lamp = chosen[lane]
+        share[lane] = share_by_light(beams, lamps, lamp, place[lane], normal[lane], by_ray[lane])
+        if share[lane] > 0.0:
             for axis in range(3):
-                way[lane, axis] = position[one, axis] - place[lane, axis]
-                square += way[lane, axis] ** 2
-            distance = np.sqrt(square)
-            middle = (way[lane, 0] / distance, way[lane, 1] / distance, way[lane, 2] / distance)
-            off, turn = radius[one] * np.sqrt(uniform(state)), 2.0 * np.pi * uniform(state)
-            turned(middle, off * np.cos(turn), off * np.sin(turn), distance, way[lane])
-            aim(packet, counts, lane, scene[1], start[lane], way[lane], SHORT)
-        _add_unless_stopped(scene[0], packet, counts, lanes, spectrum, found)
+                way[axis] = lamps[0][lamp, axis] - start[lane, axis]
+            aim(packet, counts, lane, scene[1], start[lane], way, SHORT)
+    stop(scene[0], packet, counts)
+    for lane in range(PACKET):
+        if counts[lane] != 0 and packet[REACH, lane] >= 0.0:
+            factor[lane] *= 1.0 - share[lane]
 
 
 @numba.njit(**COMPILED)
@@ -177,30 +202,16 @@ def add_bright(scene: Any, sky: Any, packet: Any, counts: Any, lanes: Any, known
 
 
 @numba.njit(**COMPILED)
-def _lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
-    """Irradiance of a lamp over its spectrum were nothing in the way, as `direct.lamp_factor`."""
-    position, _, _, _, axes, ends, tables = lamps
-    x, y, z = (position[lamp, 0] - place[0], position[lamp, 1] - place[1], position[lamp, 2] - place[2])
-    square = x * x + y * y + z * z
-    distance = np.sqrt(square)
-    cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
-    if not cosine > 0.0:
-        return 0.0
-    pattern = tables[ends[lamp] : ends[lamp + 1]]
-    return cosine * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance) / square
-
-
-@numba.njit(**COMPILED)
 def _drawn(lamps: Any, place: Any, normal: Any, even: float) -> tuple[int, float]:
     """Draw one of several lamps by what it might give, and return it with its chance; zero where none gives any."""
     sums, total = lamps[3], 0.0
     for lamp in range(len(sums)):
-        total += _lamp_factor(lamps, lamp, place, normal) * sums[lamp]
+        total += lamp_factor(lamps, lamp, place, normal) * sums[lamp]
     if not total > 0.0:
         return 0, 0.0
     so_far, might, chosen = 0.0, 0.0, 0
     for lamp in range(len(sums)):
-        this = _lamp_factor(lamps, lamp, place, normal) * sums[lamp]
+        this = lamp_factor(lamps, lamp, place, normal) * sums[lamp]
         if this > 0.0:
             chosen, might = lamp, this
         so_far += this

@@ -10,6 +10,7 @@ from simulate.radiance.embree import COMPILED
 from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, Spot, Table
 from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.dome import Dome
+from simulate.radiance.transport.lanes import turned, uniform
 from simulate.radiance.transport.lights import DiscLight, LampLight, Panels
 from simulate.radiance.transport.points import frames
 
@@ -72,6 +73,8 @@ def panel_arrays(panels: Panels | None, bands: int) -> tuple:
 
 
 EVERYWHERE, POWER, MEASURED = 0.0, 1.0, 2.0
+# A ray to a source ends so far before it.
+SHORT = 1.0 - 1e-4
 
 
 def _pattern(distribution: Distribution) -> NDArray[np.float64]:
@@ -88,6 +91,33 @@ def _pattern(distribution: Distribution) -> NDArray[np.float64]:
             head = [MEASURED, 1.0 / distribution.integral, float(len(polar)), float(len(azimuth))]
             return np.concatenate([head, polar, azimuth, candela.ravel()])
     raise TypeError(f"no compiled loop knows {type(distribution).__name__}")
+
+
+@numba.njit(**COMPILED)
+def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
+    """Irradiance of a lamp over its spectrum were nothing in the way, as `direct.lamp_factor`."""
+    position, _, _, _, axes, ends, tables = lamps
+    x, y, z = (position[lamp, 0] - place[0], position[lamp, 1] - place[1], position[lamp, 2] - place[2])
+    square = x * x + y * y + z * z
+    distance = np.sqrt(square)
+    cosine = (x * normal[0] + y * normal[1] + z * normal[2]) / distance
+    if not cosine > 0.0:
+        return 0.0
+    pattern = tables[ends[lamp] : ends[lamp + 1]]
+    return cosine * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance) / square
+
+
+@numba.njit(**COMPILED)
+def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> None:
+    """Set the way from a place to one drawn on a lamp."""
+    position, radius, square = lamps[0][lamp], lamps[1][lamp], 0.0
+    for axis in range(3):
+        way[axis] = position[axis] - place[axis]
+        square += way[axis] ** 2
+    distance = np.sqrt(square)
+    middle = (way[0] / distance, way[1] / distance, way[2] / distance)
+    off, turn = radius * np.sqrt(uniform(state)), 2.0 * np.pi * uniform(state)
+    turned(middle, off * np.cos(turn), off * np.sin(turn), distance, way)
 
 
 @numba.njit(**COMPILED)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.even import Even, evenly
+from simulate.radiance.transport.even import R2, Even, evenly
 from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.local_fit import Nodes, all_alike
 from simulate.radiance.transport.points import Points
@@ -25,8 +25,9 @@ from simulate.radiance.transport.workers import Run
 from simulate.radiance.world.viewpoint import Viewpoint
 
 Array = NDArray[np.floating]
-# Pixels between nodes; and where each pixel is one, places of it that rays are sent from.
-STEP, PLACES = 2, 4
+# Pixels between nodes; and where each pixel is one, places of it that rays are sent from at least, and rays of each at
+# most: what a pixel sees in shadow's edge is known no better than by so many places.
+STEP, PLACES, RAYS_A_PLACE = 2, 4, 8
 # Halves of the windows that are tried, nodes.
 WIDTHS = (0, 1, 2, 4, 8)
 # Nodes on either side over which a window's success is judged, and what single rays may find where none did so far.
@@ -123,7 +124,7 @@ def field(
     step = 1 if fine else STEP
     seen = _seen(stage, view, known, step)
     white = seen.points.whitened()
-    places = _Places(stage, view, seen, white, PLACES if fine else 1)
+    places = _Places(stage, view, seen, white, fine)
     grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal)
     budget = None if allowed is None else _Budget.of(stage, seen.points, effort, allowed, weight)
     light = np.zeros((2, len(white), len(stage.coats.wavelength_nm)), np.float32)
@@ -179,20 +180,26 @@ def _seen(stage: Stage, view: Viewpoint, known: Array, step: int) -> _Seen:
 
 @dataclass(frozen=True)
 class _Places:
-    """Where nodes, given by their numbers, send rays from: their middles, or each from so many places of its pixel."""
+    """Where nodes, given by their numbers, send rays from: their middles or, finely, places all over their pixels."""
 
     stage: Stage
     view: Viewpoint
     seen: _Seen
     white: Points
-    each: int
+    fine: bool
 
-    def of(self, nodes: NDArray[np.int64], rng: np.random.Generator) -> Points:
-        """Return a place for each of some nodes; the middle where its own surface is not met elsewhere."""
+    def each(self, rays: int) -> int:
+        """How many places so many rays of a node come from."""
+        return gcd(rays, max(PLACES, rays // RAYS_A_PLACE)) if self.fine else 1
+
+    def of(self, nodes: NDArray[np.int64], each: int, rng: np.random.Generator) -> Points:
+        """Return so many places of some nodes, one node after the other; the middle where another surface is met."""
+        start = rng.random((2, len(nodes), 1))
+        nodes = np.repeat(nodes, each)
         middle = self.white.some(nodes)
-        if self.each == 1:
+        if not self.fine:
             return middle
-        at = rng.random((2, len(nodes)))
+        at = ((start + R2[:, None, None] * np.arange(each)) % 1.0).reshape(2, -1)
         origin, towards = self.view.rays(self.seen.row[nodes] + at[0], self.seen.col[nodes] + at[1])
         hit = self.stage.surfaces.tracer.hits(origin, towards)
         met = np.flatnonzero(hit.face != NOTHING)
@@ -264,12 +271,12 @@ def _gathered(
     stage: Stage, start_from: _Places, nodes: NDArray[np.int64], effort: Effort, even: Even, seed: list[int], run: Run
 ) -> NDArray[np.float32]:
     """Gather at nodes: what surroundings change of an open sky's irradiance, shape (node, band)."""
-    sky, places = stage.lighting.dome, gcd(even.rays, start_from.each)
+    sky, places = stage.lighting.dome, start_from.each(even.rays)
 
     def gathered(start: int) -> NDArray[np.float32]:
         part = np.arange(start, min(start + count, len(nodes)))
         rng = np.random.default_rng([*seed, start])
-        here, shared = start_from.of(np.repeat(nodes[part], places), rng), even.some(part).shared_by(places)
+        here, shared = start_from.of(nodes[part], places, rng), even.some(part).shared_by(places)
         light = stage.around(here, effort, rng, rays=shared.rays, even=shared).total()
         light *= np.float32(np.pi)
         if not sky.dark:

@@ -7,6 +7,7 @@ round, see `Points.known`. Surfaces that are not matt gather half of their rays 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from simulate.radiance.transport.compiled_lights import disc_arrays, lamp_arrays
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.lights import Lighting
+from simulate.radiance.transport.lit_places import Beams
 from simulate.radiance.transport.openness import sky_beyond_known
 from simulate.radiance.transport.panes import passed
 from simulate.radiance.transport.parts import Parts, bounced, summed
@@ -214,6 +216,7 @@ class Stage:
     def _plain(self, effort: Effort, bright: BrightSky | None) -> Plain:
         """The scene as compiled loops need it."""
         bands, light = len(self.coats.wavelength_nm), self.lighting
+        shine = np.array([lamp.name not in effort.left_out for lamp in light.lamps], np.bool_)
         return Plain(
             tracer=self.surfaces.tracer,
             material_of=self.surfaces.material_of,
@@ -223,7 +226,13 @@ class Stage:
             discs=disc_arrays(tuple(disc for disc in light.discs if disc.name not in effort.left_out), bands),
             lamps=lamp_arrays(tuple(lamp for lamp in light.lamps if lamp.name not in effort.left_out), bands),
             panels=panel_arrays(light.panels, bands),
+            beams=self._beams.arrays(light.lamps, shine),
         )
+
+    @cached_property
+    def _beams(self) -> Beams:
+        """How rays are drawn as lamps shine."""
+        return Beams.of(self.lighting.lamps, self.surfaces.tracer)
 
     def _between(self, effort: Effort, depth: int) -> direct.Through | None:
         """What air takes between lamps and surfaces that the eye sees."""

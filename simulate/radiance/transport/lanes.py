@@ -55,11 +55,12 @@ def new_lanes(bands: int) -> Any:
     """Room for the rays of a packet, a row for each.
 
     Whether it goes on, its owner, the triangle it is at, weight and light leaving by band; place, start above it,
-    normal and direction; cosine of the direction, mean of what the place reflects, a factor, and the source asked.
+    normal and direction; cosine of the direction, mean of what the place reflects, a factor, the source asked, and the
+    density per m2 with which rays find the place.
     """
     return (
         np.zeros(PACKET, np.bool_), np.zeros(PACKET, np.int64), np.zeros(PACKET, np.int64),
         np.zeros((PACKET, bands), np.float32), np.zeros((PACKET, bands), np.float32),
         np.zeros((PACKET, 3)), np.zeros((PACKET, 3)), np.zeros((PACKET, 3)), np.zeros((PACKET, 3)),
-        np.zeros(PACKET), np.zeros(PACKET), np.zeros(PACKET), np.zeros(PACKET, np.int64),
+        np.zeros(PACKET), np.zeros(PACKET), np.zeros(PACKET), np.zeros(PACKET, np.int64), np.zeros(PACKET),
     )  # fmt: skip

@@ -35,6 +35,7 @@ from simulate.radiance.transport.arrivals import (
 from simulate.radiance.transport.compiled_lights import bright_density, sky_light
 from simulate.radiance.transport.even import R2, Even
 from simulate.radiance.transport.lanes import by_cosine, new_lanes, raised, uniform
+from simulate.radiance.transport.lit_places import add_lit_places
 from simulate.radiance.transport.points import Points
 
 # Chances with which paths go on, at least and at most.
@@ -80,6 +81,8 @@ class Plain:
         Of each material, shape (material, band), sr-1, and (material,).
     sky, discs, lamps, panels
         Sources, see `compiled_lights`.
+    beams
+        How rays are drawn as lamps shine, see `lit_places.Beams`.
     """
 
     tracer: Tracer
@@ -90,6 +93,7 @@ class Plain:
     discs: tuple
     lamps: tuple
     panels: tuple
+    beams: tuple
 
     def irradiance(
         self,
@@ -147,7 +151,7 @@ class Plain:
         count = _follow(
             (tracer.scene.address, tracer.centre_m, tracer.corner_m, tracer.normal, tracer.clearance_m),
             (self.material_of, self.rho_by_pi, self.matt),
-            (self.sky, self.discs, self.lamps, self.panels),
+            (self.sky, self.discs, self.lamps, self.panels, self.beams),
             (start, np.asarray(points.normal, np.float64), known, even.start),
             (even.rays, R2),
             (depth, bounces, roulette, hidden_sky, asked_lamps),
@@ -163,7 +167,7 @@ def _follow(scene: Any, coats: Any, lights: Any, points: Any, rays: Any, limits:
             ) -> int:  # fmt: skip
     """Follow all rays of points, a packet at a time, and return how many are handed back."""
     each, step = rays
-    sky, discs, lamps, panels = lights
+    sky, discs, lamps, panels, beams = lights
     depth_first, bounces, _, hidden_sky, asked_lamps = limits
     sky_counts, glows = hidden_sky and sky[2], len(panels[0]) > 0
     packet, counts = new_packet()
@@ -174,6 +178,8 @@ def _follow(scene: Any, coats: Any, lights: Any, points: Any, rays: Any, limits:
         depth, sent = depth_first, each
         while alive.any():
             meets = depth < bounces or glows
+            if depth < bounces and len(beams[0]):
+                add_lit_places(scene, coats, lamps, beams, packet, counts, lanes, state, found)
             _ask(scene, packet, counts, lanes, meets)
             _meet_sky(sky, packet, lanes, points[2], sent, meets, sky_counts, found)
             if meets:
@@ -188,7 +194,7 @@ def _follow(scene: Any, coats: Any, lights: Any, points: Any, rays: Any, limits:
             if sky[2]:
                 add_known_sky(sky[1], lanes, points[2], hidden_sky, found)
             add_discs(scene, discs, packet, counts, lanes, state, found)
-            add_lamps(scene, lamps, asked_lamps, packet, counts, lanes, state, found)
+            add_lamps(scene, lamps, beams, asked_lamps, packet, counts, lanes, state, found)
             if glows:
                 add_panels(scene, panels, packet, counts, lanes, state, found)
             if sky_counts and len(sky[4]):
@@ -201,7 +207,7 @@ def _follow(scene: Any, coats: Any, lights: Any, points: Any, rays: Any, limits:
 @numba.njit(**COMPILED)
 def _send(lanes: Any, points: Any, each: int, step: Any, first: int, total: int) -> None:
     """Set out from points."""
-    alive, owner, _, weight, _, _, start, _, way, cosine, last, _, _ = lanes
+    alive, owner, _, weight, leaves, _, start, normal, way, cosine, last, _, _, _ = lanes
     starts, normals, _, even = points
     for lane in range(PACKET):
         alive[lane] = first + lane < total
@@ -213,8 +219,8 @@ def _send(lanes: Any, points: Any, each: int, step: Any, first: int, total: int)
         square, turn = (even[i, 0] + ray * step[0]) % 1.0, (even[i, 1] + ray * step[1]) % 1.0
         cosine[lane] = by_cosine(normals[i], square, turn, way[lane])
         for axis in range(3):
-            start[lane, axis] = starts[i, axis]
-        weight[lane] = np.pi / each
+            start[lane, axis], normal[lane, axis] = starts[i, axis], normals[i, axis]
+        weight[lane], leaves[lane] = np.pi / each, 1.0 / each
 
 
 @numba.njit(**COMPILED)
@@ -241,7 +247,7 @@ def _meet_sky(
     sky: Any, packet: Any, lanes: Any, known: Any, sent: int, meets: bool, sky_counts: bool, found: Any
 ) -> None:
     """Add what free rays find of the sky, and take away what stopped ones hide of it; rays that go no farther end."""
-    alive, owner, _, weight, _, _, _, _, way, cosine, _, _, _ = lanes
+    alive, owner, _, weight, _, _, _, _, way, cosine, _, _, _, _ = lanes
     number = packet.view(np.uint32)
     for lane in range(PACKET):
         if not alive[lane]:
@@ -262,6 +268,7 @@ def _arrive(scene: Any, packet: Any, lanes: Any) -> None:
     """Bring rays to what they met."""
     _, _, corner, face_normal, _ = scene
     alive, face, place, start, normal, way = lanes[0], lanes[2], lanes[5], lanes[6], lanes[7], lanes[8]
+    cosine, by_ray = lanes[9], lanes[13]
     number = packet.view(np.uint32)
     for lane in range(PACKET):
         if not alive[lane]:
@@ -275,6 +282,7 @@ def _arrive(scene: Any, packet: Any, lanes: Any) -> None:
         length = height / slope
         length = max(length, 0.0) if np.isfinite(length) else 0.0
         side = 1.0 if slope < 0.0 else -1.0
+        by_ray[lane] = cosine[lane] * abs(slope) / (np.pi * length * length)
         for axis in range(3):
             place[lane, axis] = start[lane, axis] + length * way[lane, axis]
             normal[lane, axis] = side * face_normal[one, axis]
@@ -285,7 +293,7 @@ def _reflect(scene: Any, coats: Any, lanes: Any, depth: int, limits: Any, state:
     """Let rays leave from where they are, unless chance ends them; from what is not matt they are handed back."""
     _, centre, _, _, clearance = scene
     material_of, rho_by_pi, matt = coats
-    alive, owner, face, weight, leaves, place, start, normal, way, _, last, _, _ = lanes
+    alive, owner, face, weight, leaves, place, start, normal, way, _, last, _, _, _ = lanes
     for lane in range(PACKET):
         if not alive[lane]:
             continue

@@ -117,6 +117,27 @@ def hidden_by_a_square(view: Viewpoint, side_m: float, height_m: float) -> float
     return float((height_m**2 / square**2).mean() * side_m**2 / np.pi)
 
 
+def test_a_pixel_on_a_shadows_slope_is_known_by_as_many_places_as_its_rays_allow(seed):
+    """Within a pixel beside a kerb the sky seen runs from a half to all: its mean is known in closed form."""
+    kerb_m, pixel_m = 0.02, 0.1
+    kerb = at(upright(plane(600, kerb_m)), 0, 0, 0.5 * kerb_m)
+    parts = [("floor", "floor", plane(600, 600)), ("kerb", "kerb", kerb)]
+    stage = staged(parts, {"floor": 0.5, "kerb": 0.0}, sky=UNIFORM)
+    # One column, so that nodes along the kerb cannot even each other out.
+    view = replace(ABOVE, shape=(42, 1), focal_px=(50.0, 50.0))
+    limits = {"rays": 1024, "most": 1024, "allowed": None, "weight": np.array([1.0, 0.0]), "fine": True}
+
+    def beside_the_kerb(one: int) -> float:
+        known = np.ones(view.shape, np.float32)
+        found = field(stage, view, Effort(bounces=0), known, **limits, seed=one, run=one_by_one)
+        return 1.0 + found.change[-1, 0, 0] / np.pi
+
+    exact = 0.5 + (np.hypot(pixel_m, kerb_m) - kerb_m) / (2.0 * pixel_m)
+    missed = np.array([beside_the_kerb(seed + one) for one in range(12)]) - exact
+    # From eight places of the pixel it would be .05.
+    assert np.sqrt(np.mean(missed**2)) < 0.015
+
+
 def test_a_furnace_of_shared_light_is_evenly_bright(seed):
     stage = staged([("room", "m", inside_out(box(2, 3, 2)))], {"m": 0.6}, glow={"m": 1.0})
     inside = Viewpoint(position_m=(0.1, 0.2, 1.0), forward=(0, 1, 0), shape=(32, 48), focal_px=(40.0, 40.0))

@@ -20,6 +20,8 @@ EVEN = {"effort": Effort(bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 
 SHINING = {"beam": 1.0, "box": 3.0, "plate": 20.0}
 UPWARDS = {"beam": 1e-3, "plate": 1.0}
 DARK = {"sky": None, "lamps": (), "glow": SHINING}
+# Below the plate; and before the box, so that part of the lamp is within it.
+CLOSE = (lamp((-1.2, 0.6, 0.75), 1.0, 0.1), lamp((0.4, 0.8, 0.5), 1.0, 0.15))
 CASES = {
     "a lamp under an overcast sky": EVEN,
     "one bounce": {**EVEN, "effort": Effort(bounces=1)},
@@ -38,6 +40,33 @@ CASES = {
     "glowing things, paths that chance ends": {**DARK, "effort": Effort(bounces=100, roulette_from=1)},
     "a glow by way of the ceiling": {**DARK, "effort": Effort(bounces=1), "glow": UPWARDS, "ceiling": True},
     "glowing and glossy things": {**EVEN, "glow": SHINING, "gloss": True},
+    "lamps close to a plate and half within a box": {
+        **EVEN,
+        "sky": None,
+        "lamps": CLOSE,
+        "close": [True, True],
+        "rays": 32,
+    },
+    "three lamps, of which two are close to something": {
+        **EVEN,
+        "sky": None,
+        "lamps": (*CLOSE, lamp((0, 0, 3), 5.0, 0.2)),
+        "close": [True, True, False],
+    },
+    "a lamp close to something glossy": {
+        **EVEN,
+        "sky": None,
+        "lamps": (lamp((0.0, -0.7, 0.54), 1.0, 0.04),),
+        "gloss": True,
+        "close": [True],
+        "rays": 64,
+    },
+    "close lamps, paths that chance ends": {
+        **EVEN,
+        "sky": None,
+        "lamps": CLOSE,
+        "effort": Effort(bounces=100, roulette_from=1),
+    },
 }
 
 
@@ -62,12 +91,17 @@ def crowded(case: dict) -> Stage:
 def test_loops_find_what_batches_find(case, known, seed):
     """Light asked for in parts is gathered in batches: over 300 places the means agree to four standard errors."""
     stage, rng = crowded(case), np.random.default_rng(seed)
+    if "close" in case:
+        assert stage._beams.worth.tolist() == case["close"]
     place = np.column_stack([rng.uniform(-2.0, 2.0, (300, 2)), np.zeros(300)])
     down, share = np.broadcast_to([0.0, 0.0, -1.0], place.shape), np.full(300, known, np.float32)
     points = stage.coats.points(stage.surfaces, np.zeros(300, np.int64), place, down, share)
     found = np.array(
         [
-            [stage.leaving(points, case["effort"], rng, rays=16, split=split).total()[:, 0] for split in (True, False)]
+            [
+                stage.leaving(points, case["effort"], rng, rays=case.get("rays", 16), split=split).total()[:, 0]
+                for split in (True, False)
+            ]
             for _ in range(24)
         ],
         float,

@@ -1,0 +1,255 @@
+"""Places that lamps light, drawn by the lamps' own light: gathering seldom finds the patch behind a lamp on a wall.
+
+A ray is sent from a lamp as it shines, and what it meets is asked whether the place that gathers sees it. Gathering
+finds the same patches, and both share what they send (balance heuristic of Veach and Guibas, 1995), so that neither a
+patch that a lamp almost touches nor one next to the place makes bright specks. It costs two to three rays for each
+that gathers, and is done only for lamps whose light it finds much more surely.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.embree import (
+    COMPILED,
+    GEOMETRY,
+    NONE,
+    PACKET,
+    REACH,
+    TRIANGLE,
+    aim,
+    intersect,
+    stop,
+)  # fmt: skip
+from simulate.radiance.trace import NOTHING, Tracer
+from simulate.radiance.transport.compiled_lights import SHORT, lamp_factor, towards_lamp
+from simulate.radiance.transport.lanes import raised, uniform
+from simulate.radiance.transport.lights import LampLight
+from simulate.radiance.transport.points import frames
+
+# A lamp's directions are drawn from so many rings about its axis, each of which holds as much of its light.
+RINGS, ANGLES, AROUND = 64, 2000, 24
+# Rays that tell how well gathering finds a lamp's light. It is worth the rays where they would find so large a share of
+# it, or where gathering's values would scatter so many times as much (in their square).
+TRIED, SHARE, GAIN = 512, 0.7, 20.0
+# What light would find less of than this share is left to gathering alone, and costs it no ray.
+LEAST = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beams:
+    """How rays are drawn as lamps shine.
+
+    Parameters
+    ----------
+    worth
+        Whether each lamp is worth it, shape (lamp,).
+    falls
+        1 less the cosines between rings about the lamps' axes, ascending, shape (lamp, ring + 1).
+    """
+
+    worth: NDArray[np.bool_]
+    falls: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, lamps: tuple[LampLight, ...], tracer: Tracer) -> "Beams":
+        """Return the draws of lamps among surfaces."""
+        falls = np.array([_rings(lamp) for lamp in lamps]).reshape(-1, RINGS + 1)
+        worth = [_worth(lamp, rings, tracer) for lamp, rings in zip(lamps, falls, strict=True)]
+        return cls(worth=np.array(worth, np.bool_), falls=falls)
+
+    def arrays(self, lamps: tuple[LampLight, ...], some: NDArray[np.bool_]) -> tuple[NDArray, NDArray, NDArray]:
+        """Return for some of the lamps the chance that each is drawn, these summed up, and the falls."""
+        power = np.array([float(lamp.spectrum.sum()) for lamp in lamps])[some]
+        power[~self.worth[some]] = 0.0
+        chance = power / power.sum() if power.sum() > 0.0 else np.zeros(0)
+        return chance, np.cumsum(chance), self.falls[some]
+
+
+def _rings(lamp: LampLight) -> NDArray[np.float64]:
+    """1 less the cosines between rings about a lamp's axis that hold as much light each, shape (ring + 1,)."""
+    polar = np.pi * np.linspace(0.0, 1.0, ANGLES) ** 2
+    turn = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
+    sine = np.sin(polar)[:, None]
+    way = np.stack(np.broadcast_arrays(sine * np.cos(turn), sine * np.sin(turn), np.cos(polar)[:, None]), axis=-1)
+    density = lamp.pattern.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1) * sine[:, 0]
+    so_far = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(polar))])
+    # Half a step of evenness keeps rings apart where a table is dark.
+    so_far += 1e-6 * so_far[-1] * polar / np.pi
+    edge = np.interp(np.linspace(0.0, so_far[-1], RINGS + 1), so_far, polar)
+    return 2.0 * np.sin(0.5 * edge) ** 2
+
+
+def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: Tracer) -> bool:
+    """Return whether a lamp's light by way of one place to another is found much more surely by rays from the lamp.
+
+    Notes
+    -----
+    Light is followed from the lamp to such pairs of places. With densities l and g of a first place by light and by
+    gathering, of a radiance L, the share of light is l/(l + g); values of gathering alone have the mean square of L,
+    shared ones that of L g/(l + g).
+    """
+    rng = np.random.default_rng(0)
+    ring, along, turn = rng.integers(RINGS, size=TRIED), rng.random(TRIED), 2.0 * np.pi * rng.random(TRIED)
+    fall, per_sr = falls[ring] + along * np.diff(falls)[ring], 1.0 / (2.0 * np.pi * RINGS * np.diff(falls)[ring])
+    flat = np.sqrt(fall * (2.0 - fall))
+    way = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), 1.0 - fall]) @ lamp.pattern.frame
+    first = tracer.hits(np.broadcast_to(lamp.position_m, way.shape), way)
+    met = np.flatnonzero(first.face != NOTHING)
+    way, face, range_m, per_sr = way[met], first.face[met], first.range_m[met], per_sr[met]
+    place, (normal, leaving) = lamp.position_m + range_m[:, None] * way, _facing(tracer, face, way)
+    by_light = per_sr * leaving / range_m**2
+    square, turn = rng.random(len(met)), 2.0 * np.pi * rng.random(len(met))
+    local = np.column_stack([np.sqrt(square) * np.cos(turn), np.sqrt(square) * np.sin(turn), np.sqrt(1.0 - square)])
+    onwards = np.einsum("ri,rij->rj", local, frames(normal))
+    then = tracer.hits(tracer.above(face, place, normal), onwards)
+    back = np.flatnonzero(then.face != NOTHING)
+    if not len(back):
+        return False
+    arriving = _facing(tracer, then.face[back], onwards[back])[1]
+    with np.errstate(divide="ignore"):
+        by_ray = local[back, 2] * arriving / (np.pi * then.range_m[back] ** 2)
+    share = by_light[back] / (by_light[back] + by_ray)
+    bright = lamp.pattern(way[back]) * leaving[back] / range_m[back] ** 2
+    return bool(share.mean() >= SHARE or bright.sum() >= GAIN * (bright * (1.0 - share)).sum())
+
+
+def _facing(tracer: Tracer, face: NDArray[np.int64], way: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+    """Normals of triangles towards where rays come from, and the cosines to them."""
+    cosine = -np.einsum("ij,ij->i", tracer.normal[face], way)
+    return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * tracer.normal[face], np.abs(cosine)
+
+
+@numba.njit(**COMPILED)
+def share_by_light(beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, by_ray: float) -> float:
+    """Return which share of what a lamp sends by way of a place is found by rays from the lamp.
+
+    `by_ray` is the density with which gathering finds the place, m-2.
+    """
+    chance, _, falls = beams
+    if len(chance) == 0 or chance[lamp] == 0.0:
+        return 0.0
+    position, axes = lamps[0], lamps[4]
+    square, leaving, up = 0.0, 0.0, 0.0
+    for axis in range(3):
+        way = place[axis] - position[lamp, axis]
+        square += way * way
+        leaving -= way * normal[axis]
+        up += way * axes[lamp, 2, axis]
+    distance = np.sqrt(square)
+    if not (leaving > 0.0 and square > 0.0):
+        return 0.0
+    by_light = chance[lamp] * _per_sr(falls[lamp], 1.0 - up / distance) * leaving / (distance * square)
+    share = by_light / (by_light + by_ray)
+    return share if share >= LEAST else 0.0
+
+
+@numba.njit(**COMPILED)
+def _per_sr(falls: Any, fall: float) -> float:
+    """Density with which rings are drawn in a direction, sr-1."""
+    ring = np.searchsorted(falls, fall, side="right") - 1
+    if ring < 0 or ring >= RINGS:
+        return 0.0
+    return 1.0 / (2.0 * np.pi * RINGS * (falls[ring + 1] - falls[ring]))
+
+
+@numba.njit(**COMPILED)
+def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
+    """Draw a lamp, and set a direction as it shines."""
+    _, cumulated, falls = beams
+    lamp = min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1)
+    at = uniform(state) * RINGS
+    ring = int(at)
+    fall = falls[lamp, ring] + (at - ring) * (falls[lamp, ring + 1] - falls[lamp, ring])
+    flat, turn = np.sqrt(max(fall * (2.0 - fall), 0.0)), 2.0 * np.pi * uniform(state)
+    u, v, up = flat * np.cos(turn), flat * np.sin(turn), 1.0 - fall
+    axes = lamps[4][lamp]
+    for axis in range(3):
+        way[axis] = u * axes[0, axis] + v * axes[1, axis] + up * axes[2, axis]
+    return lamp
+
+
+@numba.njit(**COMPILED)
+def add_lit_places(
+    scene: Any, coats: Any, lamps: Any, beams: Any, packet: Any, counts: Any, lanes: Any, state: Any, found: Any
+) -> None:
+    """Add what places send that lamps light, as far as it is found from there: see `arrivals.add_lamps`."""
+    address, centre, corner, face_normal, clearance = scene
+    material_of, rho_by_pi, matt = coats
+    position, spectrum = lamps[0], lamps[2]
+    alive, owner, face, leaves, there = lanes[0], lanes[1], lanes[2], lanes[4], lanes[5]
+    factor, chosen = lanes[11], lanes[12]
+    number = packet.view(np.uint32)
+    counts[:] = 0
+    for lane in range(PACKET):
+        if alive[lane]:
+            chosen[lane] = _shine(beams, lamps, state, there[lane])
+            aim(packet, counts, lane, centre, position[chosen[lane]], there[lane], np.inf)
+            number[GEOMETRY, lane] = NONE
+    intersect(counts.ctypes.data, address, packet.ctypes.data, 0)
+    up, way = np.empty(3), np.empty(3)
+    for lane in range(PACKET):
+        hit = counts[lane] != 0 and number[GEOMETRY, lane] != NONE
+        counts[lane] = 0
+        if not hit or not matt[material_of[number[TRIANGLE, lane]]]:
+            continue
+        face[lane] = number[TRIANGLE, lane]
+        _land(corner[face[lane]], face_normal[face[lane]], position[chosen[lane]], there[lane], up)
+        factor[lane] = _carried(lamps, beams, lanes, lane, up)
+        if factor[lane] > 0.0:
+            raised(clearance, centre, face[lane], there[lane], up, there[lane])
+            for axis in range(3):
+                way[axis] = there[lane, axis] - lanes[6][lane, axis]
+            aim(packet, counts, lane, centre, lanes[6][lane], way, SHORT)
+    stop(address, packet, counts)
+    for lane in range(PACKET):
+        free = counts[lane] != 0 and packet[REACH, lane] >= 0.0
+        counts[lane] = 0
+        if free:
+            towards_lamp(lamps, chosen[lane], there[lane], state, way)
+            aim(packet, counts, lane, centre, there[lane], way, SHORT)
+    stop(address, packet, counts)
+    for lane in range(PACKET):
+        if counts[lane] != 0 and packet[REACH, lane] >= 0.0:
+            material = material_of[face[lane]]
+            for band in range(found.shape[1]):
+                light = factor[lane] * spectrum[chosen[lane], band] * rho_by_pi[material, band]
+                found[owner[lane], band] += leaves[lane, band] * light
+
+
+@numba.njit(**COMPILED)
+def _land(corner: Any, normal: Any, origin: Any, there: Any, up: Any) -> None:
+    """Go from an origin by a direction to a triangle's plane, and set the normal towards where the ray came from."""
+    height, slope = 0.0, 0.0
+    for axis in range(3):
+        height += (corner[axis] - origin[axis]) * normal[axis]
+        slope += there[axis] * normal[axis]
+    length = height / slope
+    length = max(length, 0.0) if np.isfinite(length) else 0.0
+    for axis in range(3):
+        there[axis] = origin[axis] + length * there[axis]
+        up[axis] = -normal[axis] if slope > 0.0 else normal[axis]
+
+
+@numba.njit(**COMPILED)
+def _carried(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> float:
+    """Irradiance by way of a place over spectrum and rho / pi were nothing between, as its share by light counts it."""
+    there, start, normal, lamp = lanes[5][lane], lanes[6][lane], lanes[7][lane], lanes[12][lane]
+    square, cosine, leaving = 0.0, 0.0, 0.0
+    for axis in range(3):
+        off = there[axis] - start[axis]
+        square += off * off
+        cosine += off * normal[axis]
+        leaving -= off * up[axis]
+    if cosine <= 0.0 or leaving <= 0.0:
+        return 0.0
+    form = cosine * leaving / (square * square)
+    by_ray = form / np.pi
+    share = share_by_light(beams, lamps, lamp, there, up, by_ray)
+    if share == 0.0:
+        return 0.0
+    # The density by light is by_ray * share / (1 - share), and the light counts share of itself over that.
+    return lamp_factor(lamps, lamp, there, up) * form * (1.0 - share) / by_ray
