@@ -33,10 +33,10 @@ RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/pee
 THREADS, REPEATS = 2, 1
 # After a picture that took so much processor time, s, no stricter one of its family is made.
 LONGEST_S = 12.0
-# What a pixel may err by chance, as a share of its signal; rays of each pixel and of each place that gathers, where all
-# get as many; and samples of the path tracer's pixels.
+# What a pixel may err by chance, as a share of its signal; rays of each pixel, of one at an edge and of each place that
+# gathers, where all get as many; and samples of the path tracer's pixels.
 ERRORS, FINE_ERRORS = (1.0, 0.1, 0.03, 0.01, 0.004), (0.03, 0.01, 0.004)
-PLAIN = ((2, 32), (4, 64), (8, 256))
+PLAIN = ((2, 8, 32), (4, 16, 64), (4, 64, 256), (8, 32, 256), (16, 64, 512), (32, 128, 1024))
 THEIRS = (4, 16, 64, 256, 1024)
 REFERENCE_SAMPLES = {"yard": 10240, "lab": 8192, "hangar": 6144, "road": 2048, "room": 8192}
 
@@ -57,9 +57,9 @@ def settings() -> Iterator[Setting]:
         for share in FINE_ERRORS if fine else ERRORS:
             rays = Rays(fewest=2, edge=4, most=1024, shared_most=2048, fine=fine, allowed=partial(_allowed, share))
             yield Setting(f"{100.0 * share:g} %{finely}", f"errors{finely}", rays)
-        for each, shared in PLAIN:
-            rays = Rays(fewest=each, edge=4 * each, most=1024, shared=shared, fine=fine)
-            yield Setting(f"{each} and {shared} rays{finely}", f"plain{finely}", rays)
+        for each, edge, shared in PLAIN:
+            rays = Rays(fewest=each, edge=edge, most=1024, shared=shared, fine=fine)
+            yield Setting(f"{each}, {edge}, {shared} rays{finely}", f"plain{finely}", rays)
 
 
 def _allowed(share: float, signal: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -68,7 +68,11 @@ def _allowed(share: float, signal: NDArray[np.floating]) -> NDArray[np.floating]
 
 def ours(case: Case, rays: Rays, seed: int) -> Timed:
     """Return our picture."""
-    effort = Effort(bounces=200, roulette_from=3) if case.bounces is None else Effort(bounces=case.bounces)
+    # As plans follow light: to the end, or so many bounces.
+    if case.bounces is None:
+        effort = Effort(bounces=200, roulette_from=3)
+    else:
+        effort = Effort(bounces=case.bounces, roulette_from=1)
     start, used = time.perf_counter(), time.process_time()
     with workers(THREADS) as run:
         found = picture(case.stage, case.view, rays, effort, weight=np.ones(1), seed=seed, run=run)

@@ -160,7 +160,7 @@ def _per_sr(falls: Any, fall: float) -> float:
 def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
     """Draw a lamp, and set a direction as it shines."""
     _, cumulated, falls = beams
-    lamp = min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1)
+    lamp = int(min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1))
     at = uniform(state) * RINGS
     ring = int(at)
     fall = falls[lamp, ring] + (at - ring) * (falls[lamp, ring + 1] - falls[lamp, ring])

@@ -36,6 +36,8 @@ FINEST, COARSEST = 0.0005, 0.02
 # Most rays of a pixel; with nothing left out: the same, what chance may change, bounces before paths go on by chance
 # only, and bounces at most.
 MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 4096, 32768, 0.05, 3, 200
+# Where few bounces are followed, what comes by the last is little: chance ends paths at once, for a fifth of the time.
+EARLY_ROULETTE = 1
 LAST_BOUNCE = f"bounce {TRIAL_BOUNCES} and further"
 # Brightest pixels, per cent, that saturate any sensor: they do not decide how fine the bands are.
 BRIGHTEST = 0.5
@@ -103,7 +105,7 @@ class LightPlan:
         """Return the plan for people."""
         few, most, chance = self.rays.fewest, self.rays.most, self.chance
         follows = self.effort
-        bounces = "to the end, by chance" if follows.roulette_from is not None else f"{follows.bounces}"
+        bounces = "to the end, by chance" if follows.bounces >= EXACT_BOUNCES else f"{follows.bounces}"
         return "\n".join(
             (
                 f"light, by what {self.sees} would notice of it:",
@@ -358,5 +360,5 @@ def _effort(plan: Plan) -> Effort:
         hidden_sky="hidden sky" not in out,
         air_between="air before surfaces" not in out,
         left_out=frozenset(out),
-        roulette_from=EXACT_ROULETTE if to_the_end else None,
+        roulette_from=EXACT_ROULETTE if to_the_end else EARLY_ROULETTE,
     )
