@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from charact.mtf.line import Line
 from charact.mtf.picture import Picture
+from charact.robust import median
 
 Array = NDArray[np.float64]
 
@@ -124,7 +125,7 @@ def _covered(distance: Array, half_width_px: float) -> tuple[float, float]:
     """Return how far to both sides most rows reach, at most the half width."""
     cells = np.bincount((np.abs(distance[distance < 0])).astype(np.int64), minlength=1)
     other = np.bincount(distance[distance >= 0].astype(np.int64), minlength=1)
-    full = max(np.median(cells[:4]) if cells.size else 0, np.median(other[:4]) if other.size else 0)
+    full = max(median(cells[:4]) if cells.size else 0.0, median(other[:4]) if other.size else 0.0)
 
     def reach(counts: NDArray) -> float:
         enough = counts >= 0.6 * full

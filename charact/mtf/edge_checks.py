@@ -9,6 +9,7 @@ from charact.mtf.codes import code_flags
 from charact.mtf.edge_profile import Profile
 from charact.mtf.line import RowFit
 from charact.mtf.picture import Picture
+from charact.robust import median, spread
 
 Array = NDArray[np.float64]
 
@@ -73,8 +74,8 @@ def _fields_disagree(picture: Picture, rows: RowFit) -> bool:
     if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < 6:
         return False
     one, other = rows.offset[good & odd], rows.offset[good & ~odd]
-    apart = np.median(one) - np.median(other)
-    error = 1.25 * np.hypot(_sd(one) / np.sqrt(one.size), _sd(other) / np.sqrt(other.size))
+    apart = median(one) - median(other)
+    error = 1.25 * np.hypot(spread(one) / np.sqrt(one.size), spread(other) / np.sqrt(other.size))
     return bool(abs(apart) > max(SIGNIFICANT * error, FIELD_OFFSET_PX))
 
 
@@ -112,16 +113,12 @@ def _bowed(offset: Array) -> bool:
     size = np.diff(begin, append=value.size)
     means = np.add.reduceat(value, begin) / size
     within = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
-    differences = 0.5 * float(np.median(np.diff(means) ** 2)) / 0.455
+    differences = 0.5 * median(np.diff(means) ** 2) / 0.455
     error = np.sqrt(max(within, differences) * BLOCKS)
     shape = np.linalg.lstsq(design, value, rcond=None)[0][2:]
     # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
     significant = np.abs(shape) > SIGNIFICANT * error / BLOCKS * np.sqrt([5.0, 7.0])
     return bool(np.any(significant & (np.abs(shape) > SAGITTA_PX / 1.5)))
-
-
-def _sd(values: Array) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
 def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency: float) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from charact.mtf.bins import Gathered
 from charact.mtf.picture import Picture
+from charact.robust import NORMAL, median
 
 Array = NDArray[np.float64]
 
@@ -104,7 +105,7 @@ def levels_of(mean: Array, count: Array, gathered: Gathered) -> tuple[float, flo
     filled = count > 0
     left, right = middle < 0.5 * gathered.borders[0], middle > 0.5 * gathered.borders[-1]
     sides = (side if side.any() else filled for side in (filled & left, filled & right))
-    dark, bright = (float(np.median(mean[side])) for side in sides)
+    dark, bright = (median(mean[side]) for side in sides)
     return dark, bright
 
 
@@ -120,4 +121,4 @@ def defective(residual: Array, level: Array, used: NDArray[np.bool_], rounding_s
 
 def _robust_sd(size: Array, rounding_sd: float) -> float:
     """Return the standard deviation of normal noise whose absolute values have this median."""
-    return max(1.4826 * float(np.median(size)), rounding_sd)
+    return max(NORMAL * median(size), rounding_sd)

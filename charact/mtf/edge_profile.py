@@ -21,6 +21,7 @@ from charact.mtf.grain import Grain, bin_covariance, grain_of
 from charact.mtf.line import Line
 from charact.mtf.picture import Picture
 from charact.mtf.spread import edge_weights
+from charact.robust import median
 
 Array = NDArray[np.float64]
 
@@ -125,7 +126,7 @@ def centred(picture: Picture, line: Line) -> Line:
     above = smooth > 0.5 * (dark + bright)
     place = distance[4:-4]
     rises = np.flatnonzero(np.diff(above.astype(int)) == 1)
-    shift = float(np.median(place[rises])) if rises.size else 0.0
+    shift = median(place[rises]) if rises.size else 0.0
     if not np.isfinite(shift) or abs(shift) > 4.0:
         return line
     return replace(line, position=line.position + shift / float(np.cos(line.angle_rad(picture.pitch_ratio))))

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from charact.mtf.line import Line
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
+from charact.robust import NORMAL, median
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,7 @@ def _reference(step: Array) -> float:
     finite = step[np.isfinite(step)]
     if not finite.size or not finite.max() > 0:
         return 0.0
-    return float(np.median(finite[finite > 0.5 * finite.max()]))
+    return median(finite[finite > 0.5 * finite.max()])
 
 
 def original(picture: Picture, region: Region) -> Region:
@@ -73,7 +74,7 @@ def _steps(value: Array, across: Array, size: int) -> tuple[Array, float]:
         sides.append(np.where(blocks >= size * (FAR_PX - NEAR_PX - 2.0), means, np.nan))
     step = sides[0] - sides[1]
     finite = step[np.isfinite(step)]
-    error = 1.4826 * float(np.median(np.abs(np.diff(finite)))) / np.sqrt(2.0) if finite.size > 3 else 0.0
+    error = NORMAL * median(np.abs(np.diff(finite))) / np.sqrt(2.0) if finite.size > 3 else 0.0
     return step, error
 
 
@@ -95,7 +96,7 @@ def _plateaus(value: Array, across: Array, step: float, error: float) -> tuple[f
     low = int(cell.min())
     count = np.bincount((cell - low).ravel())
     mean = np.bincount((cell - low).ravel(), weights=value.ravel()) / np.maximum(count, 1)
-    enough = count > 0.3 * np.median(count)
+    enough = count > 0.3 * median(count)
     reach = []
     for sign in (-1, 1):
         places = np.arange(3, 400) * sign - (1 if sign < 0 else 0) - low

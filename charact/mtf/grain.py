@@ -13,6 +13,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 from charact.mtf.bins import NARROWEST_PX, Gathered
 from charact.mtf.grain_form import form_of
+from charact.robust import median
 
 Array = NDArray[np.float64]
 
@@ -206,7 +207,7 @@ def _positive(covariance: Array) -> Array:
     """Return the covariance, its eigenvalues raised to a small share of those of independent pixels where negative."""
     # A bin of one pixel whose noise the correlation estimate makes nothing of is as noisy as its neighbours.
     diagonal = np.diag(covariance)
-    scale = np.sqrt(np.maximum(diagonal, 1e-3 * np.median(diagonal[diagonal > 0])))
+    scale = np.sqrt(np.maximum(diagonal, 1e-3 * median(diagonal[diagonal > 0])))
     correlation = covariance / np.outer(scale, scale)
     try:
         np.linalg.cholesky(correlation - 1e-3 * np.eye(len(correlation)))

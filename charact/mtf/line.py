@@ -8,11 +8,14 @@ from numpy.typing import NDArray
 
 from charact.mtf.picture import Picture
 from charact.mtf.projections import SLOPE_STEP, strongest
+from charact.robust import NORMAL, median, spread
 
 Array = NDArray[np.float64]
 
 # A picture is looked through at no more than this many pixels a side.
 COARSE_SIZE = 96
+# Steps towards the edge by at most about so many pixels, before one that takes all.
+FINE_FROM, COARSE_PIXELS = 3, 2000
 # How far from the edge a row tells where it is, px.
 ROW_REACH_PX = 14.0
 
@@ -64,7 +67,7 @@ def _binned(value: Array, factor: int) -> Array:
 
 def _strength(small: Array, score: float) -> float:
     """Return a step score over the noise between neighbouring coarse pixels, whichever axis is the quieter."""
-    noise = min(float(np.median(np.abs(np.diff(small, axis=axis)))) for axis in (0, 1)) / 0.6745 / np.sqrt(2)
+    noise = min(median(np.abs(np.diff(small, axis=axis))) for axis in (0, 1)) / 0.6745 / np.sqrt(2)
     return abs(score) / max(noise, 1e-12 * (1 + abs(score)))
 
 
@@ -83,20 +86,25 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
     across = line.across((rows, cols))
     reach = 12.0 + wander
     inside = np.nonzero(np.abs(across) < reach)
-    value, distance, height = picture.value[inside], across[inside], row[inside[0]] / rows
-    if value.size < 16:
+    every = picture.value[inside], across[inside], row[inside[0]] / rows
+    if every[0].size < 16:
         return line
+    # The first steps are far from exact: some of the pixels tell them.
+    few = tuple(part[:: max(1, every[0].size // COARSE_PIXELS)] for part in every)
     shift, turn, width, clip = 0.0, 0.0, max(2.0, wander), np.inf
-    last, design = np.inf, np.ones((7, value.size))
-    design[2] = height
+    last = np.inf
     for iteration in range(iterations):
+        if iteration in (0, FINE_FROM):
+            value, distance, height = few if iteration == 0 else every
+            design = np.ones((7, value.size))
+            design[2] = height
         place = (distance - shift - turn * height) / width
         bend = np.tanh(place)
         design[1], design[3] = bend, height * bend
         levels = _least_squares(design[:4], value)
         residual = value - levels @ design[:4]
         if iteration in (3, 6):
-            clip = 6.0 * 1.4826 * float(np.median(np.abs(residual[:: max(1, value.size // 4000)])))
+            clip = 6.0 * NORMAL * median(np.abs(residual[:: max(1, value.size // 4000)]))
         residual = np.clip(residual, -clip, clip)
         design[4] = -(levels[1] + levels[3] * height) / width * (1.0 - bend**2)
         design[5], design[6] = design[4] * height, design[4] * place
@@ -105,7 +113,7 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
         shift, turn = float(np.clip(shift + step[0], -reach, reach)), turn + step[1]
         width = float(np.clip(width + np.clip(move[2], -0.5 * width, width), 0.4, 20.0))
         size = abs(step[0]) + abs(step[1])
-        if iteration > 3 and size < 1e-3 and last < 0.1:
+        if iteration > FINE_FROM and size < 1e-3 and last < 0.1:
             break
         last = size
     return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
@@ -154,7 +162,7 @@ def refine(picture: Picture, line: Line) -> RowFit:
     if good.sum() < 3:
         return RowFit(line=line, offset=offset, offset_sd=np.inf)
     offset = np.where(good, offset - shift - turn * row, np.nan)
-    return RowFit(line=line, offset=offset, offset_sd=_spread(offset[good]))
+    return RowFit(line=line, offset=offset, offset_sd=spread(offset[good]))
 
 
 def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
@@ -162,7 +170,7 @@ def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[n
     offset, good = _row_offsets(picture, line, 0.5)
     if good.sum() < 3:
         return offset, good, 0.0, 0.0
-    good &= np.abs(offset - np.median(offset[good])) < 6 * _spread(offset[good]) + 1e-9
+    good &= np.abs(offset - median(offset[good])) < 6 * spread(offset[good]) + 1e-9
     design = np.stack([np.ones_like(row), row], axis=1)[good]
     shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0]
     return offset, good, float(shift), float(turn)
@@ -181,7 +189,7 @@ def _row_offsets(picture: Picture, line: Line, blur_px: float) -> tuple[Array, N
     kernel = kernel / np.maximum(kernel.sum(axis=1, keepdims=True), 1e-300)
     profile = kernel @ (sums / np.maximum(counts, 1))
     offset, power = _displaced(picture.value, across, places, profile, np.gradient(profile, places))
-    return offset, (power > 0.5 * np.median(power)) & (power > 0)
+    return offset, (power > 0.5 * median(power)) & (power > 0)
 
 
 @njit(cache=True)
@@ -219,8 +227,3 @@ def _displaced(value: Array, across: Array, places: Array, profile: Array, rise:
         power[row] = scale[0] ** 2 / inverse[0]
         offset[row] = -np.dot(inverse, pull / scale) / scale[0]
     return offset, power
-
-
-def _spread(values: Array) -> float:
-    """Return a standard deviation that outliers do not move."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
