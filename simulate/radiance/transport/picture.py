@@ -32,8 +32,8 @@ Array = NDArray[np.floating]
 # Points that share what they gather, and the irradiance that they get, see `Stage.leaving`.
 Shared = tuple[NDArray[np.int64], NDArray[np.float32]]
 Sharing = Callable[[Points, NDArray[np.int64]], Shared]
-# Share of the variance allowed that is left to light that pixels share; the rest is for their own rays.
-SHARED_CHANCE = 0.5
+# Share of the variance allowed that is left to light that pixels share: it costs most. The rest is for their own rays.
+SHARED_CHANCE = 0.8
 # Rays that are followed at once, gathering counted.
 BATCH = 48_000
 # Pixels that share nothing gather by so many times as many rays: more where only the sky's shadow is to be found.
