@@ -16,15 +16,19 @@ from numba.core import types
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.radiance.uncounted import uncounted
 
 # Numbers of Embree 4's C interface: kinds of geometry and of buffers, and formats.
 TRIANGLES, INDEX, VERTEX, UINT3, FLOAT3 = 0, 0, 1, 0x5003, 0x9003
 # Rays go in packets of 16, seven times as fast as one by one. A packet starts at a multiple of 64 bytes; its rows, of
 # numbers of 4 bytes, are first those of rays, then those of hits, and last our own of which rays count.
-PACKET, ALIGNED = 16, 64
+BITS, ALIGNED = 4, 64
+PACKET = 1 << BITS
 ORIGIN, DIRECTION, REACH, MASK, TRIANGLE, GEOMETRY, VALID, ROWS = 0, 4, 8, 9, 17, 18, 22, 23
-NONE = 0xFFFFFFFF
+NONE = -1
 COMPILED = {"nogil": True, "cache": True, "error_model": "numpy"}
+# What is called for each ray: a call would push all its arrays and count references, which costs more than the work.
+INLINED = {**COMPILED, "forceinline": True}
 # A corner and the unit normal of each triangle, each of shape (face, 3).
 Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -110,7 +114,7 @@ class EmbreeScene:
         Distances are those of the triangles' planes (corner and normal, shape (face, 3)) in double precision.
         """
         face, range_m = np.empty(len(origin), np.int64), np.empty(len(origin))
-        _hits(self.address, self.centre_m, *planes, origin, direction, face, range_m)
+        _hits(self.address, self.centre_m, planes, (origin, direction), new_packets(PACKET), face, range_m)
         return face, range_m
 
     def blocked(
@@ -118,58 +122,89 @@ class EmbreeScene:
     ) -> NDArray[np.bool_]:
         """Return whether rays hit anything within so many lengths of their directions, shape (ray,)."""
         found = np.empty(len(origin), np.bool_)
-        _blocked(self.address, self.centre_m, origin, direction, reach, found)
+        _blocked(self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found)
         return found
 
 
-intersect: Any = types.ExternalFunction("rtcIntersect16", types.void(*(types.uintp,) * 4))
+_intersect: Any = types.ExternalFunction("rtcIntersect16", types.void(*(types.uintp,) * 4))
 _occluded: Any = types.ExternalFunction("rtcOccluded16", types.void(*(types.uintp,) * 4))
 
 
-@numba.njit(**COMPILED)
-def new_packet():
-    """Return room for rays and their hits, a row for each number and a column for each ray, and for who counts."""
-    room = np.zeros((ROWS + 1) * PACKET, np.float32)
-    start = (-room.ctypes.data % ALIGNED) // 4
-    packet = room[start : start + ROWS * PACKET].reshape(ROWS, PACKET)
-    packet.view(np.uint32)[MASK] = NONE
-    return packet, packet[VALID].view(np.int32)
+def new_packets(rays: int) -> NDArray[np.float32]:
+    """Return room for so many rays and their hits: packets of a row for each number and a column for each ray."""
+    many = -(-rays // PACKET)
+    room = np.zeros(many * ROWS * PACKET + ALIGNED // 4, np.float32)
+    start = -room.ctypes.data % ALIGNED // 4
+    packets = room[start : start + many * ROWS * PACKET].reshape(many, ROWS, PACKET)
+    packets.view(np.int32)[:, MASK] = NONE
+    return packets
 
 
-@numba.njit(**COMPILED)
-def aim(packet, counts, lane, centre, origin, direction, reach):
-    """Set one ray of a packet: how far it may go is in lengths of its direction."""
+@numba.njit(**INLINED)
+def aim(packets, slot, centre, origin, direction, reach):
+    """Set one ray: how far it may go is in lengths of its direction."""
+    packet, lane = slot >> BITS, slot & (PACKET - 1)
     for axis in range(3):
-        packet[ORIGIN + axis, lane] = origin[axis] - centre[axis]
-        packet[DIRECTION + axis, lane] = direction[axis]
-    packet[REACH, lane] = reach
-    counts[lane] = -1
+        packets[packet, ORIGIN + axis, lane] = origin[axis] - centre[axis]
+        packets[packet, DIRECTION + axis, lane] = direction[axis]
+    packets[packet, REACH, lane] = reach
+
+
+@numba.njit(**INLINED)
+def intersect(scene, packets, many):
+    """Find what the first so many rays hit: `triangle_of` tells."""
+    for packet in range((many + PACKET - 1) >> BITS):
+        rays = _counted(packets, packet, many)
+        _intersect(rays + 4 * VALID * PACKET, scene, rays, 0)
+
+
+@numba.njit(**INLINED)
+def stop(scene, packets, many):
+    """Find which of the first so many rays are stopped: `stopped` tells."""
+    for packet in range((many + PACKET - 1) >> BITS):
+        rays = _counted(packets, packet, many)
+        _occluded(rays + 4 * VALID * PACKET, scene, rays, 0)
+
+
+@numba.njit(**INLINED)
+def _counted(packets, packet, many):
+    """Set which rays of a packet count and that none has hit, and return its address."""
+    number = packets.view(np.int32)
+    for lane in range(PACKET):
+        number[packet, VALID, lane] = -1 if (packet << BITS) + lane < many else 0
+        number[packet, GEOMETRY, lane] = NONE
+    return packets.ctypes.data + 4 * ROWS * PACKET * packet
+
+
+@numba.njit(**INLINED)
+def triangle_of(packets, slot):
+    """Return the triangle that a ray hit, -1 for none."""
+    number, packet, lane = packets.view(np.int32), slot >> BITS, slot & (PACKET - 1)
+    return np.int64(number[packet, TRIANGLE, lane]) if number[packet, GEOMETRY, lane] != NONE else np.int64(-1)
+
+
+@numba.njit(**INLINED)
+def stopped(packets, slot):
+    """Return whether a ray was stopped."""
+    return packets[slot >> BITS, REACH, slot & (PACKET - 1)] < 0.0
 
 
 @numba.njit(**COMPILED)
-def stop(scene, packet, counts):
-    """Find which rays of a packet are stopped: the reach of these is negative then."""
-    _occluded(counts.ctypes.data, scene, packet.ctypes.data, 0)
-
-
-@numba.njit(**COMPILED)
-def _hits(scene, centre, corner, normal, origin, direction, face, range_m):
-    packet, counts = new_packet()
-    number = packet.view(np.uint32)
+def _hits(scene, centre, planes, rays, packets, face, range_m):
+    corner, normal = uncounted(planes)
+    origin, direction = uncounted(rays)
+    packets = uncounted(packets)
     for first in range(0, len(face), PACKET):
         many = min(PACKET, len(face) - first)
-        counts[:] = 0
-        for lane in range(many):
-            aim(packet, counts, lane, centre, origin[first + lane], direction[first + lane], np.inf)
-            number[GEOMETRY, lane] = NONE
-        intersect(counts.ctypes.data, scene, packet.ctypes.data, 0)
-        for lane in range(many):
-            i = first + lane
-            if number[GEOMETRY, lane] == NONE:
-                face[i], range_m[i] = -1, np.inf
+        for slot in range(many):
+            aim(packets, slot, centre, origin[first + slot], direction[first + slot], np.inf)
+        intersect(scene, packets, many)
+        for slot in range(many):
+            i = first + slot
+            hit = triangle_of(packets, slot)
+            face[i], range_m[i] = hit, np.inf
+            if hit < 0:
                 continue
-            hit = np.int64(number[TRIANGLE, lane])
-            face[i] = hit
             height, slope = 0.0, 0.0
             for axis in range(3):
                 height += (corner[hit, axis] - origin[i, axis]) * normal[hit, axis]
@@ -180,13 +215,13 @@ def _hits(scene, centre, corner, normal, origin, direction, face, range_m):
 
 
 @numba.njit(**COMPILED)
-def _blocked(scene, centre, origin, direction, reach, found):
-    packet, counts = new_packet()
+def _blocked(scene, centre, rays, packets, found):
+    origin, direction, reach = uncounted(rays)
+    packets = uncounted(packets)
     for first in range(0, len(found), PACKET):
         many = min(PACKET, len(found) - first)
-        counts[:] = 0
-        for lane in range(many):
-            aim(packet, counts, lane, centre, origin[first + lane], direction[first + lane], reach[first + lane])
-        stop(scene, packet, counts)
-        for lane in range(many):
-            found[first + lane] = packet[REACH, lane] < 0.0
+        for slot in range(many):
+            aim(packets, slot, centre, origin[first + slot], direction[first + slot], reach[first + slot])
+        stop(scene, packets, many)
+        for slot in range(many):
+            found[first + slot] = stopped(packets, slot)

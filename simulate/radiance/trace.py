@@ -6,6 +6,7 @@ it, by more than what single precision gets wrong there.
 """
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,7 +98,9 @@ class Tracer:
         side
             Normal of the triangle, pointing to the side where the ray goes, shape (place, 3).
         """
-        shift = np.maximum(self.clearance_m[face], CLEARANCE_SHARE * np.abs(place_m - self.centre_m).max(axis=1))
+        # Column by column: NumPy takes ten times as long over rows of three.
+        away = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
+        shift = np.maximum(self.clearance_m[face], CLEARANCE_SHARE * away)
         return place_m + shift[:, None] * side
 
 

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import COMPILED
+from simulate.radiance.embree import COMPILED, INLINED
 from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, Spot, Table
 from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.dome import Dome
@@ -93,7 +93,7 @@ def _pattern(distribution: Distribution) -> NDArray[np.float64]:
     raise TypeError(f"no compiled loop knows {type(distribution).__name__}")
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
     """Irradiance of a lamp over its spectrum were nothing in the way, as `direct.lamp_factor`."""
     position, _, _, _, axes, ends, tables = lamps
@@ -107,7 +107,7 @@ def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
     return cosine * lamp_pattern(pattern, axes[lamp], -x / distance, -y / distance, -z / distance) / square
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> None:
     """Set the way from a place to one drawn on a lamp."""
     position, radius, square = lamps[0][lamp], lamps[1][lamp], 0.0
@@ -120,7 +120,7 @@ def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> Non
     turned(middle, off * np.cos(turn), off * np.sin(turn), distance, way)
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float:
     """Return the share of a lamp's light per sr in a unit direction away from it."""
     up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
@@ -157,19 +157,19 @@ def _cell(values: Any, value: float) -> Any:
     return at, (value - values[at]) / (values[at + 1] - values[at])
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def sky_light(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
     """Add a share of the radiance from a unit direction above the horizon, weighed by band."""
     _add(table, np.arcsin(min(z, 1.0)) / (0.5 * np.pi), x, y, share, weight, found)
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def sky_irradiance(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
     """Add a share of what a surface of a unit normal gets of the whole sky, weighed by band."""
     _add(table, np.arccos(min(max(z, -1.0), 1.0)) / np.pi, x, y, share, weight, found)
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def _add(table: Any, down: float, x: float, y: float, share: float, weight: Any, found: Any) -> None:
     """Add what a table holds at a share of its height and in the azimuth of a direction, interpolated."""
     rows, columns, bands = table.shape
@@ -183,7 +183,7 @@ def _add(table: Any, down: float, x: float, y: float, share: float, weight: Any,
         found[band] += share * weight[band] * (upper * (1.0 - below) + lower * below)
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def bright_density(per_sr: Any, x: float, y: float, z: float) -> float:
     """Return the density with which `bright_way` draws a unit direction above the horizon, sr-1; zero without any."""
     heights, around = per_sr.shape
@@ -194,7 +194,7 @@ def bright_density(per_sr: Any, x: float, y: float, z: float) -> float:
     return per_sr[row, min(int((col - np.floor(col)) * around), around - 1)]
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def bright_way(cumulated: Any, sines: Any, a: float, b: float, c: float, way: Any) -> None:
     """Set a direction drawn by how bright the sky is, from three even numbers."""
     around = len(cumulated) // (len(sines) - 1)

@@ -13,17 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import (
-    COMPILED,
-    GEOMETRY,
-    NONE,
-    PACKET,
-    REACH,
-    TRIANGLE,
-    aim,
-    intersect,
-    stop,
-)  # fmt: skip
+from simulate.radiance.embree import COMPILED, INLINED, aim, intersect, stop, stopped, triangle_of
 from simulate.radiance.trace import NOTHING, Tracer
 from simulate.radiance.transport.compiled_lights import SHORT, lamp_factor, towards_lamp
 from simulate.radiance.transport.lanes import raised, uniform
@@ -77,7 +67,7 @@ def _rings(lamp: LampLight) -> NDArray[np.float64]:
     way = np.stack(np.broadcast_arrays(sine * np.cos(turn), sine * np.sin(turn), np.cos(polar)[:, None]), axis=-1)
     density = lamp.pattern.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1) * sine[:, 0]
     so_far = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(polar))])
-    # Half a step of evenness keeps rings apart where a table is dark.
+    # A millionth of evenness keeps rings apart where a table is dark.
     so_far += 1e-6 * so_far[-1] * polar / np.pi
     edge = np.interp(np.linspace(0.0, so_far[-1], RINGS + 1), so_far, polar)
     return 2.0 * np.sin(0.5 * edge) ** 2
@@ -123,7 +113,7 @@ def _facing(tracer: Tracer, face: NDArray[np.int64], way: NDArray[np.float64]) -
     return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * tracer.normal[face], np.abs(cosine)
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def share_by_light(beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, by_ray: float) -> float:
     """Return which share of what a lamp sends by way of a place is found by rays from the lamp.
 
@@ -147,7 +137,7 @@ def share_by_light(beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, b
     return share if share >= LEAST else 0.0
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def _per_sr(falls: Any, fall: float) -> float:
     """Density with which rings are drawn in a direction, sr-1."""
     ring = np.searchsorted(falls, fall, side="right") - 1
@@ -156,7 +146,7 @@ def _per_sr(falls: Any, fall: float) -> float:
     return 1.0 / (2.0 * np.pi * RINGS * (falls[ring + 1] - falls[ring]))
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
     """Draw a lamp, and set a direction as it shines."""
     _, cumulated, falls = beams
@@ -173,54 +163,54 @@ def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
 
 
 @numba.njit(**COMPILED)
-def add_lit_places(
-    scene: Any, coats: Any, lamps: Any, beams: Any, packet: Any, counts: Any, lanes: Any, state: Any, found: Any
-) -> None:
+def add_lit_places(scene: Any, coats: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int, state: Any,
+                   found: Any) -> None:  # fmt: skip
     """Add what places send that lamps light, as far as it is found from there: see `arrivals.add_lamps`."""
     address, centre, corner, face_normal, clearance = scene
     material_of, rho_by_pi, matt = coats
-    position, spectrum = lamps[0], lamps[2]
-    alive, owner, face, leaves, there = lanes[0], lanes[1], lanes[2], lanes[4], lanes[5]
-    factor, chosen = lanes[11], lanes[12]
-    number = packet.view(np.uint32)
-    counts[:] = 0
-    for lane in range(PACKET):
-        if alive[lane]:
-            chosen[lane] = _shine(beams, lamps, state, there[lane])
-            aim(packet, counts, lane, centre, position[chosen[lane]], there[lane], np.inf)
-            number[GEOMETRY, lane] = NONE
-    intersect(counts.ctypes.data, address, packet.ctypes.data, 0)
-    up, way = np.empty(3), np.empty(3)
-    for lane in range(PACKET):
-        hit = counts[lane] != 0 and number[GEOMETRY, lane] != NONE
-        counts[lane] = 0
-        if not hit or not matt[material_of[number[TRIANGLE, lane]]]:
+    position, spectrum, there = lamps[0], lamps[2], lanes.place
+    for k in range(many):
+        lane = lanes.going[k]
+        lanes.chosen[lane] = _shine(beams, lamps, state, there[lane])
+        aim(packets, k, centre, position[lanes.chosen[lane]], there[lane], np.inf)
+    intersect(address, packets, many)
+    asked = 0
+    for slot in range(many):
+        face, lane = triangle_of(packets, slot), lanes.going[slot]
+        if face < 0 or not matt[material_of[face]]:
             continue
-        face[lane] = number[TRIANGLE, lane]
-        _land(corner[face[lane]], face_normal[face[lane]], position[chosen[lane]], there[lane], up)
-        factor[lane] = _carried(lamps, beams, lanes, lane, up)
-        if factor[lane] > 0.0:
-            raised(clearance, centre, face[lane], there[lane], up, there[lane])
+        # The place's own normal is kept: gathering goes on from it. Rays to the lamp take their way's room.
+        up = lanes.toward[lane]
+        _land(corner[face], face_normal[face], position[lanes.chosen[lane]], there[lane], up)
+        lanes.face[lane], lanes.factor[lane] = face, _carried(lamps, beams, lanes, lane, up)
+        if lanes.factor[lane] > 0.0:
+            raised(clearance, centre, face, there[lane], up, there[lane])
             for axis in range(3):
-                way[axis] = there[lane, axis] - lanes[6][lane, axis]
-            aim(packet, counts, lane, centre, lanes[6][lane], way, SHORT)
-    stop(address, packet, counts)
-    for lane in range(PACKET):
-        free = counts[lane] != 0 and packet[REACH, lane] >= 0.0
-        counts[lane] = 0
-        if free:
-            towards_lamp(lamps, chosen[lane], there[lane], state, way)
-            aim(packet, counts, lane, centre, there[lane], way, SHORT)
-    stop(address, packet, counts)
-    for lane in range(PACKET):
-        if counts[lane] != 0 and packet[REACH, lane] >= 0.0:
-            material = material_of[face[lane]]
+                up[axis] = there[lane, axis] - lanes.start[lane, axis]
+            # Slots before this one have been read.
+            aim(packets, asked, centre, lanes.start[lane], up, SHORT)
+            lanes.asked[asked] = lane
+            asked += 1
+    stop(address, packets, asked)
+    free = 0
+    for slot in range(asked):
+        if not stopped(packets, slot):
+            lane = lanes.asked[slot]
+            towards_lamp(lamps, lanes.chosen[lane], there[lane], state, lanes.toward[lane])
+            aim(packets, free, centre, there[lane], lanes.toward[lane], SHORT)
+            lanes.asked[free] = lane
+            free += 1
+    stop(address, packets, free)
+    for slot in range(free):
+        if not stopped(packets, slot):
+            lane = lanes.asked[slot]
+            owner, chosen, material = lanes.owner[lane], lanes.chosen[lane], material_of[lanes.face[lane]]
             for band in range(found.shape[1]):
-                light = factor[lane] * spectrum[chosen[lane], band] * rho_by_pi[material, band]
-                found[owner[lane], band] += leaves[lane, band] * light
+                light = lanes.factor[lane] * spectrum[chosen, band] * rho_by_pi[material, band]
+                found[owner, band] += lanes.leaves[lane, band] * light
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def _land(corner: Any, normal: Any, origin: Any, there: Any, up: Any) -> None:
     """Go from an origin by a direction to a triangle's plane, and set the normal towards where the ray came from."""
     height, slope = 0.0, 0.0
@@ -234,10 +224,10 @@ def _land(corner: Any, normal: Any, origin: Any, there: Any, up: Any) -> None:
         up[axis] = -normal[axis] if slope > 0.0 else normal[axis]
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def _carried(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> float:
     """Irradiance by way of a place over spectrum and rho / pi were nothing between, as its share by light counts it."""
-    there, start, normal, lamp = lanes[5][lane], lanes[6][lane], lanes[7][lane], lanes[12][lane]
+    there, start, normal, lamp = lanes.place[lane], lanes.start[lane], lanes.normal[lane], lanes.chosen[lane]
     square, cosine, leaving = 0.0, 0.0, 0.0
     for axis in range(3):
         off = there[axis] - start[axis]

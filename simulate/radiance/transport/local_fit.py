@@ -7,8 +7,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import COMPILED
+from simulate.radiance.embree import COMPILED, INLINED
 from simulate.radiance.transport.workers import Run
+from simulate.radiance.uncounted import uncounted
 
 # Neighbours belong to the same surface if their normals differ by less than acos(0.98) = 11 degrees, and if none lies
 # farther off the other's plane than this share of their distance, or than the length that single precision allows.
@@ -118,7 +119,7 @@ def all_alike(
     return found
 
 
-@numba.njit(**COMPILED)
+@numba.njit(**INLINED)
 def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
     """Return whether two places lie on one smooth surface."""
     facing, off, off_other, square = 0.0, 0.0, 0.0, 0.0
@@ -134,6 +135,7 @@ def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
 
 @numba.njit(**COMPILED)
 def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, found: Any) -> None:
+    place, normal, other_place, other_normal = uncounted((place, normal, other_place, other_normal))
     for pair in range(len(found)):
         found[pair] = alike(place[pair], normal[pair], other_place[pair], other_normal[pair])
 
@@ -157,6 +159,8 @@ def _fit(values: Any, place: Any, normal: Any, there: Any, width: Any, first: in
     found
         Gets the result, shape (row, col, band).
     """
+    values, found, there, width = uncounted(values), uncounted(found), uncounted(there), uncounted(width)
+    place, normal = uncounted(place), uncounted(normal)
     rows, columns, bands = values.shape
     plane = np.zeros((3, bands))
     for r in range(first, last):
@@ -210,6 +214,8 @@ def _interpolate(
     found, has
         Get values, shape (ray, band), and whether there were any, shape (ray,).
     """
+    values, found, there, has = uncounted(values), uncounted(found), uncounted(there), uncounted(has)
+    place, normal, at, facing = uncounted(place), uncounted(normal), uncounted(at), uncounted(facing)
     rows, columns, bands = values.shape
     for ray in range(len(row)):
         top, left = int(np.floor(row[ray])), int(np.floor(col[ray]))

@@ -6,12 +6,14 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import COMPILED, DIRECTION, PACKET, REACH, aim, new_packet, stop
+from simulate.radiance.embree import COMPILED, PACKET, aim, new_packets, stop, stopped
 from simulate.radiance.trace import Tracer
 from simulate.radiance.transport.compiled_lights import sky_light
 from simulate.radiance.transport.dome import Dome
-from simulate.radiance.transport.even import R2, Even
+from simulate.radiance.transport.even import Even
+from simulate.radiance.transport.lanes import by_cosine, first_even, next_even
 from simulate.radiance.transport.points import Points
+from simulate.radiance.uncounted import uncounted
 
 
 def sky_beyond_known(points: Points, even: Even, dome: Dome, tracer: Tracer) -> NDArray[np.float32]:
@@ -30,61 +32,38 @@ def sky_beyond_known(points: Points, even: Even, dome: Dome, tracer: Tracer) -> 
     -----
     pi/rays times the sum of (1 - known) L where a ray is free and of -known L where it is not.
     """
-    found = np.zeros((len(points), dome.radiance_table.shape[2]), np.float32)
+    bands = dome.radiance_table.shape[2]
+    found = np.zeros((len(points), bands), np.float32)
     if tracer.scene is not None:
         start = tracer.above(points.face, points.place_m, points.normal)
-        scene, rays = (tracer.scene.address, tracer.scene.centre_m), (even.start, even.rays, R2)
-        _add_sky(*scene, start, points.normal, points.known, *rays, dome.radiance_table, found)
+        room = (new_packets(PACKET), np.zeros(PACKET, np.int64), np.zeros((PACKET, 3)), np.ones(bands, np.float32))
+        scene, here = (tracer.scene.address, tracer.scene.centre_m), (start, points.normal, points.known)
+        _add_sky(scene, here, (even.start, even.rays), dome.radiance_table, room, found)
     return found
 
 
 @numba.njit(**COMPILED)
-def _add_sky(
-    scene: Any,
-    centre: Any,
-    place: Any,
-    normal: Any,
-    known: Any,
-    start: Any,
-    rays: int,
-    step: Any,
-    table: Any,
-    found: Any,
-) -> None:
-    packet, counts = new_packet()
-    whole = np.ones(found.shape[1], np.float32)
-    way, total = np.zeros(3), len(place) * rays
-    step_x, step_y = np.cos(2.0 * np.pi * step[1]), np.sin(2.0 * np.pi * step[1])
-    square, along, across = 0.0, 1.0, 0.0
+def _add_sky(scene: Any, points: Any, even: Any, table: Any, room: Any, found: Any) -> None:
+    address, centre = scene
+    place, normal, known = uncounted(points)
+    begin, each = uncounted(even)
+    table, found = uncounted(table), uncounted(found)
+    packets, owner, ways, whole = uncounted(room)
+    i, ray, now = 0, 0, (0.0, 1.0, 0.0)
     # Rays of all places one after the other, so that packets are full however few rays each place has.
-    for first in range(0, total, PACKET):
-        many = min(PACKET, total - first)
-        counts[:] = 0
-        for lane in range(many):
-            i = (first + lane) // rays
-            if (first + lane) % rays == 0:
-                square, turn = start[i, 0], 2.0 * np.pi * start[i, 1]
-                along, across = np.cos(turn), np.sin(turn)
-            x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
-            # The frame of `points.frames`.
-            sign = 1.0 if z >= 0.0 else -1.0
-            a = -1.0 / (sign + z)
-            b = x * y * a
-            radius, w = np.sqrt(square), np.sqrt(1.0 - square)
-            u, v = radius * along, radius * across
-            # From ray to ray the turn about the normal grows by as much: no sine is computed anew.
-            square = (square + step[0]) % 1.0
-            along, across = along * step_x - across * step_y, along * step_y + across * step_x
-            way[0] = u * (1.0 + sign * x * x * a) + v * b + w * x
-            way[1] = u * sign * b + v * (sign + y * y * a) + w * y
-            way[2] = -u * sign * x - v * y + w * z
-            if way[2] >= 0.0:
-                aim(packet, counts, lane, centre, place[i], way, np.inf)
-        stop(scene, packet, counts)
-        for lane in range(many):
-            i = (first + lane) // rays
-            share = -known[i] if packet[REACH, lane] < 0.0 else 1.0 - known[i]
-            if counts[lane] != 0 and share != 0.0:
-                for axis in range(3):
-                    way[axis] = packet[DIRECTION + axis, lane]
-                sky_light(table, way[0], way[1], way[2], share * np.pi / rays, whole, found[i])
+    while i < len(place):
+        asked = 0
+        while asked < PACKET and i < len(place):
+            now = next_even(now) if ray else first_even(begin[i])
+            by_cosine(normal[i], now, ways[asked])
+            if ways[asked, 2] >= 0.0:
+                owner[asked] = i
+                aim(packets, asked, centre, place[i], ways[asked], np.inf)
+                asked += 1
+            i, ray = (i, ray + 1) if ray + 1 < each else (i + 1, 0)
+        stop(address, packets, asked)
+        for slot in range(asked):
+            one, way = owner[slot], ways[slot]
+            share = -known[one] if stopped(packets, slot) else 1.0 - known[one]
+            if share != 0.0:
+                sky_light(table, way[0], way[1], way[2], share * np.pi / each, whole, found[one])

@@ -1,6 +1,6 @@
 """Light by way of matt surfaces, followed by compiled loops: rays from place to place until nothing counts any more.
 
-What `gather` does in batches for all kinds of surfaces is done here, sixteen rays at a time, where places are matt.
+What `gather` does in batches for all kinds of surfaces is done here, a wave of rays at a time, where places are matt.
 Rays that meet a surface which is not matt are handed back from where they met it.
 """
 
@@ -11,18 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import (
-    COMPILED,
-    GEOMETRY,
-    NONE,
-    PACKET,
-    REACH,
-    TRIANGLE,
-    aim,
-    intersect,
-    new_packet,
-    stop,
-)  # fmt: skip
+from simulate.radiance.embree import COMPILED, aim, intersect, new_packets, stop, stopped, triangle_of
 from simulate.radiance.trace import Tracer
 from simulate.radiance.transport.arrivals import (
     add_bright,
@@ -33,10 +22,11 @@ from simulate.radiance.transport.arrivals import (
     add_panels,
 )  # fmt: skip
 from simulate.radiance.transport.compiled_lights import bright_density, sky_light
-from simulate.radiance.transport.even import R2, Even
-from simulate.radiance.transport.lanes import by_cosine, new_lanes, raised, uniform
+from simulate.radiance.transport.even import Even
+from simulate.radiance.transport.lanes import WAVE, Lanes, by_cosine, first_even, in_disc, next_even, raised, uniform
 from simulate.radiance.transport.lit_places import add_lit_places
 from simulate.radiance.transport.points import Points
+from simulate.radiance.uncounted import uncounted
 
 # Chances with which paths go on, at least and at most.
 LEAST_CHANCE, MOST_CHANCE = 0.05, 0.95
@@ -152,10 +142,11 @@ class Plain:
             (tracer.scene.address, tracer.centre_m, tracer.corner_m, tracer.normal, tracer.clearance_m),
             (self.material_of, self.rho_by_pi, self.matt),
             (self.sky, self.discs, self.lamps, self.panels, self.beams),
-            (start, np.asarray(points.normal, np.float64), known, even.start),
-            (even.rays, R2),
+            (start, np.asarray(points.normal, np.float64), known),
+            (even.start, even.rays),
             (depth, bounces, roulette, hidden_sky, asked_lamps),
             np.array([seed], np.uint64),
+            (Lanes.of(found.shape[1]), new_packets(WAVE)),
             found,
             (back.owner, back.depth, back.face, back.place_m, back.direction, back.weight),
         )
@@ -163,169 +154,171 @@ class Plain:
 
 
 @numba.njit(**COMPILED)
-def _follow(scene: Any, coats: Any, lights: Any, points: Any, rays: Any, limits: Any, state: Any, found: Any, back: Any
-            ) -> int:  # fmt: skip
-    """Follow all rays of points, a packet at a time, and return how many are handed back."""
-    each, step = rays
+def _follow(scene: Any, coats: Any, lights: Any, points: Any, even: Any, limits: Any, state: Any, room: Any, found: Any,
+            back: Any) -> int:  # fmt: skip
+    """Follow all rays of points, a wave at a time, and return how many are handed back."""
+    scene, coats, lights, points = uncounted(scene), uncounted(coats), uncounted(lights), uncounted(points)
+    state, room, found, back = uncounted(state), uncounted(room), uncounted(found), uncounted(back)
+    begin, each = uncounted(even)
     sky, discs, lamps, panels, beams = lights
     depth_first, bounces, _, hidden_sky, asked_lamps = limits
+    lanes, packets = room
     sky_counts, glows = hidden_sky and sky[2], len(panels[0]) > 0
-    packet, counts = new_packet()
-    lanes = new_lanes(found.shape[1])
-    alive, total, handed = lanes[0], len(points[0]) * each, 0
-    for first in range(0, total, PACKET):
-        _send(lanes, points, each, step, first, total)
+    handed, now = 0, (0.0, 1.0, 0.0)
+    for first in range(0, len(begin) * each, WAVE):
+        many, now = _send(lanes, points, begin, each, now, first)
         depth, sent = depth_first, each
-        while alive.any():
-            meets = depth < bounces or glows
-            if depth < bounces and len(beams[0]):
-                add_lit_places(scene, coats, lamps, beams, packet, counts, lanes, state, found)
-            _ask(scene, packet, counts, lanes, meets)
-            _meet_sky(sky, packet, lanes, points[2], sent, meets, sky_counts, found)
+        while True:
+            goes_on = depth < bounces
+            meets = goes_on or glows
+            if goes_on and len(beams[0]):
+                add_lit_places(scene, coats, lamps, beams, packets, lanes, many, state, found)
+            many = _ask(scene, packets, lanes, many, meets)
+            many = _meet_sky(sky, packets, lanes, many, points[2], sent, meets, sky_counts, found)
             if meets:
-                _arrive(scene, packet, lanes)
+                _arrive(scene, lanes, many)
             if glows:
-                add_glow(panels, scene[3], lanes, sent, found)
-            if depth >= bounces:
-                alive[:] = False
-            handed = _reflect(scene, coats, lanes, depth, limits, state, handed, back)
-            if not alive.any():
+                add_glow(panels, scene[3], lanes, many, sent, found)
+            if not goes_on:
+                break
+            many, handed = _reflect(scene, coats, lanes, many, depth, limits, state, handed, back)
+            if many == 0:
                 break
             if sky[2]:
-                add_known_sky(sky[1], lanes, points[2], hidden_sky, found)
-            add_discs(scene, discs, packet, counts, lanes, state, found)
-            add_lamps(scene, lamps, beams, asked_lamps, packet, counts, lanes, state, found)
+                add_known_sky(sky[1], lanes, many, points[2], hidden_sky, found)
+            add_discs(scene, discs, packets, lanes, many, state, found)
+            add_lamps(scene, lamps, beams, asked_lamps, packets, lanes, many, state, found)
             if glows:
-                add_panels(scene, panels, packet, counts, lanes, state, found)
+                add_panels(scene, panels, packets, lanes, many, state, found)
             if sky_counts and len(sky[4]):
-                add_bright(scene, sky, packet, counts, lanes, points[2], state, found)
+                add_bright(scene, sky, packets, lanes, many, points[2], state, found)
             depth, sent = depth + 1, 1
-            _turn(lanes, depth < bounces or glows or sky_counts, state)
+            if not (depth < bounces or glows or sky_counts):
+                break
+            _turn(lanes, many, state)
     return handed
 
 
 @numba.njit(**COMPILED)
-def _send(lanes: Any, points: Any, each: int, step: Any, first: int, total: int) -> None:
-    """Set out from points."""
-    alive, owner, _, weight, leaves, _, start, normal, way, cosine, last, _, _, _ = lanes
-    starts, normals, _, even = points
-    for lane in range(PACKET):
-        alive[lane] = first + lane < total
-        if not alive[lane]:
-            continue
-        i = (first + lane) // each
-        ray = first + lane - i * each
-        owner[lane], last[lane] = i, 1.0
-        square, turn = (even[i, 0] + ray * step[0]) % 1.0, (even[i, 1] + ray * step[1]) % 1.0
-        cosine[lane] = by_cosine(normals[i], square, turn, way[lane])
+def _send(lanes: Any, points: Any, begin: Any, each: int, now: Any, first: int) -> Any:
+    """Set out from points, and return how many rays do and where in its stretch the last one is."""
+    starts, normals, _ = points
+    many = min(WAVE, len(begin) * each - first)
+    i, ray = first // each, first % each
+    for lane in range(many):
+        now = next_even(now) if ray else first_even(begin[i])
+        lanes.going[lane], lanes.owner[lane], lanes.last[lane] = lane, i, 1.0
+        lanes.cosine[lane] = by_cosine(normals[i], now, lanes.way[lane])
         for axis in range(3):
-            start[lane, axis], normal[lane, axis] = starts[i, axis], normals[i, axis]
-        weight[lane], leaves[lane] = np.pi / each, 1.0 / each
+            lanes.start[lane, axis], lanes.normal[lane, axis] = starts[i, axis], normals[i, axis]
+        for band in range(lanes.weight.shape[1]):
+            lanes.weight[lane, band], lanes.leaves[lane, band] = np.pi / each, 1.0 / each
+        i, ray = (i, ray + 1) if ray + 1 < each else (i + 1, 0)
+    return many, now
 
 
 @numba.njit(**COMPILED)
-def _ask(scene: Any, packet: Any, counts: Any, lanes: Any, meets: bool) -> None:
-    """Find what rays meet, or of last ones whether they meet anything."""
+def _ask(scene: Any, packets: Any, lanes: Any, many: int, meets: bool) -> int:
+    """Find what rays meet, or of last ones whether they meet anything; return how many ask."""
     address, centre = scene[0], scene[1]
-    alive, start, way = lanes[0], lanes[6], lanes[8]
-    number = packet.view(np.uint32)
-    counts[:] = 0
-    for lane in range(PACKET):
+    asked = 0
+    for k in range(many):
+        lane = lanes.going[k]
         # A last ray that points below the horizon has nothing to find.
-        alive[lane] &= meets or way[lane, 2] >= 0.0
-        if alive[lane]:
-            aim(packet, counts, lane, centre, start[lane], way[lane], np.inf)
-            number[GEOMETRY, lane] = NONE
+        if meets or lanes.way[lane, 2] >= 0.0:
+            aim(packets, asked, centre, lanes.start[lane], lanes.way[lane], np.inf)
+            lanes.going[asked] = lane
+            asked += 1
     if meets:
-        intersect(counts.ctypes.data, address, packet.ctypes.data, 0)
+        intersect(address, packets, asked)
     else:
-        stop(address, packet, counts)
+        stop(address, packets, asked)
+    return asked
 
 
 @numba.njit(**COMPILED)
-def _meet_sky(
-    sky: Any, packet: Any, lanes: Any, known: Any, sent: int, meets: bool, sky_counts: bool, found: Any
-) -> None:
-    """Add what free rays find of the sky, and take away what stopped ones hide of it; rays that go no farther end."""
-    alive, owner, _, weight, _, _, _, _, way, cosine, _, _, _, _ = lanes
-    number = packet.view(np.uint32)
-    for lane in range(PACKET):
-        if not alive[lane]:
-            continue
-        i = owner[lane]
-        hit = number[GEOMETRY, lane] != NONE if meets else packet[REACH, lane] < 0.0
+def _meet_sky(sky: Any, packets: Any, lanes: Any, many: int, known: Any, sent: int, meets: bool, sky_counts: bool,
+              found: Any) -> int:  # fmt: skip
+    """Add what free rays find of the sky, and take away what stopped ones hide of it; return how many go farther."""
+    kept = 0
+    for slot in range(many):
+        lane = lanes.going[slot]
+        i = lanes.owner[lane]
+        if meets:
+            lanes.face[lane] = triangle_of(packets, slot)
+            hit = lanes.face[lane] >= 0
+        else:
+            hit = stopped(packets, slot)
         share = -float(known[i]) if hit else 1.0 - float(known[i])
-        alive[lane] = hit and meets
-        x, y, z = way[lane, 0], way[lane, 1], way[lane, 2]
+        if hit and meets:
+            lanes.going[kept] = lane
+            kept += 1
+        x, y, z = lanes.way[lane, 0], lanes.way[lane, 1], lanes.way[lane, 2]
         if sky_counts and z >= 0.0 and share != 0.0:
-            own = sent * cosine[lane] / np.pi
+            own = sent * lanes.cosine[lane] / np.pi
             share *= own / (own + bright_density(sky[4], x, y, z))
-            sky_light(sky[0], x, y, z, share, weight[lane], found[i])
+            sky_light(sky[0], x, y, z, share, lanes.weight[lane], found[i])
+    return kept
 
 
 @numba.njit(**COMPILED)
-def _arrive(scene: Any, packet: Any, lanes: Any) -> None:
+def _arrive(scene: Any, lanes: Any, many: int) -> None:
     """Bring rays to what they met."""
     _, _, corner, face_normal, _ = scene
-    alive, face, place, start, normal, way = lanes[0], lanes[2], lanes[5], lanes[6], lanes[7], lanes[8]
-    cosine, by_ray = lanes[9], lanes[13]
-    number = packet.view(np.uint32)
-    for lane in range(PACKET):
-        if not alive[lane]:
-            continue
-        one = np.int64(number[TRIANGLE, lane])
-        face[lane] = one
-        height, slope = 0.0, 0.0
+    for k in range(many):
+        lane = lanes.going[k]
+        face, height, slope = lanes.face[lane], 0.0, 0.0
         for axis in range(3):
-            height += (corner[one, axis] - start[lane, axis]) * face_normal[one, axis]
-            slope += way[lane, axis] * face_normal[one, axis]
+            height += (corner[face, axis] - lanes.start[lane, axis]) * face_normal[face, axis]
+            slope += lanes.way[lane, axis] * face_normal[face, axis]
         length = height / slope
         length = max(length, 0.0) if np.isfinite(length) else 0.0
         side = 1.0 if slope < 0.0 else -1.0
-        by_ray[lane] = cosine[lane] * abs(slope) / (np.pi * length * length)
+        lanes.by_ray[lane] = lanes.cosine[lane] * abs(slope) / (np.pi * length * length)
         for axis in range(3):
-            place[lane, axis] = start[lane, axis] + length * way[lane, axis]
-            normal[lane, axis] = side * face_normal[one, axis]
+            lanes.place[lane, axis] = lanes.start[lane, axis] + length * lanes.way[lane, axis]
+            lanes.normal[lane, axis] = side * face_normal[face, axis]
 
 
 @numba.njit(**COMPILED)
-def _reflect(scene: Any, coats: Any, lanes: Any, depth: int, limits: Any, state: Any, handed: int, back: Any) -> int:
+def _reflect(scene: Any, coats: Any, lanes: Any, many: int, depth: int, limits: Any, state: Any, handed: int, back: Any
+             ) -> tuple[int, int]:  # fmt: skip
     """Let rays leave from where they are, unless chance ends them; from what is not matt they are handed back."""
     _, centre, _, _, clearance = scene
     material_of, rho_by_pi, matt = coats
-    alive, owner, face, weight, leaves, place, start, normal, way, _, last, _, _, _ = lanes
-    for lane in range(PACKET):
-        if not alive[lane]:
-            continue
+    kept = 0
+    for k in range(many):
+        lane = lanes.going[k]
+        weight, leaves = lanes.weight[lane], lanes.leaves[lane]
         if depth >= limits[2]:
-            chance = min(max(last[lane], LEAST_CHANCE), MOST_CHANCE)
-            alive[lane] = uniform(state) < chance
-            if not alive[lane]:
+            chance = min(max(lanes.last[lane], LEAST_CHANCE), MOST_CHANCE)
+            if uniform(state) >= chance:
                 continue
-            weight[lane] /= np.float32(chance)
-        one = face[lane]
-        material = material_of[one]
+            for band in range(len(weight)):
+                weight[band] /= np.float32(chance)
+        face = lanes.face[lane]
+        material = material_of[face]
         if not matt[material]:
             owners, depths, faces, places, ways, weights = back
-            owners[handed], depths[handed], faces[handed] = owner[lane], depth + 1, one
-            places[handed], ways[handed], weights[handed] = place[lane], way[lane], weight[lane]
+            owners[handed], depths[handed], faces[handed] = lanes.owner[lane], depth + 1, face
+            places[handed], ways[handed], weights[handed] = lanes.place[lane], lanes.way[lane], weight
             handed += 1
-            alive[lane] = False
             continue
-        last[lane] = 0.0
-        for band in range(len(weight[lane])):
-            leaves[lane, band] = weight[lane, band] * rho_by_pi[material, band]
-            weight[lane, band] = leaves[lane, band] * np.pi
-            last[lane] += rho_by_pi[material, band] * np.pi / len(weight[lane])
-        raised(clearance, centre, one, place[lane], normal[lane], start[lane])
-    return handed
+        reflected = 0.0
+        for band in range(len(weight)):
+            leaves[band] = weight[band] * rho_by_pi[material, band]
+            weight[band] = leaves[band] * np.pi
+            reflected += rho_by_pi[material, band]
+        lanes.last[lane] = reflected * np.pi / len(weight)
+        raised(clearance, centre, face, lanes.place[lane], lanes.normal[lane], lanes.start[lane])
+        lanes.going[kept] = lane
+        kept += 1
+    return kept, handed
 
 
 @numba.njit(**COMPILED)
-def _turn(lanes: Any, goes_on: bool, state: Any) -> None:
-    """Turn rays into new directions by the cosine law, or end all."""
-    alive, normal, way, cosine = lanes[0], lanes[7], lanes[8], lanes[9]
-    for lane in range(PACKET):
-        alive[lane] &= goes_on
-        if alive[lane]:
-            cosine[lane] = by_cosine(normal[lane], uniform(state), uniform(state), way[lane])
+def _turn(lanes: Any, many: int, state: Any) -> None:
+    """Turn rays into new directions by the cosine law."""
+    for k in range(many):
+        lane = lanes.going[k]
+        lanes.cosine[lane] = by_cosine(lanes.normal[lane], in_disc(state), lanes.way[lane])

@@ -8,13 +8,16 @@ from simulate.radiance.lamps.distribution import Cosine, Isotropic, Spot, Table
 from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.transport.compiled_lights import lamp_arrays, lamp_pattern
 from simulate.radiance.transport.effort import Effort
+from simulate.radiance.transport.even import Even
 from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.lanes import WAVE
 from simulate.radiance.transport.lights import LampLight, Pattern
 from simulate.radiance.world.shapes import box, plane
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
 # A glow of a hundred times the rest around a place 30 degrees high.
 GLOWING = lambda way: np.ones((2, 1)) * (0.2 + 20.0 * np.exp(-(((1.0 - way @ [0.866, 0.0, 0.5]) / 0.02) ** 2)))  # noqa: E731
+ONCE = Effort(bounces=1)
 EVEN = {"effort": Effort(bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
 # Things that glow unlike each other; the plate shines upwards, and its underside is dark.
 SHINING = {"beam": 1.0, "box": 3.0, "plate": 20.0}
@@ -24,7 +27,7 @@ DARK = {"sky": None, "lamps": (), "glow": SHINING}
 CLOSE = (lamp((-1.2, 0.6, 0.75), 1.0, 0.1), lamp((0.4, 0.8, 0.5), 1.0, 0.15))
 CASES = {
     "a lamp under an overcast sky": EVEN,
-    "one bounce": {**EVEN, "effort": Effort(bounces=1)},
+    "one bounce": {**EVEN, "effort": ONCE},
     "without hidden sky": {**EVEN, "effort": Effort(bounces=2, hidden_sky=False)},
     "many lamps": {
         **EVEN,
@@ -35,10 +38,10 @@ CASES = {
     "paths that chance ends": {**EVEN, "effort": Effort(bounces=100, roulette_from=1)},
     "something glossy": {**EVEN, "gloss": True},
     "glowing things alone, without bounces": {**DARK, "effort": Effort(bounces=0)},
-    "glowing things alone, one bounce": {**DARK, "effort": Effort(bounces=1)},
+    "glowing things alone, one bounce": {**DARK, "effort": ONCE},
     "glowing things under the sky": {**EVEN, "glow": SHINING},
     "glowing things, paths that chance ends": {**DARK, "effort": Effort(bounces=100, roulette_from=1)},
-    "a glow by way of the ceiling": {**DARK, "effort": Effort(bounces=1), "glow": UPWARDS, "ceiling": True},
+    "a glow by way of the ceiling": {**DARK, "effort": ONCE, "glow": UPWARDS, "ceiling": True},
     "glowing and glossy things": {**EVEN, "glow": SHINING, "gloss": True},
     "lamps close to a plate and half within a box": {
         **EVEN,
@@ -119,6 +122,46 @@ def measured() -> Table:
 
 def same_around() -> Table:
     return Table(polar_deg=np.array([10.0, 40.0, 90.0]), azimuth_deg=np.zeros(1), candela=np.array([[5.0, 2.0, 1.0]]))
+
+
+def loops_alone(
+    stage: Stage, face: int, place: list[float], up: list[float], even: Even, *, hidden_sky: bool
+) -> np.ndarray:
+    """What compiled loops find once around places of which no sky is known, shape (place,)."""
+    many = len(even.start)
+    points = stage.coats.points(
+        stage.surfaces,
+        np.full(many, face),
+        np.tile(place, (many, 1)),
+        -np.tile(up, (many, 1)),
+        np.zeros(many, np.float32),
+    )
+    found, _ = stage._plain(ONCE, None).irradiance(
+        points, even, known=points.known, hidden_sky=hidden_sky,
+        depth=0, bounces=1, roulette_from=None, asked_lamps=2, seed=1,
+    )  # fmt: skip
+    return found[:, 0]
+
+
+def test_stretches_go_on_where_waves_end(seed):
+    """Rays of an open place find the sky where its stretch of even numbers says, however many waves they take."""
+    stage = staged([("floor", "floor", plane(12, 12))], {"floor": 0.3}, sky=GLOWING)
+    even = Even.drawn(3, WAVE + WAVE // 3, np.random.default_rng(seed))
+    found = loops_alone(stage, 0, [0, 0, 0], [0, 0, 1.0], even, hidden_sky=True)
+    square, turn = np.moveaxis(even.pairs(), -1, 0)
+    flat, turn = np.sqrt(square), 2.0 * np.pi * turn
+    way = np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sqrt(1.0 - square)], axis=-1)
+    sky = stage.lighting.dome.radiance(way.reshape(-1, 3))[:, 0].reshape(way.shape[:2])
+    np.testing.assert_allclose(found, np.pi * sky.mean(axis=1), rtol=1e-5)
+
+
+def test_no_ray_of_a_full_wave_is_lost(seed):
+    """Under a ceiling close to a wide floor all rays find what the floor sends, and its sky is taken as known."""
+    parts = [("floor", "floor", plane(400, 400)), ("ceiling", "floor", inside_out(at(plane(1, 1), 0, 0, 0.1)))]
+    stage = staged(parts, {"floor": 0.4}, sky=lambda way: np.full((1, len(way)), 2.0))
+    even = Even.drawn(5, WAVE, np.random.default_rng(seed))
+    found = loops_alone(stage, 2, [0, 0, 0.1], [0, 0, -1.0], even, hidden_sky=False)
+    np.testing.assert_allclose(found, 0.4 * 2.0 * np.pi, rtol=1e-3)
 
 
 @pytest.mark.parametrize("distribution", [Isotropic(), Cosine(), Spot(half_angle_deg=12.0), measured(), same_around()])
