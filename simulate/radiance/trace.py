@@ -86,6 +86,14 @@ class Tracer:
         limits = np.full(len(origin_m), np.inf if reach is None else reach, np.float64)
         return self.scene.blocked(_plain(origin_m), _plain(direction), limits)
 
+    def facing(
+        self, face: NDArray[np.integer], direction: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return normals of triangles towards where rays (ray, 3) come from, and the cosines to them, shape (ray,)."""
+        normal = self.normal[face]
+        cosine = -np.einsum("ij,ij->i", normal, direction)
+        return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * normal, np.abs(cosine)
+
     def above(
         self, face: NDArray[np.integer], place_m: NDArray[np.floating], side: NDArray[np.floating]
     ) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.transport.dome import Dome
+from simulate.radiance.transport.dome import Dome, azimuth_turns
 
 Array = NDArray[np.floating]
 # Mean square of the radiance over the square of its mean, over the hemisphere, from which on it is worth the rays.
@@ -62,6 +62,6 @@ class BrightSky:
         """Return the density of `draw` in unit directions (ray, 3), sr-1, zero below the horizon."""
         heights, around = self.per_sr.shape
         row = np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)) / (0.5 * np.pi) * heights
-        col = (np.arctan2(direction[:, 1], direction[:, 0]) / (2.0 * np.pi)) % 1.0 * around
+        col = azimuth_turns(direction) * around
         cell = np.minimum(row.astype(np.int64), heights - 1), np.minimum(col.astype(np.int64), around - 1)
         return np.where(direction[:, 2] >= 0.0, self.per_sr[cell], 0.0)

@@ -10,7 +10,7 @@ from simulate.radiance.embree import COMPILED, INLINED
 from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, Spot, Table
 from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.dome import Dome
-from simulate.radiance.transport.lanes import turned, uniform
+from simulate.radiance.transport.lanes import in_disc, turned
 from simulate.radiance.transport.lights import DiscLight, LampLight, Panels
 from simulate.radiance.transport.points import frames
 
@@ -116,8 +116,9 @@ def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> Non
         square += way[axis] ** 2
     distance = np.sqrt(square)
     middle = (way[0] / distance, way[1] / distance, way[2] / distance)
-    off, turn = radius * np.sqrt(uniform(state)), 2.0 * np.pi * uniform(state)
-    turned(middle, off * np.cos(turn), off * np.sin(turn), distance, way)
+    square, along, across = in_disc(state)
+    off = radius * np.sqrt(square)
+    turned(middle, off * along, off * across, distance, way)
 
 
 @numba.njit(**INLINED)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.transport.even import fraction
+
 Array = NDArray[np.floating]
 # Cells of the table, by height over the horizon and around; and steps between the normals of the irradiance table.
 HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
@@ -38,13 +40,15 @@ class Dome:
     def radiance(self, direction: Array) -> NDArray[np.float32]:
         """Return spectral radiance from unit directions (ray, 3), shape (ray, band)."""
         height = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)) / (0.5 * np.pi)
-        found = _looked_up(self.radiance_table, np.maximum(height, 0.0), _turn(direction))
+        found = _looked_up(self.radiance_table, np.maximum(height, 0.0), azimuth_turns(direction))
         found[direction[:, 2] < 0.0] = 0.0
         return found
 
     def irradiance(self, normal: Array) -> NDArray[np.float32]:
         """Return what surfaces with unit normals (place, 3) get with nothing in the way, shape (place, band)."""
-        return _looked_up(self.irradiance_table, np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi, _turn(normal))
+        return _looked_up(
+            self.irradiance_table, np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi, azimuth_turns(normal)
+        )
 
 
 def dome(sky: Callable[[Array], Array]) -> Dome:
@@ -80,7 +84,7 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
     sine = (np.arange(rows) + 0.5) / rows
     directions = _directions(np.arcsin(sine), 2.0 * np.pi * (np.arange(columns) + 0.5) / columns)
     sample_sr = 2.0 * np.pi / len(directions)
-    radiance = _looked_up(table, np.arcsin(directions[:, 2]) / (0.5 * np.pi), _turn(directions)) * sample_sr
+    radiance = _looked_up(table, np.arcsin(directions[:, 2]) / (0.5 * np.pi), azimuth_turns(directions)) * sample_sr
     tilt, turn = _normals()
     normals = _directions(tilt, turn).astype(np.float32)
     towards = directions.T.astype(np.float32)
@@ -100,9 +104,9 @@ def _directions(height: Array, azimuth: Array) -> NDArray[np.float64]:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sin(up)], axis=-1).reshape(-1, 3)
 
 
-def _turn(direction: Array) -> Array:
+def azimuth_turns(direction: Array) -> Array:
     """Azimuth from east by north, in whole turns, 0 to 1."""
-    return (np.arctan2(direction[:, 1], direction[:, 0]) / (2.0 * np.pi)) % 1.0
+    return fraction(np.arctan2(direction[:, 1], direction[:, 0]) / (2.0 * np.pi))
 
 
 def _looked_up(table: NDArray[np.float32], down: Array, across: Array) -> NDArray[np.float32]:

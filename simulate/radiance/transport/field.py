@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.even import R2, Even, evenly
+from simulate.radiance.transport.even import R2, Even, evenly, fraction
 from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.local_fit import Nodes, all_alike
 from simulate.radiance.transport.points import Points
@@ -125,7 +125,7 @@ def field(
     seen = _seen(stage, view, known, step)
     white = seen.points.whitened()
     places = _Places(stage, view, seen, white, fine)
-    grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal)
+    grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal, white.face)
     budget = None if allowed is None else _Budget.of(stage, seen.points, effort, allowed, weight)
     light = np.zeros((2, len(white), len(stage.coats.wavelength_nm)), np.float32)
     sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
@@ -199,14 +199,15 @@ class _Places:
         middle = self.white.some(nodes)
         if not self.fine:
             return middle
-        at = ((start + R2[:, None, None] * np.arange(each)) % 1.0).reshape(2, -1)
+        at = fraction(start + R2[:, None, None] * np.arange(each)).reshape(2, -1)
         origin, towards = self.view.rays(self.seen.row[nodes] + at[0], self.seen.col[nodes] + at[1])
         hit = self.stage.surfaces.tracer.hits(origin, towards)
         met = np.flatnonzero(hit.face != NOTHING)
         place = origin[met] + hit.range_m[met, None] * towards[met]
-        there = self.stage.coats.points(self.stage.surfaces, hit.face[met], place, towards[met])
-        same = all_alike(middle.place_m[met], middle.normal[met], place, there.normal)
-        for values, found in ((middle.place_m, place), (middle.face, there.face), (middle.normal, there.normal)):
+        face = hit.face[met]
+        normal, _ = self.stage.surfaces.tracer.facing(face, towards[met])
+        same = all_alike(middle.place_m[met], middle.normal[met], place, normal)
+        for values, found in ((middle.place_m, place), (middle.face, face), (middle.normal, normal)):
             values[met[same]] = found[same]
         return middle
 

@@ -90,7 +90,7 @@ def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: Tracer) -> bool:
     first = tracer.hits(np.broadcast_to(lamp.position_m, way.shape), way)
     met = np.flatnonzero(first.face != NOTHING)
     way, face, range_m, per_sr = way[met], first.face[met], first.range_m[met], per_sr[met]
-    place, (normal, leaving) = lamp.position_m + range_m[:, None] * way, _facing(tracer, face, way)
+    place, (normal, leaving) = lamp.position_m + range_m[:, None] * way, tracer.facing(face, way)
     by_light = per_sr * leaving / range_m**2
     square, turn = rng.random(len(met)), 2.0 * np.pi * rng.random(len(met))
     local = np.column_stack([np.sqrt(square) * np.cos(turn), np.sqrt(square) * np.sin(turn), np.sqrt(1.0 - square)])
@@ -99,18 +99,12 @@ def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: Tracer) -> bool:
     back = np.flatnonzero(then.face != NOTHING)
     if not len(back):
         return False
-    arriving = _facing(tracer, then.face[back], onwards[back])[1]
+    arriving = tracer.facing(then.face[back], onwards[back])[1]
     with np.errstate(divide="ignore"):
         by_ray = local[back, 2] * arriving / (np.pi * then.range_m[back] ** 2)
     share = by_light[back] / (by_light[back] + by_ray)
     bright = lamp.pattern(way[back]) * leaving[back] / range_m[back] ** 2
     return bool(share.mean() >= SHARE or bright.sum() >= GAIN * (bright * (1.0 - share)).sum())
-
-
-def _facing(tracer: Tracer, face: NDArray[np.int64], way: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
-    """Normals of triangles towards where rays come from, and the cosines to them."""
-    cosine = -np.einsum("ij,ij->i", tracer.normal[face], way)
-    return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * tracer.normal[face], np.abs(cosine)
 
 
 @numba.njit(**INLINED)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.embree import COMPILED, INLINED
+from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.workers import Run
 from simulate.radiance.uncounted import uncounted
 
@@ -32,15 +33,15 @@ class Nodes:
         Of those nodes that see a surface, shape (node,).
     place_m, normal
         Places, m, and unit normals there, shape (row, col, 3).
-    there
-        Whether there is a surface, shape (row, col).
+    face
+        Their triangles, -1 where there is no surface, shape (row, col).
     """
 
     row: NDArray[np.int64]
     col: NDArray[np.int64]
     place_m: NDArray[np.float64]
     normal: NDArray[np.float64]
-    there: NDArray[np.bool_]
+    face: NDArray[np.int64]
 
     @classmethod
     def of(
@@ -50,13 +51,17 @@ class Nodes:
         shape: tuple[int, int],
         place_m: NDArray[np.floating],
         normal: NDArray[np.floating],
+        face: NDArray[np.int64],
     ) -> "Nodes":
-        """Return a grid of some shape with places and normals (node, 3) at rows and columns (node,)."""
-        there = np.zeros(shape, np.bool_)
-        there[row, col] = True
-        grid = cls(row, col, np.zeros((*shape, 3)), np.zeros((*shape, 3)), there)
-        grid.place_m[row, col], grid.normal[row, col] = place_m, normal
+        """Return a grid: places and normals (node, 3) and triangles (node,) at rows and columns (node,)."""
+        grid = cls(row, col, np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, NOTHING))
+        grid.place_m[row, col], grid.normal[row, col], grid.face[row, col] = place_m, normal, face
         return grid
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """Whether there is a surface, shape (row, col)."""
+        return self.face != NOTHING
 
     def spread(self, values: NDArray) -> NDArray:
         """Return values (node, ...) on the grid, zero where there is nothing."""
@@ -78,7 +83,7 @@ class Nodes:
         found, rows = np.zeros_like(values), len(values)
 
         def strip(first: int) -> None:
-            _fit(values, self.place_m, self.normal, self.there, width, first, min(first + STRIP, rows), found)
+            _fit(values, self.place_m, self.normal, self.face, width, first, min(first + STRIP, rows), found)
 
         list(run(strip, list(range(0, rows, STRIP))))
         return found
@@ -103,7 +108,7 @@ class Nodes:
             Of the places, shape (place, 3).
         """
         found, has = np.zeros((len(row), values.shape[2]), np.float32), np.zeros(len(row), np.bool_)
-        _interpolate(values, self.place_m, self.normal, self.there, row, col, place_m, normal, found, has)
+        _interpolate(values, self.place_m, self.normal, self.face, row, col, place_m, normal, found, has)
         return found, has
 
 
@@ -141,7 +146,7 @@ def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, fou
 
 
 @numba.njit(**COMPILED)
-def _fit(values: Any, place: Any, normal: Any, there: Any, width: Any, first: int, last: int, found: Any) -> None:
+def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int, last: int, found: Any) -> None:
     """Fit values of nodes by a plane over row and column in windows around them, and put what it has in the middle.
 
     Parameters
@@ -150,8 +155,8 @@ def _fit(values: Any, place: Any, normal: Any, there: Any, width: Any, first: in
         Shape (row, col, band).
     place, normal
         Of the nodes, shape (row, col, 3).
-    there
-        Whether a node has values, shape (row, col).
+    face
+        Triangle of each node, -1 where it has no values, shape (row, col).
     width
         Half of each node's window, nodes, shape (row, col).
     first, last
@@ -159,20 +164,24 @@ def _fit(values: Any, place: Any, normal: Any, there: Any, width: Any, first: in
     found
         Gets the result, shape (row, col, band).
     """
-    values, found, there, width = uncounted(values), uncounted(found), uncounted(there), uncounted(width)
+    values, found, face, width = uncounted(values), uncounted(found), uncounted(face), uncounted(width)
     place, normal = uncounted(place), uncounted(normal)
     rows, columns, bands = values.shape
     plane = np.zeros((3, bands))
     for r in range(first, last):
         for c in range(columns):
-            if not there[r, c]:
+            here = face[r, c]
+            if here == NOTHING:
                 continue
             h = width[r, c]
             n, x1, y1, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             plane[:] = 0.0
             for i in range(max(r - h, 0), min(r + h + 1, rows)):
                 for j in range(max(c - h, 0), min(c + h + 1, columns)):
-                    if not there[i, j] or not alike(place[r, c], normal[r, c], place[i, j], normal[i, j]):
+                    # One triangle is one surface: that needs no further look.
+                    if face[i, j] != here and (
+                        face[i, j] == NOTHING or not alike(place[r, c], normal[r, c], place[i, j], normal[i, j])
+                    ):
                         continue
                     x, y = float(j - c), float(i - r)
                     n += 1.0
@@ -199,13 +208,13 @@ def _fit(values: Any, place: Any, normal: Any, there: Any, width: Any, first: in
 
 @numba.njit(**COMPILED)
 def _interpolate(
-    values: Any, place: Any, normal: Any, there: Any, row: Any, col: Any, at: Any, facing: Any, found: Any, has: Any
+    values: Any, place: Any, normal: Any, face: Any, row: Any, col: Any, at: Any, facing: Any, found: Any, has: Any
 ) -> None:
     """Interpolate nodes at places that lie between them in the picture, among nodes of the same surface.
 
     Parameters
     ----------
-    values, place, normal, there
+    values, place, normal, face
         As of `_fit`.
     row, col
         Coordinates, in nodes, whole numbers at nodes, shape (ray,).
@@ -214,7 +223,7 @@ def _interpolate(
     found, has
         Get values, shape (ray, band), and whether there were any, shape (ray,).
     """
-    values, found, there, has = uncounted(values), uncounted(found), uncounted(there), uncounted(has)
+    values, found, face, has = uncounted(values), uncounted(found), uncounted(face), uncounted(has)
     place, normal, at, facing = uncounted(place), uncounted(normal), uncounted(at), uncounted(facing)
     rows, columns, bands = values.shape
     for ray in range(len(row)):
@@ -223,7 +232,7 @@ def _interpolate(
         for reach in range(2):
             for i in range(max(top - reach, 0), min(top + 2 + reach, rows)):
                 for j in range(max(left - reach, 0), min(left + 2 + reach, columns)):
-                    if not there[i, j] or not alike(at[ray], facing[ray], place[i, j], normal[i, j]):
+                    if face[i, j] == NOTHING or not alike(at[ray], facing[ray], place[i, j], normal[i, j]):
                         continue
                     span = 1.0 + reach
                     weight = max(span - abs(row[ray] - i), 0.0) * max(span - abs(col[ray] - j), 0.0) + 1e-6

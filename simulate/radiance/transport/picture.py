@@ -17,7 +17,7 @@ from simulate.radiance.cube import RadianceCube
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.allotment import Rays, allotted, further
 from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.even import R2
+from simulate.radiance.transport.even import R2, fraction
 from simulate.radiance.transport.field import Field, field
 from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.panes import MOST, SPLIT, Met, Panes, chosen, mirrored
@@ -117,7 +117,7 @@ class Look:
         rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0]), job.alone, job.turn])
         count, columns = len(job.pixels), self.view.shape[1]
         apart = np.zeros(job.rays) if job.together else np.arange(job.rays)
-        spread = (rng.random((count, 1, 2)) + apart[:, None] * R2) % 1.0
+        spread = fraction(rng.random((count, 1, 2)) + apart[:, None] * R2)
         row = (job.pixels[:, None] // columns + spread[..., 0]).ravel()
         col = (job.pixels[:, None] % columns + spread[..., 1]).ravel()
         origin, towards = self.view.rays(row, col)

@@ -159,16 +159,18 @@ def test_threads_change_no_byte(seed):
     assert alone.cube.radiance.tobytes() == together.cube.radiance.tobytes()
 
 
-def steps() -> Nodes:
-    """A grid over two levels: the right half lies higher."""
+def steps(faces: int = 2) -> Nodes:
+    """A grid over two levels, the right half higher, of one triangle each or of many."""
     row, col = (axis.ravel() for axis in np.meshgrid(np.arange(24), np.arange(40), indexing="ij"))
     place = np.column_stack([0.1 * col, 0.1 * row, np.where(col < 20, 0.0, 0.5)])
-    return Nodes.of(row, col, (24, 40), place, np.broadcast_to([0.0, 0.0, 1.0], place.shape))
+    face = np.arange(960) if faces == 960 else col // 20
+    return Nodes.of(row, col, (24, 40), place, np.broadcast_to([0.0, 0.0, 1.0], place.shape), face)
 
 
 @pytest.mark.parametrize("width", [1, 4, 8])
-def test_evening_out_keeps_slopes_and_mixes_no_surfaces(width):
-    nodes = steps()
+@pytest.mark.parametrize("faces", [2, 960])
+def test_evening_out_keeps_slopes_and_mixes_no_surfaces(width, faces):
+    nodes = steps(faces)
     row, col = np.meshgrid(np.arange(24.0), np.arange(40.0), indexing="ij")
     slope = np.where(col < 20, 1.0 + 0.2 * row - 0.1 * col, 50.0 + col)[..., None]
     kept = nodes.fitted(slope, np.full((24, 40), width), one_by_one)
