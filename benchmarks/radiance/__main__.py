@@ -38,6 +38,9 @@ LONGEST_S = 12.0
 ERRORS, FINE_ERRORS = (1.0, 0.1, 0.03, 0.01, 0.004), (0.03, 0.01, 0.004)
 PLAIN = ((2, 8, 32), (4, 16, 64), (4, 64, 256), (8, 32, 256), (16, 64, 512), (32, 128, 1024))
 THEIRS = (4, 16, 64, 256, 1024)
+# Where neither comes near an RMSE of 0.01 by these: the error allowed and the most rays of a pixel and of a place, of
+# one stricter setting, and samples of the path tracer.
+AT_LENGTH = {"lab": ((0.004, 4096, 8192), 4096)}
 REFERENCE_SAMPLES = {"yard": 10240, "lab": 8192, "hangar": 6144, "road": 2048, "room": 8192}
 
 
@@ -50,7 +53,7 @@ class Setting:
     rays: Rays
 
 
-def settings() -> Iterator[Setting]:
+def settings(scene: str) -> Iterator[Setting]:
     """Ours: rays by the error that is asked for, or as many everywhere; finely, each pixel gathers for itself."""
     for fine in (False, True):
         finely = ", finely" if fine else ""
@@ -60,6 +63,16 @@ def settings() -> Iterator[Setting]:
         for each, edge, shared in PLAIN:
             rays = Rays(fewest=each, edge=edge, most=1024, shared=shared, fine=fine)
             yield Setting(f"{each}, {edge}, {shared} rays{finely}", f"plain{finely}", rays)
+    if scene in AT_LENGTH:
+        share, most, shared_most = AT_LENGTH[scene][0]
+        allowed = partial(_allowed, share)
+        rays = Rays(fewest=2, edge=4, most=most, shared_most=shared_most, fine=True, allowed=allowed)
+        yield Setting(f"{100.0 * share:g} %, finely, up to {shared_most} rays", "at length", rays)
+
+
+def samples_of_theirs(scene: str) -> tuple[int, ...]:
+    """The path tracer's samples of a pixel."""
+    return (*THEIRS, AT_LENGTH[scene][1]) if scene in AT_LENGTH else THEIRS
 
 
 def _allowed(share: float, signal: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -82,11 +95,11 @@ def ours(case: Case, rays: Rays, seed: int) -> Timed:
 def measured(case: Case, tracer: PathTracer, truth: Reference) -> Iterator[dict]:
     """Yield errors and times at all settings, both in turns; of several pictures the least time counts."""
     # The first picture of either compiles what the others use.
-    ours(case, next(settings()).rays, 0)
+    ours(case, next(settings(case.name)).rays, 0)
     tracer.picture(case.name, THEIRS[0], 0)
     taken: dict[tuple[str, str], list[Timed]] = {}
     long = set()
-    for how, samples in zip_longest(settings(), THEIRS):
+    for how, samples in zip_longest(settings(case.name), samples_of_theirs(case.name)):
         if how is not None and how.family not in long:
             made = taken["ours", how.name] = [ours(case, how.rays, seed) for seed in range(1, REPEATS + 1)]
             if min(picture.core_seconds for picture in made) > LONGEST_S:
