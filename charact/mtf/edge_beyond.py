@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
-from charact.mtf.edge_peak import explained, gains
+from charact.mtf.edge_peak import amplitudes, explained
 from charact.mtf.families import Family, Wide
 
 Array = NDArray[np.float64]
@@ -15,6 +15,8 @@ Departures = Callable[[Array, float], NDArray[np.complex128]]
 
 # Steps after which one of several starts is chosen.
 FIRST_ITERATIONS = 5
+# Shares of light, of the range that they may have, over which evidence is summed; ln of the largest that is told.
+SHARES, LARGEST = (np.arange(100) + 0.5) / 100, 50.0
 # How far apart in ln two sizes must be to lead elsewhere.
 APART = 0.5
 
@@ -30,6 +32,8 @@ class Promise:
     gains
         Of chi squared by each size, to first order, shape (size,); light that would have to be taken away gains
         nothing.
+    odds
+        Evidence for such light of any share and size over that for none, to first order.
     starts
         Where a fit with each size begins, shape (size, parameter).
     """
@@ -37,6 +41,7 @@ class Promise:
     core: FamilyFit
     wide: Wide
     gains: Array
+    odds: float
     starts: Array
 
 
@@ -48,22 +53,38 @@ def promises(fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...]) -> l
     shapes, changes = zip(*map(fitter.beyond, wides), strict=True)
     core = maps.shifted(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
     away = maps.white(core * np.concatenate(changes)) * step
-    gained, amplitude, moved = gains(fit.residual, fit.design, fit.off, fit.precision, away)
-    amplitude = amplitude * step / fit.amplitude[0]
+    amplitude, precision, moved = amplitudes(fit.residual, fit.design, fit.off, fit.precision, away)
+    amplitude, precision = amplitude * step / fit.amplitude[0], precision * (fit.amplitude[0] / step) ** 2
     limits = fitter.bounds(fit.family)
     # Half a step of the core: what the light beyond it changes is not small.
     cores = np.clip(fit.point + 0.5 * moved, limits[:, 0], limits[:, 1])
     ends = np.cumsum([len(shape) for shape in shapes])[:-1]
-    parts = zip(wides, shapes, *(np.split(one, ends) for one in (gained, amplitude, cores)), strict=True)
+    parts = zip(wides, shapes, *(np.split(one, ends) for one in (amplitude, precision, cores)), strict=True)
     return [
         Promise(
             core=fit,
             wide=wide,
-            gains=np.where(height > 0, gain, 0.0),
+            gains=np.where(height > 0, height * (height * power), 0.0),
+            odds=_odds(wide, shape, height, power),
             starts=np.concatenate([start, _share(wide, shape, height)[:, None], shape], axis=1),
         )
-        for wide, shape, gain, height, start in parts
+        for wide, shape, height, power, start in parts
     ]
+
+
+def _odds(wide: Wide, shape: Array, amplitude: Array, precision: Array) -> float:
+    """Return the evidence for light beyond the core over that for none: shares and sizes even within their bounds.
+
+    Notes
+    -----
+    At each size the mean over shares q of exp(a q p - q^2 p / 2), a their Gaussian estimate and p its precision.
+    """
+    low, high = wide.fraction
+    unit = wide.share_unit(shape)[:, 0]
+    shares = low + (high - low) * SHARES
+    ln_ratio = precision * unit * (amplitude * shares[:, None] - 0.5 * unit * shares[:, None] ** 2)
+    even_in_size = shape[:, 0] / shape[:, 0].sum()
+    return float(np.exp(np.minimum(ln_ratio, LARGEST)).mean(axis=0) @ even_in_size)
 
 
 def _share(wide: Wide, shape: Array, amplitude: Array) -> Array:

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 # Significance from which a departure counts, in standard errors, and the size from which it matters.
 SIGNIFICANT = 4.0
+# The same for a course that is bowed or differs between fields, of which few numbers tell.
+COURSE_SIGNIFICANT = 3.5
 FIELD_OFFSET_PX = 0.04
 SAGITTA_PX = 0.12
 LEAST_TRAVEL_PX = 1.0
@@ -26,8 +28,6 @@ GRADIENT = 0.2
 LEAST_STEP_SD = 0.8
 # Level over noise beyond which unequal pixels may be the noise.
 QUIETEST = 80.0
-# Curvature of the response from which the modulus is in doubt by a percent, and its significance.
-CURVATURE, CURVATURE_SD = 0.05, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ def _fields_disagree(picture: Picture, rows: RowFit) -> bool:
     one, other = rows.offset[good & odd], rows.offset[good & ~odd]
     apart = median(one) - median(other)
     error = 1.25 * np.hypot(spread(one) / np.sqrt(one.size), spread(other) / np.sqrt(other.size))
-    return bool(abs(apart) > max(SIGNIFICANT * error, FIELD_OFFSET_PX))
+    return bool(abs(apart) > max(COURSE_SIGNIFICANT * error, FIELD_OFFSET_PX))
 
 
 def _columns_disagree(picture: Picture, profile: Profile) -> bool:
@@ -94,7 +94,7 @@ def _columns_disagree(picture: Picture, profile: Profile) -> bool:
     if power <= 0 or not (sign > 0).any() or not (sign < 0).any():
         return False
     noise = np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance))
-    return bool(abs(shape @ residual) / power > max(SIGNIFICANT * noise / np.sqrt(power), FIELD_OFFSET_PX))
+    return bool(abs(shape @ residual) / power > max(COURSE_SIGNIFICANT * noise / np.sqrt(power), FIELD_OFFSET_PX))
 
 
 def _bowed(offset: Array) -> bool:
@@ -117,7 +117,7 @@ def _bowed(offset: Array) -> bool:
     error = np.sqrt(max(within, differences) * BLOCKS)
     shape = np.linalg.lstsq(design, value, rcond=None)[0][2:]
     # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
-    significant = np.abs(shape) > SIGNIFICANT * error / BLOCKS * np.sqrt([5.0, 7.0])
+    significant = np.abs(shape) > COURSE_SIGNIFICANT * error / BLOCKS * np.sqrt([5.0, 7.0])
     return bool(np.any(significant & (np.abs(shape) > SAGITTA_PX / 1.5)))
 
 
@@ -155,14 +155,6 @@ def _other_steps(profile: Profile, fitted: Fitted) -> bool:
     return bool(np.any((np.abs(means) > 0.1 * abs(fitted.amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
 
 
-def response_flags(curvature: float, error: float) -> tuple[str, ...]:
-    """Return `gamma` where the profile looks curved: lopsided beyond what the camera's known filter makes it.
-
-    A Gaussian edge through a power law above 1 stays nearly symmetric and shows it in its noise at most.
-    """
-    return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
-
-
 def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None) -> tuple[str, ...]:
     """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
 
@@ -179,43 +171,3 @@ def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None
     photons = bright < QUIETEST * np.sqrt(grain.bright_variance)
     rising = grain.bright_variance > grain.dark_variance * bright / dark * (1.2 + scatter)
     return ("gamma",) if falling or (photons and rising) else ()
-
-
-def response_curvature(
-    profile: Profile, precision_root: Array, spread: Array, tangents: Array, shapes: Array, shape_sd: Array
-) -> tuple[float, float]:
-    """Return the curvature of the response that a profile asks for if its blur is symmetric, with its error.
-
-    Parameters
-    ----------
-    profile
-        The measured profile.
-    precision_root
-        Inverse root of the covariance of its bins.
-    spread
-        Fitted edge spread less one half at the bins, shape (bin,).
-    tangents
-        Its change as each parameter of the blur moves by the most it may, shape (parameter, bin).
-    shapes, shape_sd
-        Levels and slopes at the bins, shape (bin, shape), and the deviations of their priors, DN.
-
-    Notes
-    -----
-    A response y = u + c u (1 - u) of the edge spread u; a power law of exponent g over levels a to b has about
-    c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. A lopsided blur looks the same on one edge;
-    either way the modulus of the transform is not what it would be at low contrast. First order in c and in every
-    parameter of a symmetric blur.
-    """
-    level = np.clip(spread + 0.5, 0.0, 1.0)
-    design = np.concatenate(
-        [spread[:, None], (level * (1.0 - level))[:, None], tangents.T * abs(profile.step), shapes], axis=1
-    )
-    white = precision_root @ design
-    prior = np.zeros(design.shape[1])
-    prior[2 : 2 + len(tangents)] = 1.0
-    prior[2 + len(tangents) :] = 1.0 / np.maximum(shape_sd, 1e-300) ** 2
-    scale = np.sqrt(np.maximum(np.sum(white**2, axis=0) + prior, 1e-300))
-    normal = (white.T @ white + np.diag(prior)) / np.outer(scale, scale)
-    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
-    found = inverse @ (white.T @ (precision_root @ profile.value))
-    return float(found[1] / found[0]), float(np.sqrt(max(inverse[1, 1], 0.0)) / abs(found[0]))

@@ -9,6 +9,7 @@ from charact.mtf.edge_families import FamilyFitter
 from charact.mtf.edge_find import NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_forms import departs
 from charact.mtf.edge_profile import EVEN_PER_PX
+from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import Family
 from charact.mtf.optics import known_of
@@ -73,11 +74,13 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
         bounds=fitter.bounds(form),
         draws=DRAWS,
     )
+    response = fitter.response_curvature(fit)
+    posterior = bent(posterior, response, context.seed)
     outcome = Outcome(
         method=METHOD,
         edge=edge,
         fitted=fitter.fitted(fit),
-        response=fitter.response_curvature(fit),
+        response=response,
         posterior=posterior,
         mtf=lambda frequency: np.abs(known(frequency)) * form.modulus(posterior.draws[:, 1:], frequency),
         settings={"form": form.name},

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge_checks import Fitted, response_curvature
+from charact.mtf.edge_checks import Fitted
 from charact.mtf.edge_climb import LINEAR, climbed, linearised, stacked
 from charact.mtf.edge_maps import EdgeMaps
 from charact.mtf.edge_peak import nearby, peak
 from charact.mtf.edge_profile import Profile
+from charact.mtf.edge_response import Response, response_curvature
 from charact.mtf.families import Family, Wide
 from charact.mtf.form_slopes import kind_of, tables
 from charact.mtf.optics import Known
@@ -96,6 +97,8 @@ class FamilyFitter:
     def __init__(self, profile: Profile, known: Known) -> None:
         self.profile = profile
         self.maps = EdgeMaps(profile, known)
+        # ln of the probability of a form before the data, up to what all share; 0 where none is given.
+        self.ln_weight: dict[Family, float] = {}
         self._beyond: dict[Wide, tuple[Array, Array]] = {}
         self._bounds: dict[Family, Array] = {}
         self._priors: dict[tuple[Family, float], tuple[Array, Array]] = {}
@@ -175,7 +178,7 @@ class FamilyFitter:
             design=design,
             off=off,
             precision=precision,
-            log_evidence=-0.5 * cost + flat + log_volume,
+            log_evidence=-0.5 * cost + flat + log_volume + self.ln_weight.get(family, 0.0),
             cost=cost,
             chi2=float(residual @ residual),
             free=max(residual.size - point.size - 2, 1),
@@ -216,7 +219,7 @@ class FamilyFitter:
         """Return a fit as the checks of edges look at it."""
         return Fitted(model=self.model_of(fit), amplitude=fit.amplitude, chi2=fit.chi2, free=fit.free)
 
-    def response_curvature(self, fit: FamilyFit) -> tuple[float, float]:
+    def response_curvature(self, fit: FamilyFit) -> Response:
         """Return the curvature of the response that the profile asks for, and its error.
 
         Every parameter of the form may move by five of its deviations.

@@ -6,9 +6,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge_checks import Fitted, response_curvature
+from charact.mtf.edge_checks import Fitted
 from charact.mtf.edge_model import KNOTS, PARAMETERS, EdgeModel
 from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, Profile
+from charact.mtf.edge_response import Response, response_curvature
 from charact.mtf.families import Wide
 from charact.mtf.spread import nodes
 from charact.posterior import maximum
@@ -171,7 +172,7 @@ def _inside(model: EdgeModel, point: Array, covariance: Array) -> float:
     return max(float(np.mean(np.all((draws >= bounds[:, 0]) & (draws <= bounds[:, 1]), axis=1))), 1e-3)
 
 
-def curvature(found: EdgeFit, profile: Profile) -> tuple[float, float]:
+def curvature(found: EdgeFit, profile: Profile) -> Response:
     """Return the curvature of the response that the profile asks for, and its error.
 
     Every parameter of the blur but its phases, which stay at the camera's known filter, may move by five of its

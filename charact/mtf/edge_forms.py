@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.edge_beyond import departure_gain, fit_wide, promises
+from charact.mtf.edge_beyond import Promise, departure_gain, fit_wide, promises
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_model import departure_shapes
 from charact.mtf.edge_profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
@@ -15,10 +15,11 @@ from charact.mtf.optics import halo_diameters_px
 
 Array = NDArray[np.float64]
 
+CORES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
-# Gain in chi squared from which on wide light is worth a fit of its own: less is outweighed by its own freedom.
-WORTH_CHI2 = 6.0
+# Gain in chi squared from which on wide light is worth a fit of its own, and odds from which on it is with less.
+WORTH_CHI2, WORTH_ODDS = 6.0, 0.6
 # Forms within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 8.0
 # Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
@@ -73,12 +74,29 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
     if best.family.core == "exponential":
         found.append(_next_core(fitter, "moffat", best, guess))
     cores = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE or fit.family.core != "moffat"]
+    fitter.ln_weight = {Family(core=core, wide=kind): -np.log(len(wide)) for core in CORES for kind in wide}
     promised = [one for core in cores for one in promises(fitter, core, wide)]
-    for promise in sorted(promised, key=lambda one: wide.index(one.wide)):
-        if promise.gains.max() >= WORTH_CHI2:
-            fit = fit_wide(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
-            found += [] if fit is None else [fit]
+    for promise in sorted(_worth(fitter, promised), key=lambda one: wide.index(one.wide)):
+        fit = fit_wide(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
+        found += [] if fit is None else [fit]
     return found
+
+
+def _worth(fitter: FamilyFitter, promised: list[Promise]) -> list[Promise]:
+    """Return the light beyond a core that is worth a fit: all that the edge tells, and the likeliest of what it cannot.
+
+    An edge too weak to tell light beyond the core leaves it as likely as it was: one stands for all of that.
+    """
+    told = [one for one in promised if one.gains.max() >= WORTH_CHI2]
+    rest = [one for one in promised if one.gains.max() < WORTH_CHI2]
+    best = max((one.core.log_evidence for one in promised), default=0.0)
+    likely = np.array([one.odds * np.exp(one.core.log_evidence - best) for one in rest])
+    if not likely.sum() > WORTH_ODDS:
+        return told
+    likeliest = rest[int(np.argmax(likely))]
+    family = Family(core=likeliest.core.family.core, wide=likeliest.wide)
+    fitter.ln_weight[family] += float(np.log(likely.sum() / likely.max()))
+    return [*told, likeliest]
 
 
 def _start(core: Core, half_frequency_cy_per_px: float) -> Array:

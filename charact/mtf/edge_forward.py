@@ -11,6 +11,7 @@ from charact.mtf import edge_checks
 from charact.mtf.edge_find import WIDEST_PX, FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_fit import EdgeFit, curvature, fit, refit
 from charact.mtf.edge_profile import refined, with_shading
+from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.region import Region
@@ -69,12 +70,13 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     if isinstance(found, str):
         return nothing(METHOD, found, edge.where, context, began)
     model, known = found.fit.model, found.known
-    posterior = _posterior(found.fit, context)
+    response = curvature(found.fit, found.edge.profile)
+    posterior = bent(_posterior(found.fit, context), response, context.seed)
     outcome = Outcome(
         method=METHOD,
         edge=found.edge,
         fitted=found.fit.fitted,
-        response=curvature(found.fit, found.edge.profile),
+        response=response,
         posterior=posterior,
         mtf=lambda frequency: model.mtf(posterior.draws, frequency, np.abs(known(frequency))),
         settings={"widest_px": WIDEST_PX},

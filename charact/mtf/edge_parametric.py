@@ -14,6 +14,7 @@ from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_forms import Weighed, departs, fitted_forms, wides
 from charact.mtf.edge_profile import with_shading
+from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import Family, VeilPrior
 from charact.mtf.optics import Known, known_of
@@ -96,11 +97,13 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     drawn = _drawn(fitter, fits, context, parabolic=context.quick)
     if context.quick and _unsure(drawn[0], known):
         drawn = _drawn(fitter, fits, context, parabolic=False)
+    response = fitter.response_curvature(best)
+    drawn = [(form, bent(posterior, response, context.seed), count) for form, posterior, count in drawn]
     outcome = Outcome(
         method=METHOD,
         edge=edge,
         fitted=fitter.fitted(best),
-        response=fitter.response_curvature(best),
+        response=response,
         posterior=drawn[0][1],
         mtf=lambda frequency: (
             np.abs(known(frequency))

@@ -99,10 +99,12 @@ def explained(residual: Array, design: Array, off: Array, precision: Array) -> f
 
 
 @njit(cache=True)
-def gains(residual: Array, design: Array, off: Array, precision: Array, shapes: Array) -> tuple[Array, Array, Array]:
-    """Return what chi squared gains from each whitened shape (shape, bin) added alone to a fit, to first order.
+def amplitudes(
+    residual: Array, design: Array, off: Array, precision: Array, shapes: Array
+) -> tuple[Array, Array, Array]:
+    """Return the amplitude of each whitened shape (shape, bin) added alone to a fit, to first order, and its precision.
 
-    Also the shape's amplitude, and what it moves of every parameter, shape (shape, parameter).
+    Also what it moves of every parameter, shape (shape, parameter).
     """
     normal, scale = normal_of(design, precision)
     for k in range(scale.size):
@@ -112,8 +114,10 @@ def gains(residual: Array, design: Array, off: Array, precision: Array, shapes: 
     pull = (np.dot(design, residual) + precision * off) / scale
     onto = np.dot(shapes, design.T) / scale
     through = np.dot(onto, inverse)
-    power = np.maximum(np.sum(shapes * shapes, axis=1) - np.sum(through * onto, axis=1), LEAST)
+    own = np.sum(shapes * shapes, axis=1)
+    # What the fit can do itself all but for rounding has no amplitude of its own.
+    power = np.maximum(own - np.sum(through * onto, axis=1), UNFELT * own + LEAST)
     overlap = np.dot(shapes, residual) - np.dot(through, pull)
     amplitude = overlap / power
     moved = (np.dot(inverse, pull) - through * amplitude.reshape(-1, 1)) / scale
-    return overlap * amplitude, amplitude, moved[:, : precision.size - LINEAR].copy()
+    return amplitude, power, moved[:, : precision.size - LINEAR].copy()

@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +14,23 @@ from charact.mtf import edge_checks
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.edge_find import FoundEdge
 from charact.mtf.edge_profile import Profile
+from charact.mtf.edge_response import Response, response_flags
 from charact.mtf.geometry import orientation_deg
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
 from charact.posterior import has_several_peaks
 from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, measured, refused
+from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, from_draws, measured, refused
 
 Array = NDArray[np.float64]
 
 # Half width of the 68 % interval over the value from which on the posterior's tails depend on what was taken for
 # possible before the data, and no interval can be trusted at four standard errors.
-LEAST_SURE = 0.15
+LEAST_SURE = 0.14
+# Half width of a 95 % interval over that of the posterior, and by how much more for a relative error of one, up to that
+# from which on nothing is sure: forms and noise are themselves chosen by the data, and an unsure edge may hide more.
+# Twice of it is then over 4.2 standard deviations, which chance alone passes once in 40,000 edges.
+MARGIN, MORE_MARGIN = 1.08, 2.0
 # Every so many of the fine frequencies tell between which of them a curve falls to a level.
 EVERY = 6
 COARSE = np.append(FINE[:-1:EVERY], FINE[-1])
@@ -59,7 +65,7 @@ class Outcome:
     method: str
     edge: FoundEdge
     fitted: edge_checks.Fitted
-    response: tuple[float, float]
+    response: Response
     posterior: Posterior
     mtf: Callable[[Array], Array]
     settings: dict
@@ -79,7 +85,7 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
         *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
-        *edge_checks.response_flags(*outcome.response),
+        *response_flags(*outcome.response),
         *edge_checks.noise_flags(profile, edge.picture, used.black_level_dn),
         *_posterior_flags(outcome.posterior, context),
         *outcome.flags,
@@ -105,9 +111,29 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     seconds = time.perf_counter() - began
     return Result(
         measurements=tuple(m.with_(seconds=seconds) for m in measurements),
-        curves={"mtf": curve_of(REPORTED, curve)},
+        curves={"mtf": _curve(curve)},
         evidence={"edge-spread": _edge_spread(edge.picture, profile, outcome.fitted)},
     )
+
+
+def _curve(draws: Array) -> Curve:
+    """Return the reported curve, its 95 % interval with its margin."""
+    curve = curve_of(REPORTED, draws)
+    assert curve.interval68 is not None and curve.interval95 is not None, "curves of draws have intervals"
+    return replace(curve, interval95=_with_margin(curve.value, curve.interval68, curve.interval95))
+
+
+def _measured(quantity: str, unit: str, draws: Array, **fields: Any) -> Measurement:
+    """Return a measurement from draws, its 95 % interval with its margin."""
+    found = from_draws(quantity, unit, draws, **fields)
+    low, high = _with_margin(np.asarray(found.value), np.asarray(found.interval68), np.asarray(found.interval95))
+    return found.with_(interval95=(float(low), float(high)))
+
+
+def _with_margin(value: Array, interval68: Array, interval95: Array) -> Array:
+    """Return a wider 95 % interval about a value that cannot be negative, shape (2, ...)."""
+    unsure = np.minimum(0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), LEAST_SURE)
+    return np.maximum(value + (MARGIN + MORE_MARGIN * unsure) * (interval95 - value), 0.0)
 
 
 def _crossings(outcome: Outcome, coarse: Array, level: float) -> Array:
@@ -131,12 +157,12 @@ def _level(quantity: str, level: float, draws: Array, posterior: Posterior, comm
         )
         return refused(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_if_sure(_with_peaks(common, kept), kept))
+    return _measured(quantity, "cy/px", kept, posterior=posterior, **_if_sure(_with_peaks(common, kept), kept))
 
 
 def _pinned(frequency: float, draws: Array, common: dict) -> Measurement:
     """Return the MTF at one frequency."""
-    return from_draws("mtf", "1", draws, frequency_cy_per_px=float(frequency), **_with_peaks(common, draws))
+    return _measured("mtf", "1", draws, frequency_cy_per_px=float(frequency), **_with_peaks(common, draws))
 
 
 def _posterior_flags(posterior: Posterior, context: Context) -> tuple[str, ...]:

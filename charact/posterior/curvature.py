@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.posterior.diagnostics import leans_on_bound
+from charact.posterior.even import even_normals
 from labdata.measurement import Posterior
 
 Vectorised = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -114,7 +115,7 @@ def laplace(
     if covariance is None:
         peak, covariance = maximum(log_probability, peak, bounds)
     rng = np.random.default_rng(seed)
-    chosen = gaussian_within(rng, peak, np.asarray(covariance, float), walls, draws)
+    chosen = gaussian_within(rng, peak, np.asarray(covariance, float), walls, draws, even=True)
     leaning = ("prior-bound",) if leans_on_bound(chosen, walls).any() else ()
     return Posterior(
         names=names, units=units, draws=chosen, sampler="laplace", seed=seed, flags=tuple({*flags, *leaning})
@@ -122,13 +123,20 @@ def laplace(
 
 
 def gaussian_within(
-    rng: np.random.Generator, peak: NDArray, covariance: NDArray, walls: NDArray, draws: int
+    rng: np.random.Generator, peak: NDArray, covariance: NDArray, walls: NDArray, draws: int, *, even: bool = False
 ) -> NDArray[np.float64]:
-    """Draw from a Gaussian cut at walls, shape (draw, parameter); a Gaussian beyond its walls piles up on them."""
+    """Draw from a Gaussian cut at walls, shape (draw, parameter); a Gaussian beyond its walls piles up on them.
+
+    Even draws fill their space evenly, the first parameters most, so that few tell quantiles; others are independent.
+    """
     root = root_of(covariance)
+    if even:
+        # Lower triangular: the first parameters depend on the first columns alone.
+        root = np.linalg.qr(root.T, mode="r").T
     kept = np.empty((0, peak.size))
     for _ in range(200):
-        fresh = peak + rng.standard_normal((2 * draws, peak.size)) @ root.T
+        normal = even_normals(rng, 2 * draws, peak.size) if even else rng.standard_normal((2 * draws, peak.size))
+        fresh = peak + normal @ root.T
         inside = np.all((fresh >= walls[:, 0]) & (fresh <= walls[:, 1]), axis=1)
         kept = np.concatenate([kept, fresh[inside]])
         if len(kept) >= draws:

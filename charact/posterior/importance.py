@@ -91,7 +91,7 @@ def weighed(
         densities = [
             np.concatenate([old, one.log_density(fresh)]) for old, one in zip(densities, mixture[:-1], strict=True)
         ] + [added.log_density(points)]
-    picked = space.inside(points[rng.choice(len(points), draws, p=weight)])
+    picked = space.inside(points[_picked(rng, weight, draws)])
     return Posterior(
         names=names,
         units=units,
@@ -134,6 +134,12 @@ def _added(points: Array, weight: Array, first: _StudentT) -> _StudentT:
 
 def _heights(log_probability: Vectorised, space: OpenSpace, points: Array) -> Array:
     return log_probability(space.inside(points)) + space.log_volume(points)
+
+
+def _picked(rng: np.random.Generator, weight: Array, count: int) -> NDArray[np.int64]:
+    """Return which draws are picked, each as often as its weight says but for one, in random order."""
+    steps = (np.arange(count) + rng.random()) / count
+    return rng.permutation(np.minimum(np.searchsorted(np.cumsum(weight), steps), len(weight) - 1))
 
 
 def _weights(log_weight: Array) -> Array:

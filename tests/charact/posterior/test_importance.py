@@ -49,3 +49,13 @@ def test_mass_at_walls_is_that_of_the_cut_density(seed):
 def test_a_mixture_that_may_not_grow_admits_how_few_draws_it_is_worth(monkeypatch):
     monkeypatch.setattr(importance, "MOST_ADDED", 0)
     assert drawn(lambda points: banana(points * [0.1, 1.0]), 2, seed=1).effective_sample_size[0] < 1000
+
+
+def test_draws_are_picked_as_often_as_they_weigh_but_for_one_and_in_random_order(seed):
+    rng = np.random.default_rng(seed)
+    weight = rng.exponential(size=300)
+    weight /= weight.sum()
+    picked = importance._picked(np.random.default_rng(seed), weight, 1000)
+    assert np.abs(np.bincount(picked, minlength=300) - 1000 * weight).max() < 1
+    # A first part is like the whole: its mean place is the whole's, within four standard errors.
+    assert picked[:200].mean() == pytest.approx(picked.mean(), abs=4 * picked.std() / np.sqrt(200))
