@@ -34,6 +34,8 @@ class Promise:
         nothing.
     odds
         Evidence for such light of any share and size over that for none, to first order.
+    ln_weight
+        ln of its probability before the data over that of none.
     starts
         Where a fit with each size begins, shape (size, parameter).
     """
@@ -42,11 +44,12 @@ class Promise:
     wide: Wide
     gains: Array
     odds: float
+    ln_weight: float
     starts: Array
 
 
 def promises(fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...]) -> list[Promise]:
-    """Return what each kind of light beyond a core may gain."""
+    """Return what each kind of light beyond a core may gain; before the data all are together as likely as none."""
     if not wides:
         return []
     maps, step = fitter.maps, abs(fitter.profile.step)
@@ -66,6 +69,7 @@ def promises(fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...]) -> l
             wide=wide,
             gains=np.where(height > 0, height * (height * power), 0.0),
             odds=_odds(wide, shape, height, power),
+            ln_weight=-float(np.log(len(wides))),
             starts=np.concatenate([start, _share(wide, shape, height)[:, None], shape], axis=1),
         )
         for wide, shape, height, power, start in parts
@@ -107,7 +111,7 @@ def fit_wide(fitter: FamilyFitter, promise: Promise, hopeless_cost: float) -> Fa
     apart = order[np.abs(sizes - sizes[0]) > APART]
     begun = [fitter.climbed(family, starts[i], slope, FIRST_ITERATIONS) for i in (order[0], *apart[:1])]
     point, reached = min(begun, key=lambda one: one[1][-1])
-    return None if reached[-1] > hopeless_cost else fitter.fit(family, point, slope)
+    return None if reached[-1] > hopeless_cost else fitter.fit(family, point, slope, promise.ln_weight)
 
 
 def departure_gain(fitter: FamilyFitter, fit: FamilyFit, shapes_at: Departures) -> tuple[float, int]:

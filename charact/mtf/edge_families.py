@@ -53,6 +53,8 @@ class FamilyFit:
         Chi squared at the peak, and the bins less the parameters.
     slope_sd_per_px
         Prior of the illumination's slopes, share of the step per px.
+    ln_weight
+        ln of the form's probability before the data over that of a core alone; part of the evidence.
     """
 
     family: Family
@@ -68,6 +70,7 @@ class FamilyFit:
     chi2: float
     free: int
     slope_sd_per_px: float
+    ln_weight: float
 
     @property
     def noise_scale(self) -> float:
@@ -97,8 +100,6 @@ class FamilyFitter:
     def __init__(self, profile: Profile, known: Known) -> None:
         self.profile = profile
         self.maps = EdgeMaps(profile, known)
-        # ln of the probability of a form before the data, up to what all share; 0 where none is given.
-        self.ln_weight: dict[Family, float] = {}
         self._beyond: dict[Wide, tuple[Array, Array]] = {}
         self._bounds: dict[Family, Array] = {}
         self._priors: dict[tuple[Family, float], tuple[Array, Array]] = {}
@@ -118,10 +119,10 @@ class FamilyFitter:
         overlap = white @ self.maps.data
         return float(GUESSES[int(np.argmax(overlap**2 / np.sum(white**2, axis=1)))])
 
-    def fit(self, family: Family, start: Array, slope_sd_per_px: float) -> FamilyFit:
+    def fit(self, family: Family, start: Array, slope_sd_per_px: float, ln_weight: float = 0.0) -> FamilyFit:
         """Fit a form from a starting point (shift and the form's parameters)."""
         point, here = self.climbed(family, start, slope_sd_per_px, ITERATIONS)
-        return self._fitted(family, point, here, slope_sd_per_px)
+        return self._fitted(family, point, here, slope_sd_per_px, ln_weight)
 
     def climbed(self, family: Family, start: Array, slope_sd_per_px: float, iterations: int) -> Reached:
         """Return where so many steps lead from a starting point, and the model there."""
@@ -162,7 +163,7 @@ class FamilyFitter:
             )
         return self._priors[family, slope_sd_per_px]
 
-    def _fitted(self, family: Family, point: Array, here: tuple, slope_sd_per_px: float) -> FamilyFit:
+    def _fitted(self, family: Family, point: Array, here: tuple, slope_sd_per_px: float, ln_weight: float) -> FamilyFit:
         residual, design, amplitude, _, cost = here
         mean, precision = self._prior(family, slope_sd_per_px)
         off = mean - np.concatenate([point, amplitude])
@@ -178,11 +179,12 @@ class FamilyFitter:
             design=design,
             off=off,
             precision=precision,
-            log_evidence=-0.5 * cost + flat + log_volume + self.ln_weight.get(family, 0.0),
+            log_evidence=-0.5 * cost + flat + log_volume + ln_weight,
             cost=cost,
             chi2=float(residual @ residual),
             free=max(residual.size - point.size - 2, 1),
             slope_sd_per_px=slope_sd_per_px,
+            ln_weight=ln_weight,
         )
 
     def bounds(self, family: Family) -> Array:

@@ -1,6 +1,6 @@
 """Which forms of the point spread an edge's profile asks for: fitted simple ones first, weighed by their evidence."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from charact.mtf.optics import halo_diameters_px
 
 Array = NDArray[np.float64]
 
-CORES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
 # Gain in chi squared from which on wide light is worth a fit of its own, and odds from which on it is with less.
@@ -74,15 +73,14 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
     if best.family.core == "exponential":
         found.append(_next_core(fitter, "moffat", best, guess))
     cores = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE or fit.family.core != "moffat"]
-    fitter.ln_weight = {Family(core=core, wide=kind): -np.log(len(wide)) for core in CORES for kind in wide}
     promised = [one for core in cores for one in promises(fitter, core, wide)]
-    for promise in sorted(_worth(fitter, promised), key=lambda one: wide.index(one.wide)):
+    for promise in sorted(_worth(promised), key=lambda one: wide.index(one.wide)):
         fit = fit_wide(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
         found += [] if fit is None else [fit]
     return found
 
 
-def _worth(fitter: FamilyFitter, promised: list[Promise]) -> list[Promise]:
+def _worth(promised: list[Promise]) -> list[Promise]:
     """Return the light beyond a core that is worth a fit: all that the edge tells, and the likeliest of what it cannot.
 
     An edge too weak to tell light beyond the core leaves it as likely as it was: one stands for all of that.
@@ -94,9 +92,8 @@ def _worth(fitter: FamilyFitter, promised: list[Promise]) -> list[Promise]:
     if not likely.sum() > WORTH_ODDS:
         return told
     likeliest = rest[int(np.argmax(likely))]
-    family = Family(core=likeliest.core.family.core, wide=likeliest.wide)
-    fitter.ln_weight[family] += float(np.log(likely.sum() / likely.max()))
-    return [*told, likeliest]
+    stands_for = float(np.log(likely.sum() / likely.max()))
+    return [*told, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
 
 
 def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
@@ -133,7 +130,7 @@ def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
     promised = np.array([fit.log_evidence + fitter.slope_gain(fit, slope) for fit, slope in asked])
     least = max(promised.max(), *(fit.log_evidence for fit in found)) - SLOPED
     return [
-        fitter.fit(fit.family, fit.point, slope)
+        fitter.fit(fit.family, fit.point, slope, fit.ln_weight)
         for (fit, slope), promise in zip(asked, promised, strict=True)
         if promise > least
     ]
@@ -150,7 +147,7 @@ def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...
     # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
     share = min(float(best.amplitude[2:].min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
     start = np.concatenate([best.point, [share, 0.5 * widest]])
-    return [fitter.fit(Family(core=best.family.core, wide=veil), start, UNEVEN_PER_PX)]
+    return [fitter.fit(Family(core=best.family.core, wide=veil), start, UNEVEN_PER_PX, -float(np.log(len(wide))))]
 
 
 def _weighed(found: list[FamilyFit]) -> list[Weighed]:

@@ -90,11 +90,12 @@ def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
             edge_beyond.promises(fitter, core, kinds), (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True
         )
     ]
-    fitter.ln_weight = {Family(core="gaussian", wide=kind): -np.log(3) for kind in kinds}
-    worth = edge_forms._worth(fitter, promised)
+    worth = edge_forms._worth(promised)
     assert [one.wide for one in worth] == [kinds[2], kinds[1]]
-    weights = [np.exp(fitter.ln_weight[Family(core="gaussian", wide=kind)]) for kind in kinds]
-    assert weights == pytest.approx([1 / 3, 1.5 / 0.9 / 3, 1 / 3])
+    assert np.exp([one.ln_weight for one in worth]) == pytest.approx([1 / 3, 1.5 / 0.9 / 3])
+    fit = edge_beyond.fit_wide(fitter, worth[1], np.inf)
+    again = fitter.fit(fit.family, fit.point, EVEN_PER_PX)
+    assert np.exp(fit.log_evidence - again.log_evidence) == pytest.approx(1.5 / 0.9 / 3, rel=1e-3)
 
 
 def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_not(seed):
