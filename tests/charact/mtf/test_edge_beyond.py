@@ -94,8 +94,9 @@ def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
     assert [one.wide for one in worth] == [kinds[2], kinds[1]]
     assert np.exp([one.ln_weight for one in worth]) == pytest.approx([1 / 3, 1.5 / 0.9 / 3])
     fit = edge_beyond.fit_wide(fitter, worth[1], np.inf)
-    again = fitter.fit(fit.family, fit.point, EVEN_PER_PX)
-    assert np.exp(fit.log_evidence - again.log_evidence) == pytest.approx(1.5 / 0.9 / 3, rel=1e-3)
+    assert fit.ln_weight == worth[1].ln_weight
+    weighed, plain = (fitter.fit(fit.family, fit.point, EVEN_PER_PX, weight) for weight in (fit.ln_weight, 0.0))
+    assert weighed.log_evidence - plain.log_evidence == pytest.approx(fit.ln_weight)
 
 
 def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_not(seed):
