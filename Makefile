@@ -89,7 +89,7 @@ gain-grid: $(READY)
 events-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.dark_events_coverage
 
-# Where edges break: 5,000 cells drawn 20 times each; an hour on two cores.
+# Where edges break: 5,000 cells drawn 20 times each; forty minutes on two cores.
 edge-map: $(READY)
 	$(BIN)/python -m charact.study.edge_map
 	$(BIN)/python -m charact.study.edge_map_figure

@@ -39,10 +39,9 @@ def test_five_cells_are_what_the_method_still_does(table, seed):
 
 
 def test_what_the_map_shows(table):
-    """No crash; in scope 95 % ok, as narrow as 1.3 times the bound; misses at most 5 % and three standard errors.
+    """No crash; in scope 95 % ok, as narrow as 1.3 times the bound; between 2 and 5 % of the intervals miss.
 
-    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000. The map has one in
-    1,900, and this keeps it from getting worse.
+    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000. The map has no more.
     """
     summary = table["quick"]["summary"]
     inside = summary["by_axis"]["none"]
@@ -51,8 +50,9 @@ def test_what_the_map_shows(table):
     assert summary["median_sd_over_bound"] <= 1.3
     assert summary["missed_standard_errors_over_5_percent"] <= 3.0
     assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
-    assert summary["silent"] <= summary["ok"] / 1900
-    assert inside["silent"] <= inside["ok"] / 2800
+    assert inside["missed"] >= 0.02 * inside["ok"]
+    assert summary["silent"] <= summary["ok"] / 10_000
+    assert inside["silent"] <= inside["ok"] / 11_000
     assert len(summary["worst"]) == 10
 
 
