@@ -132,7 +132,7 @@ def gaussian_within(
     root = root_of(covariance)
     if even:
         # Lower triangular: the first parameters depend on the first columns alone.
-        root = np.linalg.qr(root.T, mode="r").T
+        root = np.asarray(np.linalg.qr(root.T, mode="r"), np.float64).T
     kept = np.empty((0, peak.size))
     for _ in range(200):
         normal = even_normals(rng, 2 * draws, peak.size) if even else rng.standard_normal((2 * draws, peak.size))
