@@ -71,7 +71,7 @@ study: $(READY)
 mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_coverage
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_back
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep --simulated 100 --workers 2
 
 # Bias of the four-bar method and cover of its intervals, 153 cells of blur, frequency, tilt, noise and phase: table and
 # chart; ten minutes on two cores.
