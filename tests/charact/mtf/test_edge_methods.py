@@ -94,12 +94,13 @@ def test_intervals_hold_as_often_as_they_say(seed):
 
 
 def test_the_evidence_tells_a_lens_from_a_tube(seed):
+    """Noise makes one frame in a hundred look like another form: two of five are passed once in a thousand runs."""
     rng = np.random.default_rng(seed)
     for form, name in ((gaussian(1.0), "gaussian"), (tube(0.25, 1.15), "exponential")):
         frame = 1000.0 + 2000.0 * edges.frame_of(form, 160, 120, angle_deg=6.0)
-        found = measured(frame + 20.0 * rng.standard_normal(frame.shape), "edge-parametric").find("mtf50")[0]
-        shares = found.provenance.settings["forms"]
-        assert next(iter(shares)).startswith(name), shares
+        frames = [frame + 20.0 * rng.standard_normal(frame.shape) for _ in range(5)]
+        found = [measured(one, "edge-parametric").find("mtf50")[0].provenance.settings["forms"] for one in frames]
+        assert sum(next(iter(shares)) == name for shares in found) >= 4, found
 
 
 @pytest.mark.parametrize("method", ["edge-parametric", "edge-exponential"])
