@@ -123,8 +123,7 @@ def gather(picture: Picture, line: Line, half_width_px: float, masked: NDArray[n
 
 def _covered(distance: Array, half_width_px: float) -> tuple[float, float]:
     """Return how far to both sides most rows reach, at most the half width."""
-    cells = np.bincount((np.abs(distance[distance < 0])).astype(np.int64), minlength=1)
-    other = np.bincount(distance[distance >= 0].astype(np.int64), minlength=1)
+    cells, other = _columns(distance)
     full = max(median(cells[:4]) if cells.size else 0.0, median(other[:4]) if other.size else 0.0)
 
     def reach(counts: NDArray) -> float:
@@ -133,6 +132,23 @@ def _covered(distance: Array, half_width_px: float) -> tuple[float, float]:
         return float(min(max(stop, 1), half_width_px))
 
     return reach(cells), reach(other)
+
+
+@njit(cache=True)
+def _columns(distance: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of pixels at each whole distance, on the dark side and on the bright one, as far as any is."""
+    dark, bright = np.zeros(1, np.int64), np.zeros(0, np.int64)
+    low, high = distance.min(), distance.max()
+    if low < 0:
+        dark = np.zeros(int(-low) + 1, np.int64)
+    if high >= 0:
+        bright = np.zeros(int(high) + 1, np.int64)
+    for one in distance.flat:
+        if one < 0:
+            dark[int(-one)] += 1
+        else:
+            bright[int(one)] += 1
+    return dark, bright
 
 
 def _borders(reach: tuple[float, float]) -> Array:

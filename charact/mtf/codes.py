@@ -25,6 +25,8 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
     share and that is several times as frequent as the one beside it. Where the values are so still that the next
     code hardly occurs on either end, nothing can be said but from a known full scale.
     """
+    if not _piled(data):
+        return ()
     values, counts = _histogram(data)
     if values.size < 3:
         return ("clipped",) if data.size > 64 else ()
@@ -39,6 +41,12 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
     clipped |= bool(bottom and values[0] in FLOORS and values.size > 12)
     clipped |= bool(top and not bottom and share[-2] > 1e-4 and values.size > 12)
     return ("clipped",) if clipped else ()
+
+
+def _piled(data: NDArray) -> bool:
+    """Tell whether either extreme value is frequent enough to be a pile-up, before all values are counted."""
+    extremes = np.count_nonzero(data == data.max()), np.count_nonzero(data == data.min())
+    return max(extremes) > PILE_UP_SHARE * data.size
 
 
 def _histogram(data: NDArray) -> tuple[NDArray, NDArray]:

@@ -2,8 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
@@ -13,10 +15,12 @@ from charact.mtf.families import Family, Wide
 Array = NDArray[np.float64]
 Departures = Callable[[Array, float], NDArray[np.complex128]]
 
+# Sizes of light beyond the core among which a fit begins.
+SIZES = 9
 # Steps after which one of several starts is chosen.
 FIRST_ITERATIONS = 5
 # Shares of light, of the range that they may have, over which evidence is summed; ln of the largest that is told.
-SHARES, LARGEST = (np.arange(100) + 0.5) / 100, 50.0
+SHARES, LARGEST = 100, 50.0
 # How far apart in ln two sizes must be to lead elsewhere.
 APART = 0.5
 
@@ -53,7 +57,7 @@ def promises(fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...]) -> l
     if not wides:
         return []
     maps, step = fitter.maps, abs(fitter.profile.step)
-    shapes, changes = zip(*map(fitter.beyond, wides), strict=True)
+    shapes, changes = zip(*(_tried(wide, maps.grid.tobytes()) for wide in wides), strict=True)
     core = maps.shifted(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
     away = maps.white(core * np.concatenate(changes)) * step
     amplitude, precision, moved = amplitudes(fit.residual, fit.design, fit.off, fit.precision, away)
@@ -76,19 +80,36 @@ def promises(fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...]) -> l
     ]
 
 
+@lru_cache(maxsize=64)
+def _tried(wide: Wide, grid_bytes: bytes) -> tuple[Array, Array]:
+    """Return sizes and shapes of light beyond the core, and its transfer less one: the same for many edges."""
+    bounds = np.array([bound for _, bound in wide.parameters.values()])
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, SIZES)
+    others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
+    shapes = np.array([[size, *other] for other in others for size in sizes])
+    return shapes, wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
+
+
 def _odds(wide: Wide, shape: Array, amplitude: Array, precision: Array) -> float:
-    """Return the evidence for light beyond the core over that for none: shares and sizes even within their bounds.
+    """Return the evidence for light beyond the core over that for none: shares and sizes even within their bounds."""
+    unit = wide.share_unit(shape)[:, 0]
+    return float(_mean_ratios(*wide.fraction, unit, amplitude, precision) @ shape[:, 0]) / float(shape[:, 0].sum())
+
+
+@njit(cache=True)
+def _mean_ratios(low: float, high: float, unit: Array, amplitude: Array, precision: Array) -> Array:
+    """Return at each size the evidence for light over that for none, its share even between two bounds.
 
     Notes
     -----
-    At each size the mean over shares q of exp(a q p - q^2 p / 2), a their Gaussian estimate and p its precision.
+    The mean over shares q of exp(a q p - q^2 p / 2), a their Gaussian estimate and p its precision.
     """
-    low, high = wide.fraction
-    unit = wide.share_unit(shape)[:, 0]
-    shares = low + (high - low) * SHARES
-    ln_ratio = precision * unit * (amplitude * shares[:, None] - 0.5 * unit * shares[:, None] ** 2)
-    even_in_size = shape[:, 0] / shape[:, 0].sum()
-    return float(np.exp(np.minimum(ln_ratio, LARGEST)).mean(axis=0) @ even_in_size)
+    out = np.zeros(unit.size)
+    for i in range(unit.size):
+        for k in range(SHARES):
+            share = unit[i] * (low + (high - low) * (k + 0.5) / SHARES)
+            out[i] += np.exp(min(precision[i] * share * (amplitude[i] - 0.5 * share), LARGEST)) / SHARES
+    return out
 
 
 def _share(wide: Wide, shape: Array, amplitude: Array) -> Array:

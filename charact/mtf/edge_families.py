@@ -12,7 +12,7 @@ from charact.mtf.edge_maps import EdgeMaps
 from charact.mtf.edge_peak import nearby, peak
 from charact.mtf.edge_profile import Profile
 from charact.mtf.edge_response import Response, response_curvature
-from charact.mtf.families import Family, Wide
+from charact.mtf.families import Family
 from charact.mtf.form_slopes import kind_of, tables
 from charact.mtf.optics import Known
 
@@ -23,8 +23,6 @@ SHIFT_PX = 6.0
 GUESSES = np.exp(np.linspace(np.log(0.01), np.log(1.8), 40))
 ITERATIONS = 30
 FIRST_DAMPING = 1e-3
-# Sizes of light beyond the core among which a fit begins.
-SIZES = 9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,8 +98,8 @@ class FamilyFitter:
     def __init__(self, profile: Profile, known: Known) -> None:
         self.profile = profile
         self.maps = EdgeMaps(profile, known)
-        self._beyond: dict[Wide, tuple[Array, Array]] = {}
         self._bounds: dict[Family, Array] = {}
+        self._flats: dict[Family, float] = {}
         self._priors: dict[tuple[Family, float], tuple[Array, Array]] = {}
 
     @property
@@ -168,8 +166,6 @@ class FamilyFitter:
         mean, precision = self._prior(family, slope_sd_per_px)
         off = mean - np.concatenate([point, amplitude])
         covariance, log_volume = peak(design, precision, point, self.bounds(family))
-        gaussian = precision[1 : point.size] @ off[1 : point.size] ** 2
-        flat = float(family.log_prior(point[None, 1:])[0]) + 0.5 * float(gaussian)
         return FamilyFit(
             family=family,
             point=point,
@@ -179,13 +175,20 @@ class FamilyFitter:
             design=design,
             off=off,
             precision=precision,
-            log_evidence=-0.5 * cost + flat + log_volume + ln_weight,
+            log_evidence=-0.5 * cost + self._flat(family) + log_volume + ln_weight,
             cost=cost,
             chi2=float(residual @ residual),
             free=max(residual.size - point.size - 2, 1),
             slope_sd_per_px=slope_sd_per_px,
             ln_weight=ln_weight,
         )
+
+    def _flat(self, family: Family) -> float:
+        """Return ln of the prior's density less its Gaussian part, the same wherever the bounds allow."""
+        if family not in self._flats:
+            middle = np.clip(family.prior_precision()[0], *family.bounds.T)
+            self._flats[family] = float(family.log_prior(middle[None])[0])
+        return self._flats[family]
 
     def bounds(self, family: Family) -> Array:
         """Return the bounds of shift and form, shape (parameter, 2)."""
@@ -198,16 +201,6 @@ class FamilyFitter:
         _, other = self._prior(fit.family, slope_sd_per_px)
         one, same = (nearby(fit.residual, fit.design, fit.off, precision) for precision in (other, fit.precision))
         return one - same
-
-    def beyond(self, wide: Wide) -> tuple[Array, Array]:
-        """Return sizes and shapes of light beyond the core, and its transfer less one: the same for all cores."""
-        if wide not in self._beyond:
-            bounds = np.array([bound for _, bound in wide.parameters.values()])
-            sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, SIZES)
-            others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
-            shapes = np.array([[size, *other] for other in others for size in sizes])
-            self._beyond[wide] = shapes, wide.transfer(self.maps.grid, shapes) - 1.0
-        return self._beyond[wide]
 
     def spread_of(self, fit: FamilyFit) -> Array:
         """Return the fitted edge spread less one half at the bins, and its change with each parameter, those after."""

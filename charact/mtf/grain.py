@@ -22,6 +22,8 @@ REACH = 14  # px; correlations beyond are taken as none
 STANDS_OUT = 3.5
 # Lags that tell best whether the form holds, px, and the mean square of its departures there, in errors, if it does.
 NEAR_PX, MISFIT = 2, 2.5
+# Squared residuals count for no more than so many variances.
+LARGEST_SQUARE = 50.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +68,7 @@ def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) ->
         Least variance, DN^2.
     """
     used = gathered.used
-    dark, bright = _variances(residual[used], level[used], floor)
+    dark, bright = _variances(residual, level, used, floor)
     grain = Grain(dark_variance=dark, bright_variance=bright, correlation=np.ones((1, 1)))
     if max(dark, bright) <= 1.01 * floor:
         # What is left over is rounding, in the data or in the bins, and ties no neighbours.
@@ -76,14 +78,40 @@ def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) ->
     return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation_of(standard, used, slopes))
 
 
-def _variances(residual: Array, level: Array, floor: float) -> tuple[float, float]:
+def _variances(residual: Array, level: Array, used: NDArray[np.bool_], floor: float) -> tuple[float, float]:
     """Return the variances at level 0 and 1 of a least-squares line through the squared residuals."""
-    design = np.stack([1.0 - level, level], axis=1)
-    square = np.minimum(residual**2, 50.0 * residual.var() + floor)
-    normal = design.T @ design
-    dark, bright = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), design.T @ square)
-    mean = max(float(square.mean()), floor)
+    normal, pull, mean = _squares(residual, level, used, floor)
+    dark, bright = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), pull)
+    mean = max(mean, floor)
     return max(float(dark), 0.02 * mean, floor), max(float(bright), 0.02 * mean, floor)
+
+
+@njit(cache=True)
+def _squares(residual: Array, level: Array, used: NDArray[np.bool_], floor: float) -> tuple[Array, Array, float]:
+    """Return the normal equations of squared residuals, wild ones cut, linear in the level; and their mean."""
+    count, total, squares = 0, 0.0, 0.0
+    for row in range(residual.shape[0]):
+        for col in range(residual.shape[1]):
+            if used[row, col]:
+                count += 1
+                total += residual[row, col]
+                squares += residual[row, col] ** 2
+    count = max(count, 1)
+    most = LARGEST_SQUARE * (squares / count - (total / count) ** 2) + floor
+    normal, pull, mean = np.zeros((2, 2)), np.zeros(2), 0.0
+    for row in range(residual.shape[0]):
+        for col in range(residual.shape[1]):
+            if used[row, col]:
+                square, bright = min(residual[row, col] ** 2, most), level[row, col]
+                dark = 1.0 - bright
+                normal[0, 0] += dark * dark
+                normal[0, 1] += dark * bright
+                normal[1, 1] += bright * bright
+                pull[0] += dark * square
+                pull[1] += bright * square
+                mean += square / count
+    normal[1, 0] = normal[0, 1]
+    return normal, pull, mean
 
 
 def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float, float]) -> Array:
@@ -100,7 +128,7 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
     reach_row, reach_col = min(REACH, rows - 1), min(REACH, cols - 1)
     shape = (rows + reach_row, cols + reach_col)
     product = _autocorrelation(standard, shape)
-    pairs = _autocorrelation(used.astype(float), shape)
+    pairs = np.rint(_autocorrelation(used, shape))
     take_row, take_col = np.arange(-reach_row, reach_row + 1), np.arange(-reach_col, reach_col + 1)
     product, pairs = (part[np.ix_(take_row, take_col)] for part in (product, pairs))
     correlation = np.where(pairs > 50, product / np.maximum(pairs, 1), 0.0)
@@ -127,18 +155,27 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
     return form + np.where(keep, left, 0.0) * taper
 
 
-def _autocorrelation(field: Array, shape: tuple[int, int]) -> Array:
-    """Return the sums of products at all lags; those up to what the shape adds to the field's are free of wrapping."""
+def _autocorrelation(field: NDArray, shape: tuple[int, int]) -> Array:
+    """Return the sums of products at all lags; those up to what the shape adds to the field's are free of wrapping.
+
+    In single precision: a correlation is known to a thousandth at best.
+    """
     fast = tuple(next_fast_len(size, real=True) for size in shape)
-    spectrum = np.asarray(rfft2(field, fast), np.complex128)
+    spectrum = np.asarray(rfft2(field.astype(np.float32), fast), np.complex64)
     return np.asarray(irfft2(spectrum.real**2 + spectrum.imag**2, fast), np.float64)
 
 
+@njit(cache=True)
 def _smoothed(field: Array) -> Array:
-    """Return the 3 x 3 running mean."""
-    padded = np.pad(field, 1)
+    """Return the 3 x 3 running mean, nothing beyond the borders."""
     rows, cols = field.shape
-    return np.mean([padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)], axis=0)
+    out = np.zeros((rows, cols))
+    for row in range(rows):
+        for col in range(cols):
+            for i in range(max(row - 1, 0), min(row + 2, rows)):
+                for j in range(max(col - 1, 0), min(col + 2, cols)):
+                    out[row, col] += field[i, j] / 9.0
+    return out
 
 
 def _taper(lag: NDArray, reach: int) -> Array:

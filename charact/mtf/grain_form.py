@@ -1,6 +1,7 @@
 """A smooth form of the correlation of noise: what a blur behind the gain leaves, four numbers in place of hundreds."""
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -60,24 +61,35 @@ def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Arr
     return np.where(middle, 1.0, form), np.where(middle, 0.0, taken * strip)
 
 
+@njit(cache=True)
 def _shape(theta: Array, lags: Array) -> Array:
     """Return exp(-r^p), shape (n, 3) and (2, lag) -> (n, lag)."""
-    length = np.exp(theta[:, :2, None])
-    square = (lags[0] / length[:, 0]) ** 2 + (lags[1] / length[:, 1]) ** 2
-    return np.exp(-(square ** (0.5 * theta[:, 2:])))
+    out = np.empty((len(theta), lags.shape[1]))
+    for i in range(len(theta)):
+        across, along = np.exp(-2.0 * theta[i, 0]), np.exp(-2.0 * theta[i, 1])
+        for k in range(lags.shape[1]):
+            square = lags[0, k] ** 2 * across + lags[1, k] ** 2 * along
+            out[i, k] = np.exp(-(square ** (0.5 * theta[i, 2])))
+    return out
 
 
+@njit(cache=True)
 def _solved(theta: Array, data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array]:
     """Return share and loss, shape (n, 2), and what is left, shape (n, lag + 1), the prior of the exponent last."""
-    shape = _shape(theta, lags) * weight
-    own, both, other = np.sum(shape**2, axis=1), shape @ strip, max(strip @ strip, 1e-300)
-    free = (shape @ data - both * (strip @ data) / other) / np.maximum(own - both**2 / other, 1e-300)
-    share = np.clip(free, 0.0, 1.0)
-    # Means take away and never add.
-    loss = np.minimum((strip @ data - share * both) / other, 0.0)
-    left = data - share[:, None] * shape - loss[:, None] * strip
-    prior = (theta[:, 2:] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
-    return np.stack([share, loss], axis=1), np.concatenate([left, prior], axis=1)
+    found, left = np.empty((len(theta), 2)), np.empty((len(theta), data.size + 1))
+    other, stripped = max(np.dot(strip, strip), 1e-300), np.dot(strip, data)
+    shapes = _shape(theta, lags)
+    for i in range(len(theta)):
+        shape = shapes[i] * weight
+        both = np.dot(shape, strip)
+        own = max(np.dot(shape, shape) - both**2 / other, 1e-300)
+        share = min(max((np.dot(shape, data) - both * stripped / other) / own, 0.0), 1.0)
+        # Means take away and never add.
+        loss = min((stripped - share * both) / other, 0.0)
+        found[i] = share, loss
+        left[i, :-1] = data - share * shape - loss * strip
+        left[i, -1] = (theta[i, 2] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
+    return found, left
 
 
 def _fitted(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array] | None:

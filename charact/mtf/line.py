@@ -1,6 +1,7 @@
 """Where the edge is: a straight line found by projections and refined row by row against the edge's own profile."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -18,6 +19,8 @@ COARSE_SIZE = 96
 FINE_FROM, COARSE_PIXELS = 3, 2000
 # How far from the edge a row tells where it is, px.
 ROW_REACH_PX = 14.0
+# Cells of the mean profile against which it is told, and the standard deviation of what smooths it, px.
+CELLS_PER_PX, ROW_BLUR_PX = 4, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,25 +93,16 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
     if every[0].size < 16:
         return line
     # The first steps are far from exact: some of the pixels tell them.
-    few = tuple(part[:: max(1, every[0].size // COARSE_PIXELS)] for part in every)
+    few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // COARSE_PIXELS)]) for part in every)
     shift, turn, width, clip = 0.0, 0.0, max(2.0, wander), np.inf
     last = np.inf
     for iteration in range(iterations):
-        if iteration in (0, FINE_FROM):
-            value, distance, height = few if iteration == 0 else every
-            design = np.ones((7, value.size))
-            design[2] = height
+        value, distance, height = few if iteration < FINE_FROM else every
         place = (distance - shift - turn * height) / width
-        bend = np.tanh(place)
-        design[1], design[3] = bend, height * bend
-        levels = _least_squares(design[:4], value)
-        residual = value - levels @ design[:4]
+        design, residual = _levelled(value, place, np.tanh(place), height, width)
         if iteration in (3, 6):
             clip = 6.0 * NORMAL * median(np.abs(residual[:: max(1, value.size // 4000)]))
-        residual = np.clip(residual, -clip, clip)
-        design[4] = -(levels[1] + levels[3] * height) / width * (1.0 - bend**2)
-        design[5], design[6] = design[4] * height, design[4] * place
-        move = _least_squares(design, residual)[4:]
+        move = _least_squares(design, np.clip(residual, -clip, clip))[4:]
         step = float(np.clip(move[0], -4.0, 4.0)), float(np.clip(move[1], -8.0, 8.0))
         shift, turn = float(np.clip(shift + step[0], -reach, reach)), turn + step[1]
         width = float(np.clip(width + np.clip(move[2], -0.5 * width, width), 0.4, 20.0))
@@ -119,11 +113,32 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
     return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
 
 
+@njit(cache=True)
+def _levelled(value: Array, place: Array, bend: Array, height: Array, width: float) -> tuple[Array, Array]:
+    """Return the change of a smooth step with level, rise, their slopes along the edge, place, turn and width.
+
+    Shape (7, pixel); and what the best levels and slopes leave of the pixels, shape (pixel,).
+    """
+    design = np.empty((7, value.size))
+    for k in range(value.size):
+        design[0, k], design[1, k], design[2, k], design[3, k] = 1.0, bend[k], height[k], height[k] * bend[k]
+    levels = _least_squares(design[:4], value)
+    residual = np.empty(value.size)
+    for k in range(value.size):
+        rise = levels[1] + levels[3] * height[k]
+        residual[k] = value[k] - levels[0] - levels[2] * height[k] - rise * bend[k]
+        design[4, k] = -rise / width * (1.0 - bend[k] ** 2)
+        design[5, k], design[6, k] = design[4, k] * height[k], design[4, k] * place[k]
+    return design, residual
+
+
+@njit(cache=True)
 def _least_squares(design: Array, value: Array) -> Array:
     """Return the amplitudes of rows of a design, shape (row, pixel); one that nothing feels stays at none."""
-    normal = design @ design.T
-    firm = normal + 1e-9 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(design))
-    return np.asarray(np.linalg.solve(firm, design @ value), float)
+    normal = np.dot(design, design.T)
+    for k in range(len(normal)):
+        normal[k, k] += 1e-9 * normal[k, k] + 1e-300
+    return np.linalg.solve(normal, np.dot(design, value))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +182,7 @@ def refine(picture: Picture, line: Line) -> RowFit:
 
 def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
     """Return the rows' displacements, which of them hold the edge, and their mean and slope over the rows."""
-    offset, good = _row_offsets(picture, line, 0.5)
+    offset, good = _row_offsets(picture, line)
     if good.sum() < 3:
         return offset, good, 0.0, 0.0
     good &= np.abs(offset - median(offset[good])) < 6 * spread(offset[good]) + 1e-9
@@ -176,20 +191,35 @@ def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[n
     return offset, good, float(shift), float(turn)
 
 
-def _row_offsets(picture: Picture, line: Line, blur_px: float) -> tuple[Array, NDArray[np.bool_]]:
+def _row_offsets(picture: Picture, line: Line) -> tuple[Array, NDArray[np.bool_]]:
     """Return each row's displacement against the mean profile, and which rows hold the edge."""
     across = line.across(picture.value.shape)
-    reach = ROW_REACH_PX
-    near = np.abs(across) < reach
-    cell = np.clip(((across + reach) * 4).astype(np.int64), 0, 8 * int(reach) - 1)
-    sums = np.bincount(cell[near], weights=picture.value[near], minlength=8 * int(reach))
-    counts = np.bincount(cell[near], minlength=8 * int(reach))
-    places = (np.arange(sums.size) + 0.5) / 4 - reach
-    kernel = np.exp(-0.5 * ((places[:, None] - places) / blur_px) ** 2) * counts
-    kernel = kernel / np.maximum(kernel.sum(axis=1, keepdims=True), 1e-300)
-    profile = kernel @ (sums / np.maximum(counts, 1))
+    sums, counts = _near(picture.value, across)
+    places, kernel = _smoothing()
+    profile = kernel @ sums / np.maximum(kernel @ counts, 1e-300)
     offset, power = _displaced(picture.value, across, places, profile, np.gradient(profile, places))
     return offset, (power > 0.5 * median(power)) & (power > 0)
+
+
+@lru_cache(maxsize=1)
+def _smoothing() -> tuple[Array, Array]:
+    """Return the cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell)."""
+    places = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
+    return places, np.exp(-0.5 * ((places[:, None] - places) / ROW_BLUR_PX) ** 2)
+
+
+@njit(cache=True)
+def _near(value: Array, across: Array) -> tuple[Array, Array]:
+    """Return the sum of the pixels in each cell of the rows' mean profile, and their number."""
+    size = 2 * CELLS_PER_PX * int(ROW_REACH_PX)
+    sums, counts = np.zeros(size), np.zeros(size)
+    for row in range(value.shape[0]):
+        for col in range(value.shape[1]):
+            if abs(across[row, col]) < ROW_REACH_PX:
+                cell = min(int((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX), size - 1)
+                sums[cell] += value[row, col]
+                counts[cell] += 1.0
+    return sums, counts
 
 
 @njit(cache=True)
