@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
+# Power of the evidence by which forms are weighed: none of them is the blur itself, and the noise is an estimate too
+# (power likelihoods: Gruenwald & van Ommen 2017, doi 10.1214/17-BA1085).
+TEMPERED = 0.7
 # Gain in chi squared from which on wide light is worth a fit of its own, and odds from which on it is with less.
 WORTH_CHI2, WORTH_ODDS = 6.0, 0.6
 # Forms within this of the best in ln of the evidence are worth pursuing.
@@ -152,7 +155,7 @@ def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...
 
 def _weighed(found: list[FamilyFit]) -> list[Weighed]:
     evidence = np.array([fit.log_evidence for fit in found])
-    share = np.exp(evidence - evidence.max())
+    share = np.exp(TEMPERED * (evidence - evidence.max()))
     share /= share.sum()
     return [Weighed(fit=found[i], share=float(share[i])) for i in np.argsort(-share) if share[i] > LEAST_SHARE]
 

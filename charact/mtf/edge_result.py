@@ -27,10 +27,11 @@ Array = NDArray[np.float64]
 # Half width of the 68 % interval over the value from which on the posterior's tails depend on what was taken for
 # possible before the data, and no interval can be trusted at four standard errors.
 LEAST_SURE = 0.14
-# Half width of a 95 % interval over that of the posterior, and by how much more for a relative error of one, up to that
-# from which on nothing is sure: forms and noise are themselves chosen by the data, and an unsure edge may hide more.
-# Twice of it is then over 4.2 standard deviations, which chance alone passes once in 40,000 edges.
-MARGIN, MORE_MARGIN = 1.08, 2.0
+# Half width of a 95 % interval over that of the posterior, and by how much more on either side for a relative error of
+# one, up to that from which on nothing is sure: forms and noise are themselves chosen by the data, and an unsure edge
+# may hide more. Errors of a frequency grow with it, about as its square: where the answer came out low, it looks surer
+# than it is, and four deviations reach further up than down. Errors of a modulus lean to neither side.
+MARGIN, MORE_BELOW_ABOVE, MORE_EVENLY = 1.04, (1.0, 4.0), (2.5, 2.5)
 # Every so many of the fine frequencies tell between which of them a curve falls to a level.
 EVERY = 6
 COARSE = np.append(FINE[:-1:EVERY], FINE[-1])
@@ -120,20 +121,21 @@ def _curve(draws: Array) -> Curve:
     """Return the reported curve, its 95 % interval with its margin."""
     curve = curve_of(REPORTED, draws)
     assert curve.interval68 is not None and curve.interval95 is not None, "curves of draws have intervals"
-    return replace(curve, interval95=_with_margin(curve.value, curve.interval68, curve.interval95))
+    return replace(curve, interval95=_with_margin(curve.value, curve.interval68, curve.interval95, MORE_EVENLY))
 
 
-def _measured(quantity: str, unit: str, draws: Array, **fields: Any) -> Measurement:
+def _measured(quantity: str, unit: str, draws: Array, more: tuple[float, float], **fields: Any) -> Measurement:
     """Return a measurement from draws, its 95 % interval with its margin."""
     found = from_draws(quantity, unit, draws, **fields)
-    low, high = _with_margin(np.asarray(found.value), np.asarray(found.interval68), np.asarray(found.interval95))
+    low, high = _with_margin(np.asarray(found.value), np.asarray(found.interval68), np.asarray(found.interval95), more)
     return found.with_(interval95=(float(low), float(high)))
 
 
-def _with_margin(value: Array, interval68: Array, interval95: Array) -> Array:
+def _with_margin(value: Array, interval68: Array, interval95: Array, more: tuple[float, float]) -> Array:
     """Return a wider 95 % interval about a value that cannot be negative, shape (2, ...)."""
     unsure = np.minimum(0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), LEAST_SURE)
-    return np.maximum(value + (MARGIN + MORE_MARGIN * unsure) * (interval95 - value), 0.0)
+    margin = np.stack([MARGIN + one * unsure for one in more])
+    return np.maximum(value + margin * (interval95 - value), 0.0)
 
 
 def _crossings(outcome: Outcome, coarse: Array, level: float) -> Array:
@@ -157,12 +159,14 @@ def _level(quantity: str, level: float, draws: Array, posterior: Posterior, comm
         )
         return refused(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    return _measured(quantity, "cy/px", kept, posterior=posterior, **_if_sure(_with_peaks(common, kept), kept))
+    found = _measured(quantity, "cy/px", kept, MORE_BELOW_ABOVE, posterior=posterior, **_with_peaks(common, kept))
+    return found if _is_sure(found) else found.with_(flags=("low-signal",))
 
 
 def _pinned(frequency: float, draws: Array, common: dict) -> Measurement:
     """Return the MTF at one frequency."""
-    return _measured("mtf", "1", draws, frequency_cy_per_px=float(frequency), **_with_peaks(common, draws))
+    common = _with_peaks(common, draws)
+    return _measured("mtf", "1", draws, MORE_EVENLY, frequency_cy_per_px=float(frequency), **common)
 
 
 def _posterior_flags(posterior: Posterior, context: Context) -> tuple[str, ...]:
@@ -178,12 +182,11 @@ def _with_peaks(common: dict, draws: Array) -> dict:
     return {**common, "flags": (*common["flags"], "several-modes")}
 
 
-def _if_sure(common: dict, draws: Array) -> dict:
-    """Return what measurements share, flagged where the 68 % interval of this one is too wide for its tails."""
-    low, middle, high = np.quantile(draws, [0.158655, 0.5, 0.841345])
-    if high - low < 2.0 * LEAST_SURE * middle:
-        return common
-    return {**common, "flags": tuple(dict.fromkeys((*common["flags"], "low-signal")))}
+def _is_sure(found: Measurement) -> bool:
+    """Tell whether the 68 % interval of a measurement is narrow enough for its tails to be known."""
+    assert found.value is not None and found.interval68 is not None, "draws give a value and intervals"
+    low, high = found.interval68
+    return high - low < 2.0 * LEAST_SURE * found.value
 
 
 def edge_angle(edge: FoundEdge, common: dict) -> Measurement:

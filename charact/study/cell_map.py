@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -265,8 +266,23 @@ def _short(value: Any) -> Any:
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
-def make(measure: Measure[Outcome], *, method: str, table: Path, cells: int, repeats: int, about: str | None) -> None:
-    """Make a map as the command line asks, print what it says and write its table."""
+def make(
+    measure: Measure[Outcome],
+    *,
+    method: str,
+    table: Path,
+    cells: int,
+    repeats: int,
+    about: str | None,
+    chained: float = 1.0 / CHAINED,
+) -> None:
+    """Make a map as the command line asks, print what it says and write its table.
+
+    Parameters
+    ----------
+    chained
+        Share of the cells, evenly among them, of which one drawing is measured by Markov chains too.
+    """
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--cells", type=int, default=cells, help="number of cells")
     parser.add_argument("--first", type=int, default=0, help="number of the first cell")
@@ -277,9 +293,10 @@ def make(measure: Measure[Outcome], *, method: str, table: Path, cells: int, rep
     quick = mapped(measure, numbers, repeats=asked.repeats)
     # Half an hour's work is on disk before the chains begin.
     written(quick, [], asked.out, method=method)
-    chained = mapped(measure, numbers[::CHAINED], repeats=1, quick=False)
-    written(quick, chained, asked.out, method=method)
-    for part in (quick, chained):
+    picked = [numbers[int(place / chained)] for place in range(math.ceil(chained * asked.cells))]
+    chains = mapped(measure, picked, repeats=1, quick=False)
+    written(quick, chains, asked.out, method=method)
+    for part in (quick, chains):
         print(json.dumps(told(part), indent=1))
     for one in worst(quick):
         print(json.dumps(asdict(one)))
