@@ -46,7 +46,7 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
 def _piled(data: NDArray) -> bool:
     """Tell whether either extreme value is frequent enough to be a pile-up, before all values are counted."""
     extremes = np.count_nonzero(data == data.max()), np.count_nonzero(data == data.min())
-    return max(extremes) > PILE_UP_SHARE * data.size
+    return bool(max(extremes) > PILE_UP_SHARE * data.size)
 
 
 def _histogram(data: NDArray) -> tuple[NDArray, NDArray]:

@@ -41,7 +41,8 @@ def _pixels(path: Path) -> tuple[NDArray, str]:
             if len(file.series) > 1:
                 shapes = {one.shape for one in file.series}
                 raise BadInput(f"the pages of a TIFF file must have one shape, got {sorted(shapes)} in {path}")
-            data, axes = series.asarray(), series.axes
+            data = _unpacked(path, series)
+            axes = series.axes
     except BadInput:
         raise
     except tifffile.TiffFileError:
@@ -56,6 +57,27 @@ def _pixels(path: Path) -> tuple[NDArray, str]:
     if data.ndim < 2:
         raise BadInput(f"a TIFF file must hold pictures of rows and columns, got the shape {data.shape} in {path}")
     return data.astype(data.dtype.newbyteorder("="), copy=False), axes
+
+
+def _unpacked(path: Path, series) -> NDArray:
+    """Return the pixels of a series; OpenCV unpacks LZW, which it writes by default, where no codec is here."""
+    try:
+        return series.asarray()
+    except ValueError as error:
+        if "imagecodecs" not in str(error):
+            raise
+    import cv2
+
+    packing = series.keyframe.compression
+    lzw = getattr(packing, "name", packing) == "LZW" and series.axes.endswith(("YX", "YXS"))
+    read, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED) if lzw else (False, ())
+    data = np.array(pages)
+    if not read or data.size != series.size or data.dtype != series.dtype:
+        raise BadInput(f"a TIFF file must be plain, deflated or packed by LZW, got {packing!s} in {path}")
+    if series.axes.endswith("S"):
+        # OpenCV hands over blue first.
+        data = np.concatenate([data[..., 2::-1], data[..., 3:]], axis=-1)
+    return data.reshape(series.shape)
 
 
 def _check_whole(file, path: Path) -> None:

@@ -40,16 +40,53 @@ def test_tiff_pages_are_frames_in_either_byte_order(tmp_path, kind, order):
     assert not read.flags.writeable
 
 
-@pytest.mark.parametrize("compression", [None, "deflate", "lzw"])
+@pytest.mark.parametrize("compression", [None, "deflate"])
 def test_one_page_is_a_stack_of_one_frame(tmp_path, compression):
     data = pixels("u2", (5, 7))
-    options = {"compression": compression} if compression != "lzw" or has_lzw() else {}
-    tifffile.imwrite(tmp_path / "a.tiff", data, **options)
+    tifffile.imwrite(tmp_path / "a.tiff", data, compression=compression)
     assert np.array_equal(read_frames(tmp_path / "a.tiff").data, data[None])
 
 
-def has_lzw() -> bool:
-    return importlib.util.find_spec("imagecodecs") is not None
+@pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
+def test_what_opencv_writes_by_default_is_read(tmp_path, kind):
+    """It packs by LZW: one page, several, and colours, blue first in its hands."""
+    frames = pixels(kind, (3, 40, 48))
+    assert cv2.imwrite(str(tmp_path / "one.tif"), frames[0])
+    assert cv2.imwritemulti(str(tmp_path / "many.tif"), list(frames))
+    assert cv2.imwrite(str(tmp_path / "colour.tif"), np.moveaxis(frames, 0, -1))
+    with tifffile.TiffFile(tmp_path / "one.tif") as file:
+        assert file.pages[0].compression.name == ("NONE" if kind == "f4" else "LZW")
+    assert np.array_equal(read_frames(tmp_path / "one.tif").data, frames[:1])
+    assert np.array_equal(read_frames(tmp_path / "many.tif").data, frames)
+    for plane, samples in zip("rgb", frames[::-1], strict=True):
+        assert np.array_equal(read_frames(tmp_path / "colour.tif", plane=plane).data[0], samples)
+
+
+def test_a_packed_file_cut_anywhere_is_refused_or_whole(tmp_path):
+    data = pixels("u2", (40, 48))
+    assert cv2.imwrite(str(tmp_path / "a.tif"), data)
+    content, refused = (tmp_path / "a.tif").read_bytes(), 0
+    sizes = [*range(8, len(content), 97), *range(len(content) - 12, len(content))]
+    for size in sizes:
+        (tmp_path / "b.tif").write_bytes(content[:size])
+        try:
+            assert np.array_equal(read_frames(tmp_path / "b.tif").data[0], data), size
+        except BadInput as error:
+            assert "a TIFF file must" in str(error) or "a .tif file must" in str(error)
+            refused += 1
+    assert refused > 0.9 * (len(sizes) - 12)
+
+
+def test_a_packing_that_is_not_read_is_named(tmp_path):
+    """The number of LZMA in the place of no packing: another file, but that is what its reader sees first."""
+    tifffile.imwrite(tmp_path / "a.tif", pixels("u2", (40, 48)), byteorder="<")
+    content = bytearray((tmp_path / "a.tif").read_bytes())
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        place = file.pages[0].tags["Compression"].valueoffset
+    content[place : place + 2] = (34887).to_bytes(2, "little")
+    (tmp_path / "a.tif").write_bytes(bytes(content))
+    with pytest.raises(BadInput, match=r"plain, deflated or packed by LZW, got 34887 in"):
+        read_frames(tmp_path / "a.tif")
 
 
 def test_pages_written_one_by_one_are_frames_too(tmp_path):
