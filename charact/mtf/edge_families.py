@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +100,6 @@ class FamilyFitter:
         self.profile = profile
         self.maps = EdgeMaps(profile, known)
         self._bounds: dict[Family, Array] = {}
-        self._flats: dict[Family, float] = {}
         self._priors: dict[tuple[Family, float], tuple[Array, Array]] = {}
 
     @property
@@ -175,20 +175,13 @@ class FamilyFitter:
             design=design,
             off=off,
             precision=precision,
-            log_evidence=-0.5 * cost + self._flat(family) + log_volume + ln_weight,
+            log_evidence=-0.5 * cost + _flat(family) + log_volume + ln_weight,
             cost=cost,
             chi2=float(residual @ residual),
             free=max(residual.size - point.size - 2, 1),
             slope_sd_per_px=slope_sd_per_px,
             ln_weight=ln_weight,
         )
-
-    def _flat(self, family: Family) -> float:
-        """Return ln of the prior's density less its Gaussian part, the same wherever the bounds allow."""
-        if family not in self._flats:
-            middle = np.clip(family.prior_precision()[0], *family.bounds.T)
-            self._flats[family] = float(family.log_prior(middle[None])[0])
-        return self._flats[family]
 
     def bounds(self, family: Family) -> Array:
         """Return the bounds of shift and form, shape (parameter, 2)."""
@@ -243,3 +236,10 @@ class FamilyFitter:
             return value
 
         return log_probability
+
+
+@lru_cache(maxsize=256)
+def _flat(family: Family) -> float:
+    """Return ln of the prior's density less its Gaussian part, the same wherever the bounds allow."""
+    middle = np.clip(family.prior_precision()[0], *family.bounds.T)
+    return float(family.log_prior(middle[None])[0])

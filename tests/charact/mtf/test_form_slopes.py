@@ -6,6 +6,7 @@ from scipy.special import j1, sici
 
 from charact.mtf import wide_tables
 from charact.mtf.edge_climb import linearised, stacked
+from charact.mtf.edge_families import _flat
 from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior
 from charact.mtf.form_slopes import form_and_slopes, kind_of, tables
 
@@ -18,6 +19,15 @@ WIDES = (
     VeilPrior(size_px=(20.0, 200.0)),
 )
 FAMILIES = [Family(core=core, wide=wide) for core in ("gaussian", "exponential", "moffat") for wide in WIDES]
+
+
+@pytest.mark.parametrize("family", FAMILIES, ids=[family.name for family in FAMILIES])
+def test_a_prior_is_flat_but_for_its_gaussian_part(family, seed):
+    rng, bounds = np.random.default_rng(seed), family.bounds
+    theta = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * rng.random((7, len(bounds)))
+    mean, precision = family.prior_precision()
+    pull = 0.5 * (theta - mean) ** 2 @ precision
+    assert family.log_prior(theta) == pytest.approx(_flat(family) - pull)
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=[family.name for family in FAMILIES])
