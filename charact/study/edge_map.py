@@ -22,8 +22,8 @@ from labdata.frames import FrameStack
 TABLE = Path(__file__).resolve().parent / "tables" / "edge_map.json"
 METHOD = "edge-parametric"
 CELLS, REPEATS = 5000, 20
-# Two drawings in a hundred are measured by Markov chains too: one of each of these cells.
-CHAINED_CELLS = 0.02 * REPEATS
+# Share of the cells of which one drawing is measured by Markov chains too.
+CHAINED_CELLS = 0.2
 # The bound of Cramer and Rao is found for one cell in ten.
 BOUNDED = 10
 # What breaks edge methods, from where it hardly matters to where nothing is left, and whether steps are even in ln.
