@@ -111,7 +111,7 @@ def _subs(span: float) -> tuple[float, ...]:
     """Which numbers of a decade stand at an axis that spans so many times its lowest."""
     if span > 1e3:
         return (1.0,)
-    return (1.0, 3.0) if span > 6.0 else (1.0, 2.0, 5.0)
+    return (1.0, 3.0) if span > 20.0 else (1.0, 2.0, 5.0)
 
 
 def _fates(cell: Mapping[str, Any]) -> tuple[int, ...]:

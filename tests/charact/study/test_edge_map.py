@@ -41,7 +41,7 @@ def test_five_cells_are_what_the_method_still_does(table, seed):
 def test_what_the_map_shows(table):
     """No crash; in scope 95 % ok, as narrow as 1.3 times the bound; between 2 and 5 % of the intervals miss.
 
-    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000. The map has no more.
+    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000; here a third of that.
     """
     summary = table["quick"]["summary"]
     inside = summary["by_axis"]["none"]
@@ -51,9 +51,19 @@ def test_what_the_map_shows(table):
     assert summary["missed_standard_errors_over_5_percent"] <= 3.0
     assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
     assert inside["missed"] >= 0.02 * inside["ok"]
-    assert summary["silent"] <= summary["ok"] / 10_000
-    assert inside["silent"] <= inside["ok"] / 11_000
+    assert summary["silent"] <= summary["ok"] / 30_000
+    assert inside["silent"] <= inside["ok"] / 33_000
     assert len(summary["worst"]) == 10
+
+
+def test_chains_keep_the_same_limits(table):
+    """One drawing of every fifth cell: none silent, as honest Gaussian intervals would be in 16 of 17 such maps."""
+    summary = table["chains"]["summary"]
+    assert len(table["chains"]["rows"]) >= 1000
+    assert summary["crashed"] == summary["silent"] == 0
+    assert summary["in_scope_ok_percent"] >= 95.0
+    assert summary["median_sd_over_bound"] <= 1.3
+    assert summary["missed_standard_errors_over_5_percent"] <= 3.0
 
 
 def test_the_summary_counts_what_the_cells_say():
