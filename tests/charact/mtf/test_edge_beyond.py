@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.special import ndtri
 
 from charact.method import Context
 from charact.mtf import edge_beyond, edge_forms, edge_result
@@ -134,14 +135,20 @@ def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_n
     column = int(np.argmin(np.abs(curve.value - 0.5)))
     low, half_low, middle, half_high, high = np.quantile(curve.draws[:, column], [0.025, 0.16, 0.5, 0.84, 0.975])
     assert curve.interval68[:, column] == pytest.approx([half_low, half_high])
-    margin, unsure = edge_result.MARGIN, 0.5 * (half_high - half_low) / middle
-    stretch = margin + edge_result.MORE_EVENLY[0] * unsure
+    stretch = edge_result.MARGIN + edge_result.MORE_EVENLY[0] * 0.5 * (half_high - half_low) / middle
     assert 1.05 < stretch < 1.2
     wide = [middle + stretch * (low - middle), middle + stretch * (high - middle)]
     assert curve.interval95[:, column] == pytest.approx(wide)
     found = result.find("mtf50")[0]
-    below, above = found.value - found.interval95[0], found.interval95[1] - found.value
-    unsure = 0.5 * (found.interval68[1] - found.interval68[0]) / found.value
-    # Draws of a frequency lean up, about as the width of a blur is told: the margin leans so besides.
-    assert above / below > 1.02 * (margin + 3.0 * unsure) / (margin + unsure)
     assert found.interval95[1] - found.interval95[0] > 2.05 * (found.interval68[1] - found.interval68[0])
+
+
+def test_a_frequency_known_to_a_tenth_may_lie_further_up_than_down_and_a_modulus_either_way():
+    """By 4 % and its relative error down, three times that up; a modulus by twice its relative error."""
+    draws = 0.2 * (1.0 + 0.1 * ndtri((np.arange(2001) + 0.5) / 2001))
+    common = {"method": "edge-parametric"}
+    reach = 1.959964 * 0.02
+    frequency = edge_result._level("mtf50", 0.5, draws, None, common)
+    assert frequency.interval95 == pytest.approx((0.2 - 1.139 * reach, 0.2 + 1.338 * reach), rel=2e-3)
+    modulus = edge_result._pinned(0.1, draws, common)
+    assert modulus.interval95 == pytest.approx((0.2 - 1.239 * reach, 0.2 + 1.239 * reach), rel=2e-3)
