@@ -29,17 +29,18 @@ def test_a_running_mean_with_nothing_beyond_the_borders(rng):
 
 @pytest.mark.parametrize("sigma", [0.0, 0.6, 1.2])
 def test_noise_blurred_behind_the_gain_has_the_correlation_of_its_blur(rng, sigma):
-    """That of the kernel with itself: within four errors at every near lag, its sum within a fifth."""
+    """That of the kernel with itself: within four errors at near lags, its sum within 15 % (mean of 16 fields)."""
     lag = np.arange(-REACH, REACH + 1)
     square = np.add.outer(lag**2, lag**2)
     kernel = gaussian_filter((square == 0) * 1.0, sigma)
-    noise = correlate(rng.standard_normal((160 + 2 * REACH, 160 + 2 * REACH)), kernel, "valid")
     truth = correlate(kernel, kernel, "same") / np.sum(kernel**2)
-    found = correlation_of(noise / noise.std(), np.ones(noise.shape, bool), (1.0, 0.1))
-    error = np.sqrt(np.sum(truth**2)) / 160.0
+    fields = [correlate(rng.standard_normal((160 + 2 * REACH, 160 + 2 * REACH)), kernel, "valid") for _ in range(16)]
+    used = np.ones(fields[0].shape, bool)
+    found = np.mean([correlation_of(noise / noise.std(), used, (1.0, 0.1)) for noise in fields], axis=0)
+    error = np.sqrt(np.sum(truth**2)) / 160.0 / np.sqrt(len(fields))
     near = square <= 9
-    assert found[near] == pytest.approx(truth[near], abs=4.0 * error + 0.01)
-    assert found.sum() == pytest.approx(truth.sum(), rel=0.2)
+    assert found[near] == pytest.approx(truth[near], abs=4.0 * error + 0.025)
+    assert found.sum() == pytest.approx(truth.sum(), rel=0.15)
 
 
 def test_variances_of_both_sides_are_those_of_the_noise(rng):
