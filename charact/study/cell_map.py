@@ -18,7 +18,7 @@ import charact
 from charact.study.failure_map import one_thread_each
 from charact.study.harness import Row
 
-# One cell in fifty is measured by Markov chains too.
+# One cell in fifty is measured by Markov chains too, unless a map asks for more.
 CHAINED = 50
 # Streams of a cell's scene and of its repeats, so that neither depends on the other.
 SCENE, NOISE = 11, 12
