@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 
 from charact.mtf.edge_climb import LARGEST_TURN_PX
+from charact.mtf.edge_likelihood import EdgeLikelihood
 from charact.mtf.edge_profile import Profile
 from charact.mtf.optics import Known
 from charact.mtf.spread import edge_weights, nodes
@@ -62,25 +63,9 @@ class EdgeMaps:
         self.made_for(shift_px)
         return modulus * (self.fixed * np.exp(-2j * np.pi * (shift_px - self._centre) * self.grid))
 
-    def log_likelihood(self, modulus: Array, shift_px: Array, level_precision: Array) -> Array:
-        """Return ln of the likelihood of transfers, step, levels and slopes marginalised, shape (n,).
-
-        Parameters
-        ----------
-        modulus, shift_px
-            Transfers, shape (n, node), and the edge's shift in each, shape (n,), px.
-        level_precision
-            Precision of the priors of level and slopes, DN^-2; 0 for a free one.
-        """
-        turn = np.exp(-2j * np.pi * (shift_px - self._centre)[:, None] * self.grid)
-        spread, levels = self.white(modulus * (self.fixed * turn)), self.white_levels
-        outer = levels.T @ levels + np.diag(level_precision)
-        onto, data = spread @ levels, levels.T @ self.data
-        solved = np.linalg.solve(outer, np.concatenate([onto.T, data[:, None]], axis=1))
-        curvature = np.maximum(np.sum(spread**2, axis=1) - np.sum(onto * solved[:, :-1].T, axis=1), 1e-300)
-        overlap = spread @ self.data - onto @ solved[:, -1]
-        left = self.data @ self.data - data @ solved[:, -1] - overlap**2 / curvature
-        return -0.5 * (left + np.log(curvature * self._profile.step**2))
+    def likelihood(self, level_precision: Array) -> EdgeLikelihood:
+        """Return the likelihood of transfers where level and slopes have priors of these precisions, DN^-2."""
+        return EdgeLikelihood(*self.compiled, level_precision, self._profile.step)
 
     def white(self, transfer: Complex) -> Array:
         """Return whitened edge spreads less one half, shape (n, node) -> (n, bin)."""

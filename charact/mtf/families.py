@@ -5,13 +5,13 @@ parameter.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf import transfer as forms
+from charact.mtf.moffat_table import MOFFAT_EXPONENT, moffat
 
 Array = NDArray[np.float64]
 
@@ -19,8 +19,6 @@ HALF_FREQUENCY = (0.008, 6.0)
 # Exponent of exp(-ln 2 (f/f2)^n): tubes about 1.1 to 1.7, a Gaussian 2, and what aberrations may make of it.
 EXPONENT = (0.6, 4.0)
 EXPONENT_PRIOR = (1.6, 0.6)
-# Exponent of a Moffat spread (1 + r^2/a^2)^-b: 3/2 is a Lorentzian whose transfer is exp(-f), infinity a Gaussian.
-MOFFAT_EXPONENT = (1.2, 8.0)
 # Transfers below this count as this: numbers smaller still slow every product down a hundredfold.
 LEAST_LN = -80.0
 # Share of the light in a halo, in scattered light.
@@ -173,10 +171,11 @@ class Family:
         """Return the transfer, shape (n, parameter) and (f,) -> (n, f)."""
         half = np.exp(theta[:, 0])
         if self.core == "moffat":
-            core = moffat(frequency, half, theta[:, 1])
+            ln = moffat(frequency, half, theta[:, 1])
         else:
             exponent = np.full(len(theta), 2.0) if self.core == "gaussian" else theta[:, 1]
-            core = np.exp(np.maximum(forms.exponential(frequency, half, exponent), LEAST_LN))
+            ln = forms.exponential(frequency, half, exponent)
+        core = np.exp(np.maximum(ln, LEAST_LN))
         if self.wide is None:
             return core
         tail = theta[:, self.core_parameters :]
@@ -200,45 +199,3 @@ class Family:
         if self.core == "exponential":
             mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
         return mean, precision
-
-
-def moffat(frequency: Array, half_frequency: Array, exponent: Array) -> Array:
-    """Return the transfer of a Moffat spread, shape (f,), (n,), (n,) -> (n, f).
-
-    Notes
-    -----
-    The two-dimensional transform of (1 + r^2/a^2)^-b is 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x = 2 pi a f: by table
-    in ln(f/f2) and 1/b, linear in both between close steps, ln of the transfer being smooth.
-    """
-    places, inverse, table = moffat_table()
-    row = np.interp(1.0 / exponent, inverse, np.arange(inverse.size))
-    low = np.minimum(row.astype(int), inverse.size - 2)
-    share = (row - low)[:, None]
-    column = (np.log(np.maximum(frequency, 1e-12)) - np.log(half_frequency)[:, None] - places[0]) / (
-        places[1] - places[0]
-    )
-    column = np.clip(column, 0.0, places.size - 1.001)
-    left = column.astype(int)
-    rest = column - left
-    low, high = low[:, None], low[:, None] + 1
-    one = table[low, left] * (1.0 - rest) + table[low, left + 1] * rest
-    other = table[high, left] * (1.0 - rest) + table[high, left + 1] * rest
-    # Far below f2 the logarithm of the transfer is too small for the table's first column to matter.
-    return np.exp(np.maximum(one * (1.0 - share) + other * share, LEAST_LN))
-
-
-@lru_cache(maxsize=1)
-def moffat_table() -> tuple[Array, Array, Array]:
-    """Return ln(f/f2), 1/b and ln of the transfer at them, shape (1/b, ln(f/f2))."""
-    from scipy.special import gammaln, kve
-
-    places = np.linspace(np.log(1e-5), np.log(300.0), 1400)
-    inverse = np.linspace(1.0 / (MOFFAT_EXPONENT[1] + 0.5), 1.0 / (MOFFAT_EXPONENT[0] - 0.05), 80)
-    wide = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 6000))
-    rows = []
-    for order in 1.0 / inverse - 1.0:
-        log = (1.0 - order) * np.log(2.0) - gammaln(order) + order * np.log(wide)
-        log = np.minimum(log + np.log(kve(order, wide)) - wide, 0.0)
-        half = np.exp(np.interp(np.log(2.0), -log, np.log(wide)))
-        rows.append(np.interp(places + np.log(half), np.log(wide), log))
-    return places, inverse, np.array(rows)

@@ -9,11 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.families import LEAST_LN, Family, moffat_table
+from charact.mtf.families import LEAST_LN, Family
+from charact.mtf.moffat_table import Table, moffat_at, moffat_table
 from charact.mtf.wide_tables import disc_at, disc_table, sine_integral_at, sine_table
 
 Array = NDArray[np.float64]
-Tables = tuple[Array, Array, Array, Array, Array]
+Tables = tuple[Table, Array, Array]
 
 CORES = {"gaussian": 0, "exponential": 1, "moffat": 2}
 WIDES = {"halo": 0, "disc": 1, "glare": 2, "veil": 3}
@@ -29,9 +30,8 @@ def kind_of(family: Family) -> tuple[int, int, float]:
 
 @lru_cache(maxsize=1)
 def tables() -> Tables:
-    """Return what the forms are looked up in: Moffat's places, 1/b and ln, Si, and a disc's transfer and slope."""
-    places, inverse, table = moffat_table()
-    return places, inverse, np.ascontiguousarray(table), sine_table(), disc_table()
+    """Return what the forms are looked up in: Moffat's transfer, Si, and a disc's transfer and slope."""
+    return moffat_table(), sine_table(), disc_table()
 
 
 @njit(cache=True)
@@ -82,35 +82,17 @@ def _core(core: int, theta: Array, frequency: float, tables: Tables) -> tuple[fl
     """Return a core's transfer and its slopes with ln of the half frequency and with its exponent."""
     ratio = np.log(frequency) - theta[0]
     if core == 2:
-        return _moffat(ratio, theta[1], tables)
+        ln, rise, by_exponent = moffat_at(ratio, theta[1], tables[0])
+        if ln < LEAST_LN:
+            return np.exp(LEAST_LN), 0.0, 0.0
+        value = np.exp(ln)
+        return value, -value * rise, value * by_exponent
     exponent = 2.0 if core == 0 else theta[1]
     fall = -LN2 * np.exp(exponent * ratio)
     if fall < LEAST_LN:
         return np.exp(LEAST_LN), 0.0, 0.0
     value = np.exp(fall)
     return value, -value * fall * exponent, value * fall * ratio
-
-
-@njit(cache=True)
-def _moffat(ratio: float, exponent: float, tables: Tables) -> tuple[float, float, float]:
-    """Return Moffat's transfer at ln(f/f2) and its slopes: by table, as `families.moffat`."""
-    places, inverse, table = tables[0], tables[1], tables[2]
-    row = (1.0 / exponent - inverse[0]) / (inverse[1] - inverse[0])
-    row = min(max(row, 0.0), inverse.size - 1.0)
-    low = min(int(row), inverse.size - 2)
-    step = places[1] - places[0]
-    column = min(max((ratio - places[0]) / step, 0.0), places.size - 1.001)
-    left = int(column)
-    share, rest = row - low, column - left
-    one = table[low, left] * (1.0 - rest) + table[low, left + 1] * rest
-    other = table[low + 1, left] * (1.0 - rest) + table[low + 1, left + 1] * rest
-    ln = one * (1.0 - share) + other * share
-    if ln < LEAST_LN:
-        return np.exp(LEAST_LN), 0.0, 0.0
-    rise = (table[low, left + 1] - table[low, left]) * (1.0 - share)
-    rise += (table[low + 1, left + 1] - table[low + 1, left]) * share
-    value = np.exp(ln)
-    return value, -value * rise / step, -value * (other - one) / (exponent**2 * (inverse[1] - inverse[0]))
 
 
 @njit(cache=True)
@@ -126,9 +108,9 @@ def _wide(wide: int, size: float, other: float, frequency: float, tables: Tables
         return value, -2.0 * turn * size * value, 0.0
     x = np.pi * size * frequency
     if wide == 1:
-        value, slope = disc_at(x, tables[4])
+        value, slope = disc_at(x, tables[2])
         return value, slope * np.pi * frequency, 0.0
     sinc = np.sin(x) / x
-    even = sine_integral_at(x, tables[3]) / x
+    even = sine_integral_at(x, tables[1]) / x
     slope = (other * (np.cos(x) - sinc) + (1.0 - other) * (sinc - even)) / size
     return other * sinc + (1.0 - other) * even, slope, sinc - even

@@ -62,8 +62,9 @@ def halo(frequency: Array, diameter_px: ArrayLike, elastic_share: ArrayLike) -> 
     spread is a box of half width e R (Archimedes), transfer sinc(2 e R f). Uniform e: Si(2 pi R f) / (2 pi R f).
     """
     x = np.pi * np.asarray(diameter_px, float)[..., None] * frequency
-    share = np.asarray(elastic_share, float)[..., None]
-    return share * np.sinc(x / np.pi) + (1.0 - share) * wide_tables.sine_integral(x) / x
+    share = np.broadcast_to(np.asarray(elastic_share, float), x.shape[:-1])
+    flat = wide_tables.halo(x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()))
+    return flat.reshape(x.shape)
 
 
 def disc(frequency: Array, diameter_px: ArrayLike) -> Array:

@@ -43,6 +43,21 @@ def disc(x: Array) -> Array:
     return _all_discs(np.ravel(x).astype(float), disc_table()).reshape(np.shape(x))
 
 
+def halo(x: Array, elastic_share: Array) -> Array:
+    """Return share sin(x)/x + (1 - share) Si(x)/x for x > 0, shape (n, f) and (n,) -> (n, f)."""
+    return _all_halos(x, elastic_share, sine_table())
+
+
+@njit(cache=True)
+def _all_halos(x: Array, share: Array, table: Array) -> Array:
+    out = np.empty(x.shape)
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            here = x[i, j]
+            out[i, j] = (share[i] * np.sin(here) + (1.0 - share[i]) * sine_integral_at(here, table)) / here
+    return out
+
+
 @njit(cache=True)
 def _all_sines(x: Array, table: Array) -> Array:
     out = np.empty(x.size)

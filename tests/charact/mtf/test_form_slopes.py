@@ -2,13 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy.special import j1, sici
+from scipy.optimize import brentq
+from scipy.special import gamma, j1, kv, sici
 
 from charact.mtf import wide_tables
 from charact.mtf.edge_climb import linearised, stacked
 from charact.mtf.edge_families import _flat
 from charact.mtf.families import DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior
 from charact.mtf.form_slopes import form_and_slopes, kind_of, tables
+from charact.mtf.moffat_table import moffat
 
 FREQUENCY = np.concatenate([[1e-5, 1e-3], np.linspace(0.01, 4.3, 60)])
 WIDES = (
@@ -48,6 +50,26 @@ def test_si_and_the_disc_are_those_of_scipy_near_and_far():
     x = np.concatenate([np.linspace(1e-6, 399.9, 5000), np.linspace(400.1, 3000.0, 500)])
     assert wide_tables.sine_integral(x) == pytest.approx(sici(x)[0], abs=2e-5)
     assert wide_tables.disc(x) == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
+
+
+def test_a_halo_is_made_of_scipys_sines():
+    x, share = np.linspace(1e-6, 399.9, 3000)[None], 0.3
+    expected = share * np.sin(x) / x + (1.0 - share) * sici(x)[0] / x
+    assert wide_tables.halo(x, np.array([share])) == pytest.approx(expected, abs=2e-5)
+
+
+@pytest.mark.parametrize("exponent", [1.3, 1.5, 2.5, 6.0])
+def test_a_moffat_spread_has_scipys_bessel_function_for_a_transfer(exponent):
+    """2^(2-b) / Gamma(b-1) x^(b-1) K_(b-1)(x), one half at the half frequency."""
+
+    def transfer(x):
+        return 2.0 ** (2.0 - exponent) / gamma(exponent - 1.0) * x ** (exponent - 1.0) * kv(exponent - 1.0, x)
+
+    half_x = brentq(lambda x: transfer(x) - 0.5, 1e-6, 30.0)
+    frequency = np.array([0.003, 0.02, 0.1, 0.2, 0.3, 0.5, 1.0])
+    found = np.exp(moffat(frequency, np.array([0.2]), np.array([exponent])))[0]
+    assert found == pytest.approx(transfer(half_x * frequency / 0.2), abs=1e-3)
+    assert found[3] == pytest.approx(0.5, abs=1e-3)
 
 
 def test_the_model_made_linear_moves_as_the_model_itself(seed):
