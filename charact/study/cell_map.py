@@ -274,18 +274,21 @@ def make(
     cells: int,
     repeats: int,
     about: str | None,
+    first: int = 0,
     chained: float = 1.0 / CHAINED,
 ) -> None:
     """Make a map as the command line asks, print what it says and write its table.
 
     Parameters
     ----------
+    first
+        Number of the first cell.
     chained
         Share of the cells, evenly among them, of which one drawing is measured by Markov chains too.
     """
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--cells", type=int, default=cells, help="number of cells")
-    parser.add_argument("--first", type=int, default=0, help="number of the first cell")
+    parser.add_argument("--first", type=int, default=first, help="number of the first cell")
     parser.add_argument("--repeats", type=int, default=repeats, help="drawings of each")
     parser.add_argument("--out", type=Path, default=table, help="table to write")
     asked = parser.parse_args()
