@@ -13,9 +13,9 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.solid_state import SolidStateCamera
 from simulate.iiccd.back_end import DigitalBackEnd
-from simulate.iiccd.camera import DARK_REFERENCE_C, DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
+from simulate.iiccd.described import DARK_REFERENCE_C, DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.grid import Grid, padded_grid
 from simulate.iiccd.lens import RadiometricLens
 from simulate.iiccd.light import Light

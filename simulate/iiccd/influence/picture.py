@@ -17,8 +17,9 @@ from labdata.errors import BadInput
 from simulate.economy import DEFAULT_TOLERANCE
 from simulate.iiccd import truth
 from simulate.iiccd.automatic import AutomaticState
-from simulate.iiccd.camera import DRAW_MARGIN_PX, SCENE_MARGIN_PX, IntensifiedCamera
+from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
+from simulate.iiccd.described import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.light import Light, product
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.streamed.kernel import noise_kernel
