@@ -150,31 +150,16 @@ def spectrum_of(session: Session, chosen: Chosen, context: Context) -> Spectrum:
     own = {label: stack_spectra(stack, context) for label, stack in stacks.items()}
     bins = next(iter(own.values())).bins
     lag, tested, still_open = _lag([own[flat] for flat, _, _ in chosen.pairs])
-    weight = _weights([own[flat] for flat, _, _ in chosen.pairs], [signal for _, _, signal in chosen.pairs])
-    flats = [(own[flat].power(lag), own[flat]) for flat, _, _ in chosen.pairs]
-    darks = {label: own[label] for _, label, _ in chosen.pairs if label is not None}
-    share = {name: sum(w for w, (_, d, _) in zip(weight, chosen.pairs, strict=True) if d == name) for name in darks}
-    power = np.tensordot(weight, np.array([p for p, _ in flats]), 1)
-    dark = sum((share[name] * darks[name].power(lag) for name in darks), np.zeros_like(power))
-    modes = bins.modes * bins.efficiency
-
-    def looks(correlation: Array) -> Array:
-        square = sum(
-            (w * p) ** 2 / (modes * one.independent(correlation)) for w, (p, one) in zip(weight, flats, strict=True)
-        )
-        for name in darks:
-            square = square + (share[name] * darks[name].power(lag)) ** 2 / (modes * darks[name].independent(lag[:0]))
-        return power**2 / square
-
+    pool = _Pool(own, chosen, lag)
     whole = all(np.issubdtype(stack.data.dtype, np.integer) for stack in stacks.values())
     column, row, cell = _modes_of(bins, next(iter(stacks.values())), context)
     return Spectrum(
         column_cy_per_px=bins.column_cy_per_px,
         row_cy_per_px=bins.row_cy_per_px,
-        power_dn2=power,
-        dark_dn2=dark,
-        looks=looks(lag[:0]),
-        looks_lagged=looks(lag),
+        power_dn2=pool.power_dn2,
+        dark_dn2=pool.dark_dn2,
+        looks=pool.looks(lag[:0]),
+        looks_lagged=pool.looks(lag),
         mode_column=column,
         mode_row=row,
         mode_cell=cell,
@@ -189,10 +174,48 @@ def spectrum_of(session: Session, chosen: Chosen, context: Context) -> Spectrum:
             _alone(flat, None if dark is None else own[dark], own[flat], signal, lag)
             for flat, dark, signal in chosen.pairs
         ),
-        quantised_dn2=sum(weight) / 12.0 if whole and not darks else 0.0,
-        frames=min(one.frames for _, one in flats),
+        quantised_dn2=sum(pool.weight) / 12.0 if whole and not pool.darks else 0.0,
+        frames=min(one.frames for one in pool.flats),
         shorter_px=float(min(bins.window.shape[0] * bins.row_pitch, bins.window.shape[1])),
     )
+
+
+class _Pool:
+    """Flats and their darks, each with its weight in the whole.
+
+    Attributes
+    ----------
+    flats, weight
+        Flats in the order of their pairs, and their weights.
+    darks
+        Dark and weight by label: that of all flats it is the dark of.
+    power_dn2, dark_dn2
+        Weighted power of both, shape (cell,), DN^2.
+    """
+
+    def __init__(self, own: dict[str, Stack], chosen: Chosen, lag: Array) -> None:
+        self.flats = [own[flat] for flat, _, _ in chosen.pairs]
+        self.weight = _weights(self.flats, [signal for _, _, signal in chosen.pairs])
+        shares: dict[str, float] = {}
+        for weight, (_, dark, _) in zip(self.weight, chosen.pairs, strict=True):
+            if dark is not None:
+                shares[dark] = shares.get(dark, 0.0) + weight
+        self.darks = {label: (own[label], share) for label, share in shares.items()}
+        self._lag = lag
+        parts = zip(self.weight, self.flats, strict=True)
+        self.power_dn2 = np.sum([weight * one.power(lag) for weight, one in parts], axis=0)
+        none = np.zeros_like(self.power_dn2)
+        self.dark_dn2 = sum((share * dark.power(lag) for dark, share in self.darks.values()), none)
+
+    def looks(self, correlation: Array) -> Array:
+        """Return the independent modes behind the power, shape (cell,), exposures of flats correlated like this."""
+        bins = self.flats[0].bins
+        parts = [
+            (weight, one, one.independent(correlation)) for weight, one in zip(self.weight, self.flats, strict=True)
+        ]
+        parts += [(share, dark, dark.independent(self._lag[:0])) for dark, share in self.darks.values()]
+        square = sum((weight * one.power(self._lag)) ** 2 / number for weight, one, number in parts)
+        return self.power_dn2**2 / square * (bins.modes * bins.efficiency)
 
 
 def _modes_of(bins: Bins, stack: FrameStack, context: Context) -> tuple[Array, Array, NDArray[np.int64]]:

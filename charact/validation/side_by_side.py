@@ -22,6 +22,9 @@ DRAWS = 12
 # Of the tube's blur, what is left behind the gain in the negative control: the noise is then hardly correlated, while
 # the MTF stays what it was.
 REMOVED_SHARE = 1e-6
+NULL = "Frames of one more posterior draw in place of the measured ones: must pass"
+NEGATIVE = "Frames of the sensor with the blur behind the gain moved before it: must fail"
+NO_DRAWS = "the sensor has no posterior draws: simulated at its values"
 
 
 def validate(
@@ -70,11 +73,6 @@ def validate(
     progress("negative control", (DRAWS + 2) / (DRAWS + 3))
     removed = run.drawn().with_values({"tube.post_gain_share": REMOVED_SHARE})
     negative = run.portrait(run.frames(removed))
-    notes = (
-        chosen.notes
-        if sensor.draws.values
-        else (*chosen.notes, "the sensor has no posterior draws: simulated at its values")
-    )
     progress("validated", 1.0)
     return Validation(
         session=session.name,
@@ -84,20 +82,12 @@ def validate(
         seconds=perf_counter() - began,
         statistics=run.statistics(measured, many),
         controls=(
-            Control(
-                name="null",
-                title="Frames of one more posterior draw in place of the measured ones: must pass",
-                statistics=run.statistics(null, many),
-            ),
-            Control(
-                name="negative",
-                title="Frames of the sensor with the blur behind the gain moved before it: must fail",
-                statistics=run.statistics(negative, many),
-            ),
+            Control(name="null", title=NULL, statistics=run.statistics(null, many)),
+            Control(name="negative", title=NEGATIVE, statistics=run.statistics(negative, many)),
         ),
         overlays=overlays(measured, many, chosen),
         pairs=pairs(chosen, first),
-        notes=notes,
+        notes=chosen.notes if sensor.draws.values else (*chosen.notes, NO_DRAWS),
     )
 
 

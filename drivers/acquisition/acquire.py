@@ -1,6 +1,6 @@
 """Acquisition: a plan becomes a session, step by step, and the tube is safe whichever way it ends."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
@@ -98,10 +98,6 @@ def acquire(
         tube = opened.enter_context(bench)
         operator = tube.guard(operator)
         log("bench opened", finished=finished, broken_off=partial, doubtful=doubtful)
-        pace = Pace(
-            frames=sum(step.most_frames for step in plan.steps),
-            done=sum(step.most_frames for step in plan.steps if step.label in finished),
-        )
         run = Run(
             folder,
             storage=storage,
@@ -114,22 +110,35 @@ def acquire(
             judge=judge,
             settle=plan.settle,
             gain_table=gain_table_of(plan, sensor),
-            pace=pace,
+            pace=_pace(plan, finished),
             progress=progress,
             finished=finished,
             partial=partial,
             doubtful=doubtful,
         )
         with asked.running():
-            for step in plan.steps:
-                if step.search is not None:
-                    search(run, step, step.search, asked)
-                elif step.label not in finished:
-                    run.between_steps(asked)
-                    run.take(step)
+            _take(run, plan, finished, asked)
             storage.wait()
             run.tell_done()
     return open_session(folder)
+
+
+def _pace(plan: Plan, finished: Container[str]) -> Pace:
+    """Return how far the frames of a plan are, stacks that are finished counted as done."""
+    return Pace(
+        frames=sum(step.most_frames for step in plan.steps),
+        done=sum(step.most_frames for step in plan.steps if step.label in finished),
+    )
+
+
+def _take(run: Run, plan: Plan, finished: Container[str], asked: Requests) -> None:
+    """Take the stacks that are not finished, and search where a step asks for it."""
+    for step in plan.steps:
+        if step.search is not None:
+            search(run, step, step.search, asked)
+        elif step.label not in finished:
+            run.between_steps(asked)
+            run.take(step)
 
 
 def _require_judge(plan: Plan, judge: Judge | None) -> None:
