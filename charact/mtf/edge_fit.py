@@ -54,7 +54,7 @@ class EdgeFit:
     @cached_property
     def fitted(self) -> Fitted:
         """The profile at the peak."""
-        model, amplitude = self.model.evidence.profile(self.model.transfer(self.point[None])[0])
+        model, amplitude = self.model.evidence.profile(self.model.stacked(self.point[None])[0])
         return Fitted(model=model, amplitude=amplitude, chi2=self.chi2, free=self.free)
 
 
@@ -112,8 +112,8 @@ def _climbed(model: EdgeModel, start: Array, slope_sd_per_px: float) -> EdgeFit:
     Nearly noiseless data make ridges that no climb follows from afar: it first goes up the same ridge, blunted.
     """
     for power in (BLUNT, 1e2 * BLUNT):
-        if model.evidence.power > 30.0 * power:
-            share = power / model.evidence.power
+        if model.evidence.marginal.power > 30.0 * power:
+            share = power / model.evidence.marginal.power
             start, _ = maximum(lambda theta, share=share: model.log_tempered(theta, share), start, model.bounds)
     return _weighed(model, *maximum(model.log_probability, start, model.bounds), slope_sd_per_px)
 
@@ -150,15 +150,15 @@ def _weighed(model: EdgeModel, point: Array, covariance: Array, slope_sd_per_px:
     """Return a fit with its evidence."""
     height = float(model.log_probability(point[None])[0])
     volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1]) + np.log(_inside(model, point, covariance))
-    _, chi2 = model.evidence.amplitude(model.transfer(point[None])[0])
+    _, chi2 = model.evidence.marginal.amplitude(model.stacked(point[None]))
     return EdgeFit(
         model=model,
         point=point,
         covariance=covariance,
         log_evidence=height + volume + model.evidence.log_nuisance,
-        chi2=chi2,
+        chi2=float(chi2[0]),
         free=max(model.evidence.free - 6, 1),
-        chi2_without=model.evidence.power,
+        chi2_without=model.evidence.marginal.power,
         slope_sd_per_px=slope_sd_per_px,
     )
 
@@ -185,8 +185,7 @@ def curvature(found: EdgeFit, profile: Profile) -> Response:
     step = 0.1 * np.sqrt(np.diag(found.covariance))[free]
     moved = np.concatenate([centre + np.eye(centre.size)[free] * step[:, None] * sign for sign in (1.0, -1.0)])
     moved = np.clip(moved, model.bounds[:, 0], model.bounds[:, 1])
-    transfers = model.transfer(np.concatenate([centre[None], moved]))
-    spreads = transfers.real @ evidence.even.T + transfers.imag @ evidence.odd.T
+    spreads = model.stacked(np.concatenate([centre[None], moved])) @ evidence.spread.T
     tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) / 2.0 * (5.0 / 0.1)
     return response_curvature(
         profile, evidence.precision_root, spreads[0], tangents, evidence.nuisance, evidence.nuisance_sd

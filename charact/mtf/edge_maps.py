@@ -1,5 +1,6 @@
 """From transfers to the bins of an edge's profile, plain and whitened: two matrices made once for all fits of it."""
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -8,9 +9,10 @@ from scipy.linalg.blas import dtrmm  # pyright: ignore[reportAttributeAccessIssu
 from scipy.linalg.lapack import dpotrf, dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 
 from charact.mtf.edge_climb import LARGEST_TURN_PX
-from charact.mtf.edge_likelihood import EdgeLikelihood
 from charact.mtf.edge_profile import Profile
+from charact.mtf.marginal import Marginal
 from charact.mtf.optics import Known
+from charact.mtf.phases import turned
 from charact.mtf.spread import edge_weights, nodes
 
 Array = NDArray[np.float64]
@@ -66,9 +68,21 @@ class EdgeMaps:
         self.made_for(shift_px)
         return modulus * (self.fixed * np.exp(-2j * np.pi * (shift_px - self._centre) * self.grid))
 
-    def likelihood(self, level_precision: Array) -> EdgeLikelihood:
-        """Return the likelihood of transfers where level and slopes have priors of these precisions, DN^-2."""
-        return EdgeLikelihood(*self.compiled, level_precision, self._profile.step)
+    def likelihood(self, level_precision: Array) -> Callable[[Array, Array], Array]:
+        """Return ln of the likelihood of transfers, shape (n, node), and shifts, shape (n,), px.
+
+        Parameters
+        ----------
+        level_precision
+            Precision of the priors of level and slopes, which are marginalised, DN^-2; 0 for a free one.
+        """
+        grid, fixed, centre_px, white, levels, data = self.compiled
+        marginal = Marginal(white, levels, data, level_precision, self._profile.step)
+
+        def likelihood(modulus: Array, shift_px: Array) -> Array:
+            return marginal.log_likelihood(turned(modulus, np.multiply.outer(shift_px - centre_px, grid), fixed))
+
+        return likelihood
 
     def white(self, transfer: Complex) -> Array:
         """Return whitened edge spreads less one half, shape (n, node) -> (n, bin)."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from charact.mtf import transfer as forms
 from charact.mtf.evidence import Evidence
 from charact.mtf.families import EXPONENT, EXPONENT_PRIOR, HALF_FREQUENCY, Wide
+from charact.mtf.phases import turned
 
 Array = NDArray[np.float64]
 
@@ -107,11 +108,15 @@ class EdgeModel:
     def _bends(self) -> Array:
         return _bumps(self.grid / self.scale, PHASE_KNOTS)
 
-    def transfer(self, theta: Array) -> NDArray[np.complex128]:
-        """Return the complex transfer at the nodes, shape (n, node)."""
+    def stacked(self, theta: Array) -> Array:
+        """Return the transfer at the nodes, real and imaginary parts side by side, shape (n, 2 node)."""
         bend = theta[:, 3 + KNOTS.size : PARAMETERS] @ self._bends
-        phase = bend - 2.0 * np.pi * theta[:, :1] * self.grid
-        return self.fixed * self.modulus(theta) * np.exp(1j * phase)
+        late = theta[:, :1] * self.grid - bend / (2.0 * np.pi)
+        return turned(self.modulus(theta), late, self._fixed)
+
+    @cached_property
+    def _fixed(self) -> Array:
+        return np.stack([self.fixed.real, self.fixed.imag])
 
     def mtf(self, theta: Array, grid: Array, fixed: Array) -> Array:
         """Return the MTF at other frequencies, shape (n, frequency), given the modulus of the fixed part there."""
@@ -139,7 +144,7 @@ class EdgeModel:
         value = self.log_prior(theta)
         inside = np.isfinite(value)
         if inside.any():
-            value[inside] += share * self.evidence.log_likelihood(self.transfer(theta[inside]))
+            value[inside] += share * self.evidence.marginal.log_likelihood(self.stacked(theta[inside]))
         return value
 
 

@@ -90,13 +90,13 @@ class Profile:
         slope_sd_per_px
             Standard deviation of the slopes' prior, share of the step per px.
         """
-        even, odd = edge_weights(grid, self.distance, self.spread_px)
+        spread = np.concatenate(edge_weights(grid, self.distance, self.spread_px), axis=1)
         nuisance = np.stack(
             [np.ones_like(self.distance), np.maximum(self.distance, 0.0), np.minimum(self.distance, 0.0)], axis=1
         )
         scale = abs(self.step)
         prior = np.array([np.inf, slope_sd_per_px * scale, slope_sd_per_px * scale])
-        return evidence_of(self.value, self.covariance, even, odd, nuisance, prior, scale)
+        return evidence_of(self.value, self.covariance, spread, nuisance, prior, scale)
 
 
 def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
