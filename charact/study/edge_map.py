@@ -26,8 +26,6 @@ CELLS, REPEATS = 5000, 20
 FIRST = 6400
 # Share of the cells of which one drawing is measured by Markov chains too: one drawing in fifty of all.
 CHAINED_CELLS = 0.4
-# The bound of Cramer and Rao is found for one cell in ten.
-BOUNDED = 10
 # What breaks edge methods, from where it hardly matters to where nothing is left, and whether steps are even in ln.
 BREAKING: Breaking = {
     "snr": (0.2, 3.0, True),
@@ -109,8 +107,7 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True) ->
     cell = cell_of(number)
     truth = cell.scene.truth_mtf50
     rows = [attempt(of_kind("edge")[METHOD], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)]
-    bounded = cell.in_scope and number % BOUNDED == 0
-    bound = 100.0 * least_relative_sd(cell.scene) if bounded else None
+    bound = 100.0 * least_relative_sd(cell.scene) if cell.in_scope else None
     return outcome_of(cell, rows, truth, truths=truths_of(cell), bound_percent=bound)
 
 

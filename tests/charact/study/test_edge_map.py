@@ -23,7 +23,8 @@ def test_the_map_is_as_large_as_promised(table):
     kept = cells(table["quick"])
     assert len(kept) >= 5000
     assert all(one["ok"] + one["suspect"] + one["refused"] + one["crashed"] >= 20 for one in kept)
-    assert len(table["chains"]["rows"]) >= 0.02 * len(kept)
+    assert len(table["chains"]["rows"]) >= 0.02 * 20 * len(kept)
+    assert all(one["bound_percent"] for one in kept if one["axis"] == "none")
     assert {one["axis"] for one in kept} == {"none", *BREAKING}
 
 
@@ -41,25 +42,26 @@ def test_five_cells_are_what_the_method_still_does(table, seed):
 def test_what_the_map_shows(table):
     """No crash; in scope 95 % ok, as narrow as 1.3 times the bound; between 2 and 5 % of the intervals miss.
 
-    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000; here a third of that.
+    Silent failures: an honest Gaussian interval is off by more than twice itself once in 11,000. In scope there are no
+    more; over all that breaks edges besides, no more than such intervals have by chance.
     """
     summary = table["quick"]["summary"]
-    inside = summary["by_axis"]["none"]
+    inside, honest = summary["by_axis"]["none"], summary["silent_of_honest_gaussian"]
     assert summary["crashed"] == 0
     assert summary["in_scope_ok_percent"] >= 95.0
     assert summary["median_sd_over_bound"] <= 1.3
     assert summary["missed_standard_errors_over_5_percent"] <= 3.0
     assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
     assert inside["missed"] >= 0.02 * inside["ok"]
-    assert summary["silent"] <= summary["ok"] / 30_000
-    assert inside["silent"] <= inside["ok"] / 33_000
+    assert summary["silent"] <= honest + np.sqrt(honest)
+    assert inside["silent"] <= inside["ok"] / 11_000
     assert len(summary["worst"]) == 10
 
 
 def test_chains_keep_the_same_limits(table):
-    """One drawing of every fifth cell: none silent, as honest Gaussian intervals would be in 16 of 17 such maps."""
+    """One drawing of two cells in five: none silent, as honest Gaussian intervals would be in 8 of 9 such maps."""
     summary = table["chains"]["summary"]
-    assert len(table["chains"]["rows"]) >= 1000
+    assert len(table["chains"]["rows"]) >= 2000
     assert summary["crashed"] == summary["silent"] == 0
     assert summary["in_scope_ok_percent"] >= 95.0
     assert summary["median_sd_over_bound"] <= 1.3
