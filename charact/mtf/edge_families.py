@@ -237,7 +237,7 @@ class FamilyFitter:
             return value
 
         def log_probability(theta: Array) -> Array:
-            blocks = [theta[first : first + BLOCK] for first in range(0, len(theta), BLOCK)]
+            blocks = [theta[first : first + BLOCK] for first in range(0, max(len(theta), 1), BLOCK)]
             return np.concatenate([of_block(block) for block in blocks])
 
         return log_probability

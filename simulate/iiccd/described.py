@@ -1,8 +1,6 @@
-"""The camera as it is described: grids, times, and every stage of its chain with the values of its description."""
+"""The camera as it is described: times, and every stage of its chain with the values of its description."""
 
-import zlib
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -15,8 +13,8 @@ from simulate.iiccd.automatic import SET_LEVEL, AutomaticGain, BrightnessControl
 from simulate.iiccd.back_end import DigitalBackEnd
 from simulate.iiccd.bright_source import BrightSourceProtection
 from simulate.iiccd.ccd import Ccd
+from simulate.iiccd.chip import DARK_REFERENCE_C, ChipCamera
 from simulate.iiccd.fibre_geometry import FibreGeometry
-from simulate.iiccd.grid import Grid, padded_grid
 from simulate.iiccd.lens import RadiometricLens
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.optics import Optics
@@ -26,15 +24,9 @@ from simulate.iiccd.taper import Taper
 from simulate.iiccd.transfer import FibreTaper, Halo, Lens, TubeShare, VideoFilter
 from simulate.iiccd.video import Video
 
-# The picture of a target is needed this far beyond the frame: the halo reaches 23 pixels.
-SCENE_MARGIN_PX = 40
-DRAW_MARGIN_PX = 10
-# Dark current is stated at this temperature.
-DARK_REFERENCE_C = 25.0
-
 
 @dataclass(frozen=True)
-class DescribedCamera:
+class DescribedCamera(ChipCamera):
     """The stages of an image-intensified camera, each from its description.
 
     Parameters
@@ -60,6 +52,16 @@ class DescribedCamera:
         return 0.0 if effect in self.left_out else float(value)
 
     @property
+    def described(self) -> Sensor:
+        """The description."""
+        return self.sensor
+
+    @property
+    def demagnification(self) -> float:
+        """Size of the picture on the photocathode over its size on the chip, dimensionless."""
+        return float(self.sensor.taper.demagnification)
+
+    @property
     def interlaced(self) -> bool:
         """Whether a frame is two fields exposed one after the other."""
         return self.sensor.video.interlaced
@@ -78,38 +80,6 @@ class DescribedCamera:
     def frame_s(self) -> float:
         """Time from one frame to the next, s."""
         return self.field_s * self.fields_per_frame
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of a frame."""
-        return self.sensor.ccd.rows, self.sensor.ccd.columns
-
-    @property
-    def specimen(self) -> int:
-        """Seed of the fixed patterns, which belong to the sensor of this name."""
-        return zlib.crc32(self.sensor.name.encode())
-
-    @cached_property
-    def cells(self) -> Grid:
-        """Cells on which photoelectrons are drawn, two per pixel."""
-        return self._grid(2, DRAW_MARGIN_PX)
-
-    @cached_property
-    def scene_cells(self) -> Grid:
-        """Cells on which the scene arrives, four per pixel."""
-        return self._grid(4, SCENE_MARGIN_PX)
-
-    def _grid(self, per_pixel: int, margin: int) -> Grid:
-        ccd, demagnification = self.sensor.ccd, float(self.sensor.taper.demagnification)
-        # Field integration sums rows r and r + 1, so the chip has one row more than the frame.
-        return padded_grid(
-            ccd.rows + (1 if self.interlaced else 0),
-            ccd.columns,
-            per_pixel=per_pixel,
-            margin=margin,
-            pitch_x_mm=float(ccd.pitch_x_um) * demagnification * 1e-3,
-            pitch_y_mm=float(ccd.pitch_y_um) * demagnification * 1e-3,
-        )
 
     def gate_s(self, conditions: Conditions) -> float:
         """Time the gate is open in one exposure, s: the whole field unless the conditions say less."""

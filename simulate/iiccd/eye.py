@@ -5,7 +5,7 @@ import numpy as np
 from labdata.conditions import Conditions
 from simulate.iiccd import photons, truth
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.described import SCENE_MARGIN_PX
+from simulate.iiccd.chip import SCENE_MARGIN_PX
 from simulate.iiccd.influence.picture import Picture
 from simulate.iiccd.solid_state import SiliconCamera
 from simulate.radiance.transport.eye import Eye

@@ -1,9 +1,7 @@
 """A camera without a tube, plain or electron-multiplying: the same stages as behind a tube, fed by the scene itself."""
 
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import count
 
 import numpy as np
@@ -15,8 +13,7 @@ from labdata.solid_state import SolidStateCamera
 from simulate.iiccd.back_end import DigitalBackEnd
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.described import DARK_REFERENCE_C, DRAW_MARGIN_PX, SCENE_MARGIN_PX
-from simulate.iiccd.grid import Grid, padded_grid
+from simulate.iiccd.chip import DARK_REFERENCE_C, ChipCamera
 from simulate.iiccd.lens import RadiometricLens
 from simulate.iiccd.light import Light
 from simulate.iiccd.optics import Optics
@@ -27,7 +24,7 @@ from simulate.iiccd.transfer import Lens
 
 
 @dataclass(frozen=True)
-class SiliconCamera:
+class SiliconCamera(ChipCamera):
     """A CCD or EMCCD camera built from its description.
 
     Its methods are those of `simulate.iiccd.camera.IntensifiedCamera`; its light "at the plate" is photoelectrons in
@@ -42,6 +39,11 @@ class SiliconCamera:
     description: SolidStateCamera
 
     @property
+    def described(self) -> SolidStateCamera:
+        """The description."""
+        return self.description
+
+    @property
     def interlaced(self) -> bool:
         """Never: such cameras are progressive."""
         return False
@@ -50,37 +52,6 @@ class SiliconCamera:
     def frame_s(self) -> float:
         """Time from one frame to the next, s."""
         return 1.0 / float(self.description.video.field_rate_hz)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of a frame."""
-        return self.description.ccd.rows, self.description.ccd.columns
-
-    @property
-    def specimen(self) -> int:
-        """Seed of the fixed patterns, which belong to the camera of this name."""
-        return zlib.crc32(self.description.name.encode())
-
-    @cached_property
-    def cells(self) -> Grid:
-        """Cells on which the chip collects, two per pixel."""
-        return self._grid(2, DRAW_MARGIN_PX)
-
-    @cached_property
-    def scene_cells(self) -> Grid:
-        """Cells on which the scene arrives, four per pixel."""
-        return self._grid(4, SCENE_MARGIN_PX)
-
-    def _grid(self, per_pixel: int, margin: int) -> Grid:
-        ccd = self.description.ccd
-        return padded_grid(
-            ccd.rows,
-            ccd.columns,
-            per_pixel=per_pixel,
-            margin=margin,
-            pitch_x_mm=float(ccd.pitch_x_um) * 1e-3,
-            pitch_y_mm=float(ccd.pitch_y_um) * 1e-3,
-        )
 
     def exposure_s(self, conditions: Conditions) -> float:
         """Time the shutter is open in one frame, s: the whole frame unless the conditions say less."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from simulate.economy import Effect
 from simulate.iiccd import photons, truth
-from simulate.iiccd.described import SCENE_MARGIN_PX
+from simulate.iiccd.chip import SCENE_MARGIN_PX
 from simulate.iiccd.influence.picture import MISSED, Map, Picture
 from simulate.iiccd.pattern import MOTTLE_MM
 from simulate.iiccd.transfer import Halo

@@ -19,7 +19,7 @@ from simulate.iiccd import truth
 from simulate.iiccd.automatic import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.described import DRAW_MARGIN_PX, SCENE_MARGIN_PX
+from simulate.iiccd.chip import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.light import Light, product
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.streamed.kernel import noise_kernel

@@ -8,7 +8,7 @@ from simulate.economy import DEFAULT_TOLERANCE, Effect, Plan, plan_of
 from simulate.iiccd import truth
 from simulate.iiccd.automatic import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.described import DRAW_MARGIN_PX
+from simulate.iiccd.chip import DRAW_MARGIN_PX
 from simulate.iiccd.influence.effects import effects_of
 from simulate.iiccd.influence.picture import UNTOUCHED, Picture, per_pixel
 from simulate.iiccd.light import Light

@@ -5,8 +5,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from charact.method import Context
+from charact.mtf.edge_families import BLOCK, FamilyFitter
 from charact.mtf.edge_find import FoundEdge, find_edge
 from charact.mtf.edge_maps import EdgeMaps
+from charact.mtf.families import Family
 from charact.mtf.marginal import Marginal
 from charact.mtf.optics import known_of
 from charact.mtf.phases import turned
@@ -50,15 +52,30 @@ def test_the_best_step_is_that_of_least_squares(seed):
 
 def test_maps_made_elsewhere_tell_the_same(seed):
     """The likelihood of a place of the edge does not hang on the shift around which the maps are made."""
-    edge = find_edge(EdgeScene(snr=30.0).frames_drawn(np.random.default_rng(seed)), None, Context())
-    assert isinstance(edge, FoundEdge)
-    maps = EdgeMaps(edge.profile, known_of(edge.picture, edge.profile.angle_rad, Context()))
+    maps = EdgeMaps(*_profile_and_optics(seed))
     modulus = np.exp(-((maps.grid / 0.3) ** 2))[None].repeat(5, axis=0)
     shifts, free = np.linspace(0.1, 0.5, 5), np.array([0.0, 0.01, 0.01])
     here = maps.likelihood(free)(modulus, shifts)
     maps.made_for(0.4)
     assert np.ptp(here) > 100.0
     assert maps.likelihood(free)(modulus, shifts) == pytest.approx(here, abs=1e-3 * np.ptp(here))
+
+
+def test_points_asked_together_are_as_probable_as_each_alone(seed):
+    """None, one, and more than stay in the processor's cache."""
+    fitter, family = FamilyFitter(*_profile_and_optics(seed)), Family(core="exponential")
+    log_probability = fitter.log_probability(family, 1e-4)
+    points = np.array([0.0, np.log(0.3), 1.8]) + 0.05 * np.random.default_rng(seed).standard_normal((2 * BLOCK + 3, 3))
+    together = log_probability(points)
+    assert log_probability(points[:0]).shape == (0,)
+    for index in (0, BLOCK - 1, BLOCK, 2 * BLOCK, 2 * BLOCK + 2):
+        assert log_probability(points[index : index + 1])[0] == pytest.approx(together[index], abs=1e-6)
+
+
+def _profile_and_optics(seed):
+    edge = find_edge(EdgeScene(snr=30.0).frames_drawn(np.random.default_rng(seed)), None, Context())
+    assert isinstance(edge, FoundEdge)
+    return edge.profile, known_of(edge.picture, edge.profile.angle_rad, Context())
 
 
 def test_phases_of_shifts_near_and_far_are_those_of_numpy(seed):
