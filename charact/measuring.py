@@ -120,7 +120,7 @@ def _tasks(session: Session, within_percent: float) -> list[tuple[str, Task]]:
     if session.of_kind("point"):
         tasks.append(("halo and blooming", partial(_bloom, session, within_percent)))
     targets = session.of_kind("edge", "bars")
-    tasks += [(f"MTF of {entry.label}", partial(_target, entry, within_percent)) for entry in targets]
+    tasks += [(f"MTF of {entry.label}", partial(_target, session, entry, within_percent)) for entry in targets]
     if session.of_kind("point"):
         tasks.append(("MTF of a point source", partial(_best_point, session, within_percent)))
     return tasks
@@ -144,13 +144,15 @@ def _bloom(session: Session, within_percent: float, context: Context) -> Result:
     return bloom.measure(session, within_percent=within_percent, context=context)
 
 
-def _target(entry: StackEntry, within_percent: float, context: Context) -> Result:
+def _target(session: Session, entry: StackEntry, within_percent: float, context: Context) -> Result:
     from charact import mtf
 
-    target = entry.target
+    target, stack = entry.target, entry.read()
+    if entry.kind == "edge" and stack.black_level_dn is None:
+        stack = replace(stack, black_level_dn=session.black_dn(entry))
     asked = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
     found = mtf.measure(
-        entry.kind, entry.read(), region=target.region, within_percent=within_percent, context=context, **asked
+        entry.kind, stack, region=target.region, within_percent=within_percent, context=context, **asked
     )
     return labelled(found, entry.label)
 

@@ -83,6 +83,11 @@ class FrameStack:
         frames, rows, cols = self.data.shape
         return frames, rows, cols
 
+    @property
+    def mean_dn(self) -> float:
+        """Mean of all pixels of all frames, in the stack's unit."""
+        return float(self.data.mean(dtype=np.float64))
+
     def frames(self, first: int, last: int) -> NDArray:
         """Return the pixels of the frames first..last-1."""
         return self.data[first:last]

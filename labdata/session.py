@@ -21,6 +21,10 @@ MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
 
 
+# What the level without light hangs on.
+DARK_SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
+
+
 @dataclass(frozen=True, kw_only=True)
 class StackEntry:
     """One stack of a session, its frames not yet read.
@@ -140,6 +144,11 @@ def _all_or_none(arrays: list[np.ndarray], parts: list[FrameStack]) -> np.ndarra
     return np.concatenate(arrays) if complete else arrays[0][:0]
 
 
+def _agreeing(one: Conditions, other: Conditions) -> tuple[str, ...]:
+    """Return the settings that a dark hangs on and that two conditions have in common."""
+    return tuple(name for name in DARK_SETTINGS if getattr(one, name) == getattr(other, name))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Session:
     """A session as its manifest describes it.
@@ -179,6 +188,18 @@ class Session:
             if entry.label == label:
                 return entry
         raise BadInput(f"a stack must be one of {[s.label for s in self.stacks]}, got {label!r}")
+
+    def dark_like(self, conditions: Conditions) -> StackEntry | None:
+        """The dark whose settings agree with some conditions in most; None where there are no darks."""
+        darks = self.of_kind("dark")
+        return max(darks, key=lambda dark: len(_agreeing(dark.conditions, conditions))) if darks else None
+
+    def black_dn(self, entry: StackEntry) -> float | None:
+        """Mean code of the dark under a stack's very settings, DN; None where there is none."""
+        dark = self.dark_like(entry.conditions)
+        if dark is None or len(_agreeing(dark.conditions, entry.conditions)) < len(DARK_SETTINGS):
+            return None
+        return dark.read().mean_dn
 
     @property
     def is_interlaced(self) -> bool:

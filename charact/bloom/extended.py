@@ -142,15 +142,9 @@ def _frame(entry: StackEntry, session: Session, context: Context) -> tuple[Array
     """Mean frame, label, dark level and highest code of a stack."""
     stack = entry.read()
     full = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    darks = session.of_kind("dark")
-    image = stack.data.mean(axis=0, dtype=np.float64)
-    if darks:
-        names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
-
-        def like(dark: StackEntry) -> int:
-            return sum(getattr(dark.conditions, name) == getattr(entry.conditions, name) for name in names)
-
-        level = float(max(darks, key=like).read().data.mean(dtype=np.float64))
+    dark, image = session.dark_like(entry.conditions), stack.data.mean(axis=0, dtype=np.float64)
+    if dark is not None:
+        level = dark.read().mean_dn
     else:
         level = stack.black_level_dn if stack.black_level_dn is not None else float(np.percentile(image, 2.0))
     return image, entry.label, level, float(stack.data.max() if full is None else full)

@@ -107,14 +107,9 @@ def _full_scale(stack: FrameStack, context: Context) -> float:
 
 def _dark_dn(session: Session, entry: StackEntry, stack: FrameStack) -> float:
     """Level without light: that of the darks of like settings, as recorded, else the lowest percent of the frame."""
-    darks = session.of_kind("dark")
-    if darks:
-        names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
-
-        def like(dark: StackEntry) -> int:
-            return sum(getattr(dark.conditions, name) == getattr(entry.conditions, name) for name in names)
-
-        return float(max(darks, key=like).read().data.mean(dtype=np.float64))
+    dark = session.dark_like(entry.conditions)
+    if dark is not None:
+        return dark.read().mean_dn
     if stack.black_level_dn is not None:
         return float(stack.black_level_dn)
     return float(np.percentile(stack.data, 1.0))

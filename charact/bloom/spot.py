@@ -103,15 +103,20 @@ class Spot:
 
 def read_spots(session: Session, *, context: Context) -> tuple[Spot, ...]:
     """Read every point stack, one at a time, twice: the stacks agree on where the source is before it is measured."""
-    darks = [(entry.conditions, float(entry.read().data.mean(dtype=np.float64))) for entry in session.of_kind("dark")]
+    levels = {dark.label: dark.read().mean_dn for dark in session.of_kind("dark")}
+
+    def dark_of(entry: StackEntry) -> float | None:
+        dark = session.dark_like(entry.conditions)
+        return None if dark is None else levels[dark.label]
+
     entries = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
-    places = [_place(entry, _dark_of(entry.conditions, darks), context) for entry in entries]
+    places = [_place(entry, dark_of(entry), context) for entry in entries]
     spots: list[Spot] = []
     behind: list[tuple[Conditions, Background]] = []
     for done, (entry, place) in enumerate(zip(entries, places, strict=True)):
         context.progress(f"blooming of {entry.label}", done / len(entries))
         same = [other for other, one in zip(places, entries, strict=True) if one.target.region == entry.target.region]
-        dark, stack = _dark_of(entry.conditions, darks), entry.read()
+        dark, stack = dark_of(entry), entry.read()
         place = agreed(place, same, stack.data.mean(axis=0, dtype=np.float64))
         spots.append(spot_of(entry, stack, dark, place, context, behind))
         behind.append((entry.conditions, spots[-1].light))
@@ -169,14 +174,6 @@ def full_scale_of(stack: FrameStack, context: Context) -> float:
     """Highest code: as told, as recorded, else the highest value seen."""
     told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
     return told if told is not None else float(stack.data.max())
-
-
-def _dark_of(conditions: Conditions, darks: list[tuple[Conditions, float]]) -> float | None:
-    """Mean of the dark whose settings agree in most."""
-    if not darks:
-        return None
-    names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
-    return max(darks, key=lambda d: sum(getattr(d[0], n) == getattr(conditions, n) for n in names))[1]
 
 
 def _recorded(stack: FrameStack, dark: float | None) -> float | None:

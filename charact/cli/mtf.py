@@ -1,5 +1,7 @@
 """The verbs `mtf edge|bars|point|flats`: the MTF of one image or stack, or of a session's flats."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,9 +9,11 @@ import typer
 
 from charact.cli import options
 from charact.cli.output import bad_input_ends, show
+from labdata.errors import BadInput
 
 if TYPE_CHECKING:
     from charact.cli.units import FrequencyUnit
+    from labdata.frames import FrameStack
     from labdata.sensor import Sensor
     from labdata.session import Session
 
@@ -30,6 +34,10 @@ def edge(
     quick: options.Quick = False,
     seed: options.Seed = 0,
     plane: options.Plane = None,
+    black_dn: Annotated[
+        float | None,
+        typer.Option(help="Code at no light, DN, else the file's: tells sloping light from a halo, a gamma by noise."),
+    ] = None,
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
     pitch_um: options.PitchUm = None,
@@ -144,8 +152,6 @@ def flats(
 
 def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
     """The session in a folder, or one made of a single stack of flats."""
-    from dataclasses import replace
-
     from labdata.conditions import Conditions
     from labdata.session import MANIFEST, Session, StackEntry, open_session
 
@@ -175,6 +181,7 @@ def _measure(
     annotate: Path | None,
     as_json: bool,
     events: bool,
+    black_dn: float | None = None,
     **target: Any,
 ) -> None:
     with bad_input_ends(str(file), as_json=as_json, events=events):
@@ -184,7 +191,7 @@ def _measure(
 
         known = _sensor(sensor)
         region = options.parsed_region(roi)
-        stack = read_frames(file, plane=plane)
+        stack = _with_black(read_frames(file, plane=plane), black_dn)
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, known, rows=stack.shape[1])
         context = Context(seed=seed, quick=quick, sensor=known, interlaced=known is not None and known.video.interlaced)
         if kind == "bars":
@@ -206,6 +213,16 @@ def _measure(
             frequency=frequency,
             next_verb=f"charact import frames {file} mine, then charact measure mine",
         )
+
+
+def _with_black(stack: "FrameStack", black_dn: float | None) -> "FrameStack":
+    """Return a stack whose code at no light is as told, where it is."""
+    if black_dn is None:
+        return stack
+    highest = float(stack.data.max())
+    if not -math.inf < black_dn < highest:
+        raise BadInput(f"--black-dn must lie below the highest code in the frames, {highest:g} DN, got {black_dn:g}")
+    return replace(stack, black_level_dn=black_dn)
 
 
 def _sensor(name: str | None):

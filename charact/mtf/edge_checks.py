@@ -28,6 +28,9 @@ GRADIENT = 0.2
 LEAST_STEP_SD = 0.8
 # Level over noise beyond which unequal pixels may be the noise.
 QUIETEST = 80.0
+# By how much the variance of two levels may fall towards the light, or rise beyond what photons make of it, and by how
+# many standard errors besides: processed pictures fall, pixels are unequal and blacks not quite so.
+FALLING, RISING = (1.15, 5.7), (1.1, 4.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +42,7 @@ class Fitted:
     model
         The best profile at the bins, DN.
     amplitude
-        Step, level and the slopes on both sides, DN and DN per px.
+        Step, level and both ways in which light slopes, DN and DN per px.
     chi2, free
         Chi squared, and the bins less the parameters that the data fix.
     """
@@ -124,7 +127,7 @@ def _bowed(offset: Array) -> bool:
 def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency: float) -> tuple[str, ...]:
     """Return the flags of the fitted profile."""
     flags = []
-    step, slopes = abs(fitted.amplitude[0]), fitted.amplitude[2:]
+    step, slopes = abs(fitted.amplitude[0]), profile.light.by_side(fitted.amplitude)[-2:]
     noise = float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
     if fitted.chi2 / fitted.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fitted.free):
         flags.append("model-misfit")
@@ -163,11 +166,12 @@ def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None
     """
     grain = profile.grain
     pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
-    scatter = SIGNIFICANT * 2.0 * np.sqrt(2.0 / max(pixels, 1.0))
-    falling = grain.dark_variance > grain.bright_variance * (1.15 + scatter)
+    # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
+    scatter = np.sqrt(4.0 / max(pixels, 1.0))
+    falling = grain.dark_variance > grain.bright_variance * (FALLING[0] + FALLING[1] * scatter)
     if black_level_dn is None or picture.frames > 1 or not profile.dark > black_level_dn:
         return ("gamma",) if falling else ()
     bright, dark = profile.bright - black_level_dn, profile.dark - black_level_dn
     photons = bright < QUIETEST * np.sqrt(grain.bright_variance)
-    rising = grain.bright_variance > grain.dark_variance * bright / dark * (1.2 + scatter)
+    rising = grain.bright_variance > grain.dark_variance * bright / dark * (RISING[0] + RISING[1] * scatter)
     return ("gamma",) if falling or (photons and rising) else ()

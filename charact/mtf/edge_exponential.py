@@ -8,12 +8,12 @@ from charact.method import Context, register
 from charact.mtf.edge_families import FamilyFitter
 from charact.mtf.edge_find import NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_forms import departs
-from charact.mtf.edge_profile import EVEN_PER_PX
 from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import Family
 from charact.mtf.optics import known_of
 from charact.mtf.region import Region
+from charact.mtf.uneven_light import EVEN_PER_PX
 from charact.posterior import laplace
 from labdata.frames import FrameStack
 from labdata.measurement import Result

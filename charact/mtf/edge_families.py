@@ -40,7 +40,7 @@ class FamilyFit:
         Shift of the edge, px, and the form's parameters at the peak of the posterior; the inverse of the curvature
         there, levels, step and slopes marginalised.
     amplitude
-        Step, level and slopes at the peak, DN and DN per px.
+        Step, level and both ways of slopes at the peak, DN and DN per px.
     residual, design
         What is left of the data and the change of the model with every parameter and level, both whitened,
         shape (bin,) and (parameter + level, bin).
@@ -155,8 +155,7 @@ class FamilyFitter:
         """Return mean and precision of the Gaussian part of every parameter's prior, linear ones last."""
         if (family, slope_sd_per_px) not in self._priors:
             mean, precision = family.prior_precision()
-            scale = max(abs(self.profile.step), 1e-300)
-            slopes = np.full(2, 1.0 / (slope_sd_per_px * scale) ** 2)
+            slopes = 1.0 / self.profile.slopes_sd(slope_sd_per_px) ** 2
             self._priors[family, slope_sd_per_px] = (
                 np.concatenate([[0.0], mean, np.zeros(LINEAR)]),
                 np.concatenate([[0.0], precision, [0.0, 0.0], slopes]),
@@ -203,7 +202,11 @@ class FamilyFitter:
 
     def model_of(self, fit: FamilyFit) -> Array:
         """Return the fitted profile at the bins, DN."""
-        return self.spread_of(fit)[0] * fit.amplitude[0] + self.maps.levels @ fit.amplitude[1:]
+        return self.spread_of(fit)[0] * fit.amplitude[0] + self.profile.levels @ fit.amplitude[1:]
+
+    def side_slopes(self, fit: FamilyFit) -> Array:
+        """Return the fitted slopes of the light on the bright and on the dark side, DN per px."""
+        return self.profile.light.by_side(fit.amplitude)[-2:]
 
     def fitted(self, fit: FamilyFit) -> Fitted:
         """Return a fit as the checks of edges look at it."""
@@ -217,10 +220,9 @@ class FamilyFitter:
         spread, *changes = self.spread_of(fit)
         sd = np.sqrt(np.diag(fit.covariance))
         most = np.concatenate([[SHIFT_PX], 5.0 * sd[1:]])
-        scale = max(abs(self.profile.step), 1e-300)
-        shape_sd = np.array([np.inf, fit.slope_sd_per_px * scale, fit.slope_sd_per_px * scale])
+        shape_sd = np.array([np.inf, *self.profile.slopes_sd(fit.slope_sd_per_px)])
         tangents = np.array(changes) * most[:, None]
-        return response_curvature(self.profile, self.maps.root, spread, tangents, self.maps.levels, shape_sd)
+        return response_curvature(self.profile, self.maps.root, spread, tangents, self.profile.levels, shape_sd)
 
     def log_probability(self, family: Family, slope_sd_per_px: float) -> Callable[[Array], Array]:
         """Return the log-probability of shift and form, vectorised, step, levels and slopes marginalised."""

@@ -66,13 +66,13 @@ def find_edge(stack: FrameStack, region: Region | None, context: Context) -> Fou
     where: Region = (row, col, height, width)
     if min(height, width) < 8:
         return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {height} x {width}", where=where)
-    picture, coarse = line.find(mean_picture(used.data, context.pitch_ratio))
+    picture, coarse = line.find(mean_picture(used, context.pitch_ratio))
     part = extent(picture, coarse) if min(height, width) >= 2 * LEAST_ROWS else None
     if part is not None:
         used, where = used.region(*part), (row + part[0], col + part[1], part[2], part[3])
         if min(part[2:]) < 8:
             return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {part[2]} x {part[3]}", where=where)
-        picture, coarse = line.find(mean_picture(used.data, context.pitch_ratio))
+        picture, coarse = line.find(mean_picture(used, context.pitch_ratio))
     rows = line.refine(picture, coarse)
     if not _crosses(picture, rows.line):
         return NoEdge(reason=NO_STEP, where=where)

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from charact.mtf.edge_checks import Fitted
 from charact.mtf.edge_model import KNOTS, PARAMETERS, EdgeModel
-from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, Profile
+from charact.mtf.edge_profile import Profile
 from charact.mtf.edge_response import Response, response_curvature
 from charact.mtf.families import Wide
 from charact.mtf.spread import nodes
+from charact.mtf.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
 from charact.posterior import maximum
 
 Array = NDArray[np.float64]

@@ -9,9 +9,9 @@ from charact.method import Context
 from charact.mtf.edge_beyond import Promise, departure_gain, fit_wide, promises
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_model import departure_shapes
-from charact.mtf.edge_profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
 from charact.mtf.families import Core, DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior, Wide
 from charact.mtf.optics import halo_diameters_px
+from charact.mtf.uneven_light import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
 
 Array = NDArray[np.float64]
 
@@ -142,13 +142,13 @@ def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
 def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...]) -> list[FamilyFit]:
     """Fit light wider than the window to what was taken for uneven light, where it rises on both sides."""
     veils = [prior for prior in wide if isinstance(prior, VeilPrior)]
-    rising = [fit for fit in uneven if fit.family.wide is None and fit.amplitude[2:].min() > 0]
+    rising = [fit for fit in uneven if fit.family.wide is None and fitter.side_slopes(fit).min() > 0]
     if not veils or not rising:
         return []
     best, veil = max(rising, key=_evidence), veils[0]
     widest = veil.size_px[1]
     # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
-    share = min(float(best.amplitude[2:].min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
+    share = min(float(fitter.side_slopes(best).min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
     start = np.concatenate([best.point, [share, 0.5 * widest]])
     return [fitter.fit(Family(core=best.family.core, wide=veil), start, UNEVEN_PER_PX, -float(np.log(len(wide))))]
 

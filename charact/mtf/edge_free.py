@@ -15,12 +15,13 @@ from charact.method import Context, register
 from charact.mtf import edge_checks
 from charact.mtf.edge_families import FamilyFitter
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
-from charact.mtf.edge_profile import EVEN_PER_PX, UNEVEN_PER_PX, with_shading
+from charact.mtf.edge_profile import with_shading
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import Family
 from charact.mtf.line_spread import LineSpreads, Transfers
 from charact.mtf.optics import Known, known_of
 from charact.mtf.region import Region
+from charact.mtf.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 
@@ -105,7 +106,7 @@ def _fitted(edge: FoundEdge, known: Known) -> tuple[FoundEdge, LineSpreads]:
     spreads = LineSpreads(profile, known, EVEN_PER_PX, shift_px)
     best = spreads.settings[0]
     shaded = with_shading(profile, profile.value - best.model)
-    uneven = np.abs(best.amplitude[2:]).max() > 0.7 * EVEN_PER_PX * abs(profile.step)
+    uneven = np.abs(best.amplitude[-2:]).max() > 0.7 * EVEN_PER_PX * abs(profile.step)
     if shaded.shading_sd > 0 or uneven:
         spreads = LineSpreads(shaded, known, UNEVEN_PER_PX if uneven else EVEN_PER_PX, shift_px)
     return replace(edge, profile=shaded), spreads

@@ -35,9 +35,7 @@ class EdgeMaps:
         self.fixed = known(self.grid)
         self.root = _inverse_root(profile.covariance)
         self.data = self.root @ profile.value
-        place = profile.distance
-        self.levels = np.stack([np.ones_like(place), np.maximum(place, 0.0), np.minimum(place, 0.0)], axis=1)
-        self.white_levels = self.root @ self.levels
+        self.white_levels = self.root @ profile.levels
         self._profile = profile
         self._made_around(0.0)
 

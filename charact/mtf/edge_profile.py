@@ -1,6 +1,7 @@
 """An edge's profile with the noise that is in it: bin means, their covariance, levels and shading."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +22,11 @@ from charact.mtf.grain import Grain, bin_covariance, grain_of
 from charact.mtf.line import Line
 from charact.mtf.picture import Picture
 from charact.mtf.spread import edge_weights
+from charact.mtf.uneven_light import UnevenLight, uneven_light
 from charact.robust import median
 
 Array = NDArray[np.float64]
 
-# Share of the step in a pixel by which light slopes on either side: in a good set-up, a fair and a poor one.
-EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
 PLATEAU_FROM_PX = 10.0
 SHADING_LENGTH_PX = 10.0
 LEAST_SHADED_PX = 1.4 * SHADING_LENGTH_PX
@@ -47,6 +47,8 @@ class Profile:
         Which bins of the band those are.
     dark, bright
         Levels of both sides at the edge, DN.
+    black
+        Code at no light, DN; None: not known.
     grain
         Noise of the picture.
     covariance
@@ -69,6 +71,7 @@ class Profile:
     keep: NDArray[np.bool_]
     dark: float
     bright: float
+    black: float | None
     grain: Grain
     covariance: Array
     shading_sd: float
@@ -82,21 +85,37 @@ class Profile:
         """Height of the edge, DN."""
         return self.bright - self.dark
 
-    def evidence(self, grid: Array, slope_sd_per_px: float) -> Evidence:
-        """Return the evidence on nodes, both levels and an illumination slope on each side marginalised.
+    @cached_property
+    def light(self) -> UnevenLight:
+        """How light may slope."""
+        return uneven_light(self.dark, self.bright, self.black)
+
+    @cached_property
+    def levels(self) -> Array:
+        """A level and the two ways in which light slopes at the bins, shape (bin, 3)."""
+        return self.light.levels(self.distance)
+
+    def slopes_sd(self, slope_sd_per_px: float) -> Array:
+        """Return the deviations of the priors of the two ways in which light slopes, DN per px.
 
         Parameters
         ----------
         slope_sd_per_px
-            Standard deviation of the slopes' prior, share of the step per px.
+            Standard deviation of the prior of the bright side's slope, share of the step per px.
+        """
+        return self.light.slopes_sd(slope_sd_per_px) * max(abs(self.step), 1e-300)
+
+    def evidence(self, grid: Array, slope_sd_per_px: float) -> Evidence:
+        """Return the evidence on nodes, level, step and the slopes of the light marginalised.
+
+        Parameters
+        ----------
+        slope_sd_per_px
+            As of `slopes_sd`.
         """
         spread = np.concatenate(edge_weights(grid, self.distance, self.spread_px), axis=1)
-        nuisance = np.stack(
-            [np.ones_like(self.distance), np.maximum(self.distance, 0.0), np.minimum(self.distance, 0.0)], axis=1
-        )
-        scale = abs(self.step)
-        prior = np.array([np.inf, slope_sd_per_px * scale, slope_sd_per_px * scale])
-        return evidence_of(self.value, self.covariance, spread, nuisance, prior, scale)
+        prior = np.array([np.inf, *self.slopes_sd(slope_sd_per_px)])
+        return evidence_of(self.value, self.covariance, spread, self.levels, prior, abs(self.step))
 
 
 def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
@@ -155,6 +174,7 @@ def _assembled(
         keep=keep,
         dark=dark,
         bright=bright,
+        black=picture.black_dn,
         grain=grain,
         covariance=np.eye(int(keep.sum())),
         shading_sd=0.0,

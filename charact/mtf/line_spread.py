@@ -98,16 +98,13 @@ class LineSpreads:
     def __init__(self, profile: Profile, known: Known, slope_sd_per_px: float, shift_px: float) -> None:
         self._profile = profile
         self.places = _places(float(profile.gathered.half_width_px))
-        scale = max(abs(profile.step), 1e-300)
-        self._scale = scale
+        self._scale = max(abs(profile.step), 1e-300)
         root = np.linalg.inv(np.linalg.cholesky(profile.covariance))
-        place = profile.distance
-        levels = np.stack([np.ones_like(place), np.maximum(place, 0.0), np.minimum(place, 0.0)], axis=1)
-        self._levels = levels
+        levels = self._levels = profile.levels
         weights = _edge_of_line(self.places, profile.distance - shift_px, profile.spread_px, known)
         data, design = root @ profile.value, root @ np.concatenate([weights, levels], axis=1)
         size = self.places.size
-        level_prior = np.array([0.0, *[(slope_sd_per_px * scale) ** -2] * 2])
+        level_prior = np.array([0.0, *profile.slopes_sd(slope_sd_per_px) ** -2.0])
         self._weights, self._root, self._data = weights, root, data
         self._lines, self._white_levels, self._level_prior = design[:, :size], design[:, size:], level_prior
         self.free = len(data) - 1

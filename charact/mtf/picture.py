@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.frames import FrameStack
+
 Array = NDArray[np.float64]
 
 
@@ -24,6 +26,8 @@ class Picture:
         Frames averaged.
     whole_codes
         Whether the frames hold whole codes.
+    black_dn
+        Code at no light; None: not known.
     pitch_ratio
         Pitch along the picture's rows' normal over the pitch along its columns' normal: row pitch over column pitch
         of the upright picture.
@@ -35,6 +39,7 @@ class Picture:
     mirrored: bool
     frames: int
     whole_codes: bool
+    black_dn: float | None
     pitch_ratio: float
 
     def turned(self, *, transpose: bool, mirror: bool) -> "Picture":
@@ -51,12 +56,14 @@ class Picture:
             mirrored=self.mirrored != mirror,
             frames=self.frames,
             whole_codes=self.whole_codes,
+            black_dn=self.black_dn,
             pitch_ratio=1.0 / self.pitch_ratio if transpose else self.pitch_ratio,
         )
 
 
-def mean_picture(data: NDArray, pitch_ratio: float) -> Picture:
-    """Average a stack (frame, row, col) into a picture."""
+def mean_picture(stack: FrameStack, pitch_ratio: float) -> Picture:
+    """Average a stack into a picture."""
+    data = stack.data
     frames, rows, cols = data.shape
     value = data[0].astype(float) if frames == 1 else data.mean(axis=0, dtype=np.float64)
     whole = data.dtype.kind in "ui" or bool(np.all(data[0] == np.rint(data[0])))
@@ -67,5 +74,6 @@ def mean_picture(data: NDArray, pitch_ratio: float) -> Picture:
         mirrored=False,
         frames=frames,
         whole_codes=whole,
+        black_dn=stack.black_level_dn,
         pitch_ratio=pitch_ratio,
     )

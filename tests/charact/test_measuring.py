@@ -1,9 +1,13 @@
 """What one target of a session tells is known when the next is measured."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from charact.measuring import _knowing_halo
+from charact.measuring import _knowing_halo, measure
 from charact.method import Context
+from charact.study.edge import EdgeScene
 from labdata.measurement import Result, from_sd, refused
 from labdata.sensors import load_sensor
 
@@ -30,3 +34,22 @@ def test_a_halo_of_four_gaps_sets_the_gap(context: Context) -> None:
 )
 def test_a_halo_that_is_not_sound_tells_nothing(context: Context, halo) -> None:
     assert _knowing_halo(context, Result(measurements=(halo,))) is context
+
+
+@pytest.mark.parametrize(("volts", "known"), [(700, True), (720, False)])
+def test_the_dark_under_an_edge_s_settings_is_its_black(tmp_path: Path, volts: int, known: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    np.save(tmp_path / "edge.npy", EdgeScene(rows=90, cols=90, snr=60.0).frames_drawn(rng).data)
+    np.save(tmp_path / "dark.npy", rng.poisson(10.0, (4, 90, 90)).astype(np.uint8))
+    stacks = (("edge", 700), ("dark", volts))
+    (tmp_path / "session.toml").write_text(
+        'name = "s"\n'
+        + "".join(
+            f'[[stack]]\nlabel = "{kind}"\nkind = "{kind}"\nframes = "{kind}.npy"\nmcp_v = {voltage}\n'
+            for kind, voltage in stacks
+        )
+    )
+    (mtf50,) = [m for m in measure(tmp_path, quick=True).find("mtf50") if m.stack == "edge"]
+    dark = np.load(tmp_path / "dark.npy").mean()
+    assert (f"No light is at {dark:.4g} DN." in mtf50.notes) == known
+    assert any(note.startswith("No light") for note in mtf50.notes) == known

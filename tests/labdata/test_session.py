@@ -157,3 +157,22 @@ def test_an_unknown_stack_is_answered_with_the_known_ones(tmp_path):
     session = open_session(session_of(tmp_path, 'name = "s"\n' + FLAT, a=np.zeros((1, 2, 2))))
     with pytest.raises(BadInput, match=r"a stack must be one of \['flat-03'\], got 'flat-3'"):
         session.stack("flat-3")
+
+
+def test_black_is_the_level_of_the_dark_under_the_very_settings(tmp_path):
+    """Darks at two voltages: an edge at one of them has its black, one at a third has none but is like the first."""
+    manifest = 'name = "s"\n' + "".join(
+        f'[[stack]]\nlabel = "{kind}-{volts}"\nkind = "{kind}"\nframes = "{kind}.npy"\n'
+        f"mcp_v = {volts}\ngate_ns = 1e6\nexposure_s = 0.02\n"
+        for kind, volts in (("dark", 700), ("edge", 700), ("edge", 750), ("dark", 800), ("edge", 800))
+    )
+    dark = np.array([[[7, 8], [9, 9]], [[8, 8], [8, 9]]])
+    folder = session_of(tmp_path, manifest, dark=dark, edge=np.ones((1, 2, 2)))
+    session = open_session(folder)
+    assert session.black_dn(session.stack("edge-700")) == 8.25
+    assert session.black_dn(session.stack("edge-750")) is None
+    assert session.dark_like(session.stack("edge-750").conditions) == session.stack("dark-700")
+    assert session.dark_like(session.stack("edge-800").conditions) == session.stack("dark-800")
+    without = open_session(session_of(tmp_path / "other", 'name = "s"\n' + FLAT, a=dark))
+    assert without.dark_like(Conditions()) is None
+    assert without.black_dn(without.stack("flat-03")) is None

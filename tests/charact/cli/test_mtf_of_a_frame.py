@@ -56,6 +56,24 @@ def test_a_region_overrides_the_search(two_edges: Path) -> None:
     assert len(regions) == 1
 
 
+def test_a_black_level_is_taken_as_told_and_said(two_edges: Path) -> None:
+    asked = ("mtf", "edge", two_edges, "--quick", "--method", "edge-parametric", "--roi", "0,0,120,110", "--json")
+    told = [json.loads(charact(*asked, *more).stdout) for more in ((), ("--black-dn", "10"))]
+    without, known = (document["measurements"][0]["notes"] for document in told)
+    said = "No light is at 10 DN."
+    assert said in known
+    assert said not in without
+
+
+@pytest.mark.parametrize("black", ["nan", "-inf", "4000"])
+def test_a_black_level_that_is_none_is_one_sentence(two_edges: Path, black: str) -> None:
+    done = charact("mtf", "edge", two_edges, "--quick", "--black-dn", black)
+    assert done.exit_code == 1
+    assert done.stderr.count("\n") == 1
+    assert "--black-dn must lie below the highest code in the frames, " in done.stderr
+    assert black in done.stderr
+
+
 def test_each_colour_channel_has_its_own_mtf(tmp_path: Path) -> None:
     """A lens that is sharper in red than in blue; the luminance, mostly green, lies between."""
     scenes = [EdgeScene(blur=Blur(sigma_px=sigma), snr=60.0) for sigma in (0.7, 1.0, 1.5)]

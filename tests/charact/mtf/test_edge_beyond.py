@@ -12,9 +12,9 @@ from charact.mtf import edge_beyond, edge_forms, edge_result
 from charact.mtf.edge_families import FamilyFitter
 from charact.mtf.edge_find import find_edge
 from charact.mtf.edge_parametric import edge_parametric
-from charact.mtf.edge_profile import EVEN_PER_PX
 from charact.mtf.families import DiscPrior, Family, GlarePrior, VeilPrior
 from charact.mtf.optics import known_of
+from charact.mtf.uneven_light import EVEN_PER_PX
 from charact.study.edge import Blur, EdgeScene
 from charact.study.edge_map import case_of, cell_of
 
@@ -82,18 +82,21 @@ def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
 def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
     """A disc of a fifth of the light, 15 px wide, at 18 standard deviations: most of the evidence is for a tube's form.
 
-    By the full power of the evidence the truth lies more than twice the interval away.
+    By the full power of the evidence the truth lies more than twice the interval away, unless black is known: the light
+    slopes, and that much of it on both sides is no tube's wing.
     """
     cell = cell_of(3063)
     truth = cell.scene.truth_mtf50
     stack = case_of(cell, truth, 16).drawn()
-    away = {}
-    for power in (edge_forms.TEMPERED, 1.0):
+
+    def away(power, black_dn):
         monkeypatch.setattr(edge_forms, "TEMPERED", power)
-        found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
-        away[power] = (truth - found.value) / (found.interval95[1] - found.value)
-    tempered, plain = away.values()
-    assert 0 < tempered < 1.5 < 2.0 < plain
+        found = edge_parametric(replace(stack, black_level_dn=black_dn), context=QUICK).find("mtf50")[0]
+        return (truth - found.value) / (found.interval95[1] - found.value)
+
+    tempered = edge_forms.TEMPERED
+    assert 0 < away(tempered, None) < 1.5 < 2.0 < away(1.0, None)
+    assert 0 < away(tempered, 200.0) < away(1.0, 200.0) < 1.5
 
 
 def test_forms_are_weighed_by_their_evidence_to_a_power():

@@ -5,8 +5,11 @@ import pytest
 
 from charact.method import Context
 from charact.mtf import edge_response
+from charact.mtf.edge_checks import noise_flags
+from charact.mtf.edge_find import find_edge
 from charact.mtf.edge_parametric import edge_parametric
 from charact.mtf.edge_response import BENT, CURVED, CURVED_SD, bent
+from charact.study.edge import Blur, EdgeScene
 from charact.study.edge_map import case_of, cell_of
 from labdata.measurement import Posterior
 
@@ -88,3 +91,19 @@ def test_a_gamma_that_is_not_seen_is_allowed_for(monkeypatch, allowed, silent):
                 pulls.append((truth - found.value) / ((high if truth > found.value else low) - found.value))
     assert len(pulls) >= 12
     assert (max(pulls) > 2.0) == silent
+
+
+@pytest.mark.parametrize(
+    ("gamma", "shot_share", "told"), [(1.0, 1.0, 0), (1.3, 1.0, 20), (1.8, 0.8, 20)], ids=["straight", "1.3", "1.8"]
+)
+def test_noise_that_rises_faster_than_light_is_a_curved_response(gamma, shot_share, told, seed):
+    """Photons' variance grows as the level over black; of 20 frames at most two are told wrongly."""
+    scene = EdgeScene(
+        blur=Blur(sigma_px=1.0), rows=110, cols=110, angle_deg=8.0, dark_dn=1300.0, bright_dn=2800.0, snr=20.0,
+        shot_share=shot_share, gamma=gamma, black_dn=200.0, full_scale_dn=3080.0,
+    )  # fmt: skip
+    edges = [
+        find_edge(scene.frames_drawn(np.random.default_rng([seed, n])), None, Context(quick=True)) for n in range(20)
+    ]
+    flagged = sum(noise_flags(edge.profile, edge.picture, 200.0) == ("gamma",) for edge in edges)
+    assert abs(flagged - told) <= 2
