@@ -83,7 +83,7 @@ class CellScreen:
 
     def expose(self, frame: int, brightness: float, shared: Shared) -> NDArray[np.float32]:
         """Draw the pulses of a frame's exposures and let the screen glow; see `Screen`."""
-        from simulate.iiccd.streamed.passes import glow_rows
+        from simulate.iiccd.streamed.glow_rows import glow_rows
 
         light, planes = self._light, len(self._light.gain)
         rows, cols = light.gain.shape[1] // COARSE, light.gain.shape[2] // COARSE

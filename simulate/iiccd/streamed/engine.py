@@ -139,7 +139,8 @@ class Stream:
 
     def _read(self, frame: int, coarse: NDArray[np.float32], brightness: tuple[float, ...]) -> Frame:
         """Spread a frame's exposures over the pixels that are read from them, and read these."""
-        from simulate.iiccd.streamed.passes import charge_rows, read_rows
+        from simulate.iiccd.streamed.charge_rows import charge_rows
+        from simulate.iiccd.streamed.read_rows import read_rows
 
         scene, readout, normal = self._scene, self._readout, normal_quantiles()
         codes = np.empty(self._charge.shape, np.uint8 if readout.top_dn < 256 else np.uint16)
@@ -227,7 +228,7 @@ def far_wing(
     """
     from scipy import fft
 
-    from simulate.iiccd.streamed.passes import widened
+    from simulate.iiccd.streamed.charge_rows import widened
 
     rows, cols = coarse.shape[-2:]
     size = tuple(fft.next_fast_len(n + m, real=True) for n, m in zip((rows, cols), kernel.wing.shape, strict=True))

@@ -3,7 +3,7 @@
 from numba import njit
 
 from simulate.iiccd.streamed.kernel import REACH
-from simulate.iiccd.streamed.passes import FAST, ONE
+from simulate.iiccd.streamed.random_rows import FAST, ONE, PART
 
 BREADTH = 2 * REACH + 1
 
@@ -72,7 +72,7 @@ def pulse_rows(first, last, exposure, pulses, shares, expected, decay, stored, s
                         stored[i, r, c] += later[i, p] * line[c - left]
 
 
-@njit(inline="always", **FAST)
+@njit(**PART)
 def _add(row, line, charge):
     for c in range(BREADTH):
         row[c] += charge * line[c]
