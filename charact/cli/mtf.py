@@ -13,7 +13,9 @@ from labdata.errors import BadInput
 
 if TYPE_CHECKING:
     from charact.cli.units import FrequencyUnit
+    from charact.mtf.region import Region
     from labdata.frames import FrameStack
+    from labdata.measurement import Result
     from labdata.sensor import Sensor
     from labdata.session import Session
 
@@ -166,41 +168,26 @@ def _measure(
     kind: str,
     *,
     file: Path,
-    roi: str | None,
-    method: str,
-    within: float,
-    quick: bool,
-    seed: int,
     plane: str | None,
     sensor: str | None,
     units: str,
     pitch_um: float | None,
     demagnification: float | None,
     focal_length_mm: float | None,
-    at_most: int,
     annotate: Path | None,
     as_json: bool,
     events: bool,
     black_dn: float | None = None,
-    **target: Any,
+    **asked: Any,
 ) -> None:
     with bad_input_ends(str(file), as_json=as_json, events=events):
-        from charact import mtf
-        from charact.method import Context
         from labdata.importers import read_frames
 
         known = _sensor(sensor)
-        region = options.parsed_region(roi)
+        region = options.parsed_region(asked.pop("roi"))
         stack = _with_black(read_frames(file, plane=plane), black_dn)
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, known, rows=stack.shape[1])
-        context = Context(seed=seed, quick=quick, sensor=known, interlaced=known is not None and known.video.interlaced)
-        if kind == "bars":
-            target = {"bars": target["bars"], "frequency_cy_per_px": target["frequency"]}
-        asked = {"method": method, "within_percent": within, "context": context, **target}
-        if region is None:
-            result = mtf.measure_all(kind, stack, at_most=at_most, **asked)
-        else:
-            result = mtf.measure(kind, stack, region=region, **asked)
+        result = _result(kind, stack, region, known, **asked)
         if annotate is not None:
             from charact.cli.annotate import annotated
 
@@ -213,6 +200,32 @@ def _measure(
             frequency=frequency,
             next_verb=f"charact import frames {file} mine, then charact measure mine",
         )
+
+
+def _result(
+    kind: str,
+    stack: "FrameStack",
+    region: "Region | None",
+    known: "Sensor | None",
+    *,
+    method: str,
+    within: float,
+    quick: bool,
+    seed: int,
+    at_most: int,
+    **target: Any,
+) -> "Result":
+    """Return what a region of a stack measures or, without one, all targets of this kind that are found in it."""
+    from charact import mtf
+    from charact.method import Context
+
+    context = Context(seed=seed, quick=quick, sensor=known, interlaced=known is not None and known.video.interlaced)
+    if kind == "bars":
+        target = {"bars": target["bars"], "frequency_cy_per_px": target["frequency"]}
+    asked = {"method": method, "within_percent": within, "context": context, **target}
+    if region is None:
+        return mtf.measure_all(kind, stack, at_most=at_most, **asked)
+    return mtf.measure(kind, stack, region=region, **asked)
 
 
 def _with_black(stack: "FrameStack", black_dn: float | None) -> "FrameStack":

@@ -158,7 +158,7 @@ def _other_steps(profile: Profile, fitted: Fitted) -> bool:
     return bool(np.any((np.abs(means) > 0.1 * abs(fitted.amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
 
 
-def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None) -> tuple[str, ...]:
+def noise_flags(profile: Profile, picture: Picture) -> tuple[str, ...]:
     """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
 
     Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
@@ -169,9 +169,9 @@ def noise_flags(profile: Profile, picture: Picture, black_level_dn: float | None
     # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
     scatter = np.sqrt(4.0 / max(pixels, 1.0))
     falling = grain.dark_variance > grain.bright_variance * (FALLING[0] + FALLING[1] * scatter)
-    if black_level_dn is None or picture.frames > 1 or not profile.dark > black_level_dn:
+    if profile.black is None or picture.frames > 1 or not profile.dark > profile.black:
         return ("gamma",) if falling else ()
-    bright, dark = profile.bright - black_level_dn, profile.dark - black_level_dn
+    bright, dark = profile.bright - profile.black, profile.dark - profile.black
     photons = bright < QUIETEST * np.sqrt(grain.bright_variance)
     rising = grain.bright_variance > grain.dark_variance * bright / dark * (RISING[0] + RISING[1] * scatter)
     return ("gamma",) if falling or (photons and rising) else ()

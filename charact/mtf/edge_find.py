@@ -87,8 +87,21 @@ def find_edge(stack: FrameStack, region: Region | None, context: Context) -> Fou
         rows=rows,
         profile=profile,
         flags=("several-targets",) if part is not None and region is not None else (),
-        notes=() if part is None else ("The frame shows more than this edge; the region is the part that was used.",),
+        notes=_notes(used, profile, cut=part is not None),
     )
+
+
+def _notes(used: FrameStack, profile: Profile, *, cut: bool) -> tuple[str, ...]:
+    """Return what finding an edge brought up that lowers no trust."""
+    notes = ["The frame shows more than this edge; the region is the part that was used."] if cut else []
+    if profile.black is not None:
+        notes.append(f"No light is at {profile.black:.4g} DN.")
+    elif used.black_level_dn is not None:
+        notes.append(
+            f"No light would be at {used.black_level_dn:.4g} DN, above the edge's dark side at {profile.dark:.4g} DN: "
+            "taken as not known."
+        )
+    return tuple(notes)
 
 
 def _crosses(picture: Picture, edge: line.Line) -> bool:

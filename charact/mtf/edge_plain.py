@@ -178,7 +178,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
     return (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
-        *edge_checks.noise_flags(profile, edge.picture, used.black_level_dn),
+        *edge_checks.noise_flags(profile, edge.picture),
         *(("low-signal",) if profile.step < plain.least_snr * _noise(profile) else ()),
         *(("defects",) if profile.defects else ()),
         *edge.flags,

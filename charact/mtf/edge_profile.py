@@ -22,7 +22,7 @@ from charact.mtf.grain import Grain, bin_covariance, grain_of
 from charact.mtf.line import Line
 from charact.mtf.picture import Picture
 from charact.mtf.spread import edge_weights
-from charact.mtf.uneven_light import UnevenLight, uneven_light
+from charact.mtf.uneven_light import UnevenLight, believed_black, uneven_light
 from charact.robust import median
 
 Array = NDArray[np.float64]
@@ -174,7 +174,7 @@ def _assembled(
         keep=keep,
         dark=dark,
         bright=bright,
-        black=picture.black_dn,
+        black=believed_black(picture.black_dn, dark, bright),
         grain=grain,
         covariance=np.eye(int(keep.sum())),
         shading_sd=0.0,

@@ -87,12 +87,12 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
         *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
         *response_flags(*outcome.response),
-        *edge_checks.noise_flags(profile, edge.picture, used.black_level_dn),
+        *edge_checks.noise_flags(profile, edge.picture),
         *_posterior_flags(outcome.posterior, context),
         *outcome.flags,
         *edge.flags,
     )
-    black = {} if used.black_level_dn is None else {"black_dn": used.black_level_dn}
+    black = {} if profile.black is None else {"black_dn": profile.black}
     provenance = Provenance(
         version=charact.__version__, seed=context.seed, settings={"quick": context.quick, **black, **outcome.settings}
     )
@@ -208,8 +208,6 @@ def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, .
         notes.append(f"Noise is correlated between pixels (sum of correlations {grain:.1f}) and treated as such.")
     if context.sensor is None and context.pitch_ratio == 1.0:
         notes.append("Pixels taken as square.")
-    if used.black_level_dn is not None:
-        notes.append(f"No light is at {used.black_level_dn:.4g} DN.")
     if profile.shading_sd > 0:
         notes.append(f"The plateaus undulate by {profile.shading_sd:.2g} DN, which widens the intervals.")
     return tuple(notes)

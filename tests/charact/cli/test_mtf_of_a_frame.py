@@ -65,6 +65,16 @@ def test_a_black_level_is_taken_as_told_and_said(two_edges: Path) -> None:
     assert said not in without
 
 
+@pytest.mark.parametrize("method", ["edge-parametric", "edge-slanted"])
+def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: Path, method: str) -> None:
+    """The dark side lies at 40 DN, the bright one at 190."""
+    asked = ("mtf", "edge", two_edges, "--quick", "--method", method, "--roi", "0,0,120,110", "--json")
+    without, above = (json.loads(charact(*asked, *more).stdout) for more in ((), ("--black-dn", "100")))
+    said = "No light would be at 100 DN, above the edge's dark side at 40"
+    assert any(note.startswith(said) and "not known" in note for note in above["measurements"][0]["notes"])
+    assert [m["value"] for m in above["measurements"]] == [m["value"] for m in without["measurements"]]
+
+
 @pytest.mark.parametrize("black", ["nan", "-inf", "4000"])
 def test_a_black_level_that_is_none_is_one_sentence(two_edges: Path, black: str) -> None:
     done = charact("mtf", "edge", two_edges, "--quick", "--black-dn", black)

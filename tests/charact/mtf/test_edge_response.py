@@ -105,5 +105,5 @@ def test_noise_that_rises_faster_than_light_is_a_curved_response(gamma, shot_sha
     edges = [
         find_edge(scene.frames_drawn(np.random.default_rng([seed, n])), None, Context(quick=True)) for n in range(20)
     ]
-    flagged = sum(noise_flags(edge.profile, edge.picture, 200.0) == ("gamma",) for edge in edges)
+    flagged = sum(noise_flags(edge.profile, edge.picture) == ("gamma",) for edge in edges)
     assert abs(flagged - told) <= 2

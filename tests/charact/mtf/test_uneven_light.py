@@ -7,7 +7,7 @@ import pytest
 
 from charact.method import Context
 from charact.mtf.edge_parametric import edge_parametric
-from charact.mtf.uneven_light import APART, EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
+from charact.mtf.uneven_light import APART, EVEN_PER_PX, UNEVEN_PER_PX, believed_black, uneven_light
 from charact.study.edge import Blur, EdgeScene
 
 DISTANCE = np.linspace(-30.0, 40.0, 141)
@@ -44,6 +44,14 @@ def test_without_a_black_each_side_slopes_by_itself(black_dn):
     light = uneven_light(DARK, BRIGHT, black_dn)
     assert np.array_equal(light.ways, np.eye(2))
     assert np.array_equal(light.slopes_sd(UNEVEN_PER_PX), [UNEVEN_PER_PX, UNEVEN_PER_PX])
+
+
+@pytest.mark.parametrize(
+    ("black_dn", "believed"), [(None, None), (BLACK, BLACK), (DARK + 100.0, DARK + 100.0), (DARK + 200.0, None)]
+)
+def test_a_black_well_above_the_dark_side_is_none(black_dn, believed):
+    """A tenth of the step, 150 DN, is what noise and another day's dark may make of it."""
+    assert believed_black(black_dn, DARK, BRIGHT) == believed
 
 
 def test_a_dark_side_without_light_hardly_slopes():
