@@ -26,11 +26,6 @@ MISFIT = 1.6
 # Illumination that changes by more than this share over the band is told, though the fit allows for it.
 GRADIENT = 0.2
 LEAST_STEP_SD = 0.8
-# Level over noise beyond which unequal pixels may be the noise.
-QUIETEST = 80.0
-# By how much the variance of two levels may fall towards the light, or rise beyond what photons make of it, and by how
-# many standard errors besides: processed pictures fall, pixels are unequal and blacks not quite so.
-FALLING, RISING = (1.15, 5.7), (1.1, 4.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,22 +151,3 @@ def _other_steps(profile: Profile, fitted: Fitted) -> bool:
     error = np.sqrt(profile.grain.covariance_over_variance * profile.grain.bright_variance)
     error = error / np.sqrt(np.maximum(np.bincount(cell, weights=weight), 1.0))
     return bool(np.any((np.abs(means) > 0.1 * abs(fitted.amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
-
-
-def noise_flags(profile: Profile, picture: Picture) -> tuple[str, ...]:
-    """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
-
-    Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
-    that the response steepens, unless frames were averaged or pixels are so quiet that their unequal gain is seen.
-    """
-    grain = profile.grain
-    pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
-    # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
-    scatter = np.sqrt(4.0 / max(pixels, 1.0))
-    falling = grain.dark_variance > grain.bright_variance * (FALLING[0] + FALLING[1] * scatter)
-    if profile.black is None or picture.frames > 1 or not profile.dark > profile.black:
-        return ("gamma",) if falling else ()
-    bright, dark = profile.bright - profile.black, profile.dark - profile.black
-    photons = bright < QUIETEST * np.sqrt(grain.bright_variance)
-    rising = grain.bright_variance > grain.dark_variance * bright / dark * (RISING[0] + RISING[1] * scatter)
-    return ("gamma",) if falling or (photons and rising) else ()

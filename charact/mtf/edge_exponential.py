@@ -8,6 +8,7 @@ from charact.method import Context, register
 from charact.mtf.edge_families import FamilyFitter
 from charact.mtf.edge_find import NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_forms import departs
+from charact.mtf.edge_noise import curved_ln_odds, growth_of
 from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.families import Family
@@ -75,7 +76,7 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
         draws=DRAWS,
     )
     response = fitter.response_curvature(fit)
-    posterior = bent(posterior, response, context.seed)
+    posterior = bent(posterior, response, curved_ln_odds(growth_of(edge.profile)), context.seed)
     outcome = Outcome(
         method=METHOD,
         edge=edge,

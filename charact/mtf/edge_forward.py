@@ -10,6 +10,7 @@ from charact.method import Context, register
 from charact.mtf import edge_checks
 from charact.mtf.edge_find import WIDEST_PX, FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_fit import EdgeFit, curvature, fit, refit
+from charact.mtf.edge_noise import curved_ln_odds, growth_of
 from charact.mtf.edge_profile import refined, with_shading
 from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
@@ -71,7 +72,8 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
         return nothing(METHOD, found, edge.where, context, began)
     model, known = found.fit.model, found.known
     response = curvature(found.fit, found.edge.profile)
-    posterior = bent(_posterior(found.fit, context), response, context.seed)
+    odds = curved_ln_odds(growth_of(found.edge.profile))
+    posterior = bent(_posterior(found.fit, context), response, odds, context.seed)
     outcome = Outcome(
         method=METHOD,
         edge=found.edge,

@@ -13,6 +13,7 @@ from charact.mtf.curve import FINE, falls_to
 from charact.mtf.edge_families import FamilyFit, FamilyFitter
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge_forms import Weighed, departs, fitted_forms, wides
+from charact.mtf.edge_noise import curved_ln_odds, growth_of
 from charact.mtf.edge_profile import with_shading
 from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
@@ -98,7 +99,8 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     if context.quick and _unsure(drawn[0], known):
         drawn = _drawn(fitter, fits, context, parabolic=False)
     response = fitter.response_curvature(best)
-    drawn = [(form, bent(posterior, response, context.seed), count) for form, posterior, count in drawn]
+    odds = curved_ln_odds(growth_of(edge.profile))
+    drawn = [(form, bent(posterior, response, odds, context.seed), count) for form, posterior, count in drawn]
     outcome = Outcome(
         method=METHOD,
         edge=edge,

@@ -16,6 +16,7 @@ from charact.method import Context
 from charact.mtf import edge_checks, line
 from charact.mtf.curve import FINE, PINNED, REPORTED, falls_to
 from charact.mtf.edge_find import FoundEdge, NoEdge, find_edge
+from charact.mtf.edge_noise import noise_flags
 from charact.mtf.edge_profile import Profile
 from charact.mtf.geometry import orientation_deg
 from charact.mtf.picture import Picture
@@ -178,7 +179,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
     return (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
-        *edge_checks.noise_flags(profile, edge.picture),
+        *noise_flags(profile),
         *(("low-signal",) if profile.step < plain.least_snr * _noise(profile) else ()),
         *(("defects",) if profile.defects else ()),
         *edge.flags,

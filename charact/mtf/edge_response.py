@@ -16,10 +16,10 @@ Response = tuple[float, float]
 # Curvature of the response from which the modulus is in doubt by a percent, and its significance.
 CURVATURE, CURVATURE_SD = 0.05, 3.0
 # Before the data: the probability that a response is curved, and by how much then, as a standard deviation.
-CURVED, CURVED_SD = 0.1, 0.2
-# What a curvature of one does to the frequency of a form, in ln: power laws of exponents 0.45 to 2.4 over steps of 1500
-# on 1300 to 3500 DN move MTF50 by 0.05 to 0.1 of their curvature, up for exponents above one.
-BENT = 0.07
+CURVED, CURVED_SD = 0.25, 0.2
+# By how much MTF50 is found too high for each curvature of one, in ln, under responses that steepen and that flatten,
+# and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on edges of every form.
+STEEPENING, FLATTENING, EITHER_WAY = 0.05, 0.02, 0.03
 
 
 def response_flags(curvature: float, error: float) -> tuple[str, ...]:
@@ -30,7 +30,7 @@ def response_flags(curvature: float, error: float) -> tuple[str, ...]:
     return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
 
 
-def bent(posterior: Posterior, response: Response, seed: int) -> Posterior:
+def bent(posterior: Posterior, response: Response, noise_ln_odds: float, seed: int) -> Posterior:
     """Return draws of a blur with what a response that may be curved leaves in doubt.
 
     Parameters
@@ -38,27 +38,32 @@ def bent(posterior: Posterior, response: Response, seed: int) -> Posterior:
     posterior
         Draws of the blur's parameters, the second one ln of a frequency that scales the form.
     response
-        Curvature of the response and its error, as the profile asks for them.
+        Curvature of the response and its error, as the profile asks for them; below 0 it steepens.
+    noise_ln_odds
+        Ln of how much likelier the noise is under a curved response.
     seed
         Of what is drawn besides.
 
     Notes
     -----
     A straight response is weighed against one whose curvature is normal about none (Savage-Dickey ratio); of the
-    share that the curved one has, each draw moves its frequency by a normal number times `BENT` times a curvature drawn
-    from what prior and profile leave of it. Either way: the blur may be what is lopsided.
+    share that the curved one has, each draw takes back what a curvature, drawn from what prior and profile leave of
+    it, has done to its frequency. That is nothing to a tenth of the curvature, for the blur may be what is lopsided.
     """
     rng = np.random.default_rng([seed, 61])
     draws = posterior.draws.copy()
-    draws[:, 1] += BENT * _curvatures(response, rng, len(draws)) * rng.standard_normal(len(draws))
+    curvature = _curvatures(response, noise_ln_odds, rng, len(draws))
+    share = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(len(draws))
+    draws[:, 1] += share * curvature
     return replace(posterior, draws=draws)
 
 
-def _curvatures(response: Response, rng: np.random.Generator, count: int) -> Array:
+def _curvatures(response: Response, noise_ln_odds: float, rng: np.random.Generator, count: int) -> Array:
     """Return draws of the response's curvature, 0 where it is straight."""
     found, error = response[0], max(response[1], 1e-9)
     apart = np.hypot(error, CURVED_SD)
     ln_odds = np.log(CURVED / (1.0 - CURVED) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
+    ln_odds += noise_ln_odds
     curved = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
     drawn = found * (CURVED_SD / apart) ** 2 + error * CURVED_SD / apart * rng.standard_normal(count)
     return np.where(curved, drawn, 0.0)

@@ -13,6 +13,7 @@ from charact.method import Context
 from charact.mtf import edge_checks
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.edge_find import FoundEdge
+from charact.mtf.edge_noise import noise_flags
 from charact.mtf.edge_profile import Profile
 from charact.mtf.edge_response import Response, response_flags
 from charact.mtf.geometry import orientation_deg
@@ -87,7 +88,7 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
         *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
         *response_flags(*outcome.response),
-        *edge_checks.noise_flags(profile, edge.picture),
+        *noise_flags(edge.profile),
         *_posterior_flags(outcome.posterior, context),
         *outcome.flags,
         *edge.flags,
