@@ -83,64 +83,79 @@ def define_beam() -> None:
 def scene_of(folder: Path, lights: str) -> mitsuba.Scene:
     """Return a scene as Mitsuba has it, with "all" of its lights, the "sky" alone or the "lamps" alone."""
     told = json.loads((folder / "scene.json").read_text())
-    at = mitsuba.ScalarTransform4f
-    rows, columns = told["shape"]
-    parts = {
-        "type": "scene",
-        "sensor": {
-            "type": "perspective",
-            "fov": told["field_deg"],
-            "fov_axis": "x",
-            "near_clip": 1e-3,
-            "far_clip": 1e5,
-            "to_world": at().look_at(origin=told["position_m"], target=told["target_m"], up=[0, 0, 1]),
-            "film": {
-                "type": "hdrfilm",
-                "width": columns,
-                "height": rows,
-                "rfilter": {"type": "box"},
-                "pixel_format": "luminance",
-                "component_format": "float32",
-            },
-            "sampler": {"type": "multijitter", "sample_count": 64},
-        },
-    }
-    for number, mesh in enumerate(told["meshes"]):
-        matt = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": mesh["reflectance"]}}
-        parts[f"mesh {number}"] = {
-            "type": "ply",
-            "filename": str(folder / mesh["file"]),
-            "face_normals": True,
-            "bsdf": {"type": "twosided", "inside": matt},
-        }
-        if mesh["radiance"]:
-            parts[f"mesh {number}"]["emitter"] = {
-                "type": "area",
-                "radiance": {"type": "spectrum", "value": mesh["radiance"]},
-            }
-    for number, lamp in enumerate(told["lamps"] if lights != "sky" else ()):
-        if lamp["power"] is None:
-            parts[f"lamp {number}"] = {
-                "type": "point",
-                "position": lamp["position_m"],
-                "intensity": {"type": "spectrum", "value": lamp["peak"]},
-            }
-        else:
-            parts[f"lamp {number}"] = {
-                "type": "beam",
-                "place": mitsuba.ScalarPoint3f(lamp["position_m"]),
-                "axis": mitsuba.ScalarVector3f(lamp["axis"]),
-                "peak": lamp["peak"],
-                "power": lamp["power"],
-            }
-    if lights == "lamps":
-        return mitsuba.load_dict(parts)
-    if told["even_sky"] is not None:
-        parts["sky"] = {"type": "constant", "radiance": {"type": "spectrum", "value": told["even_sky"]}}
-    elif (folder / "sky.npy").exists():
-        table = np.load(folder / "sky.npy").astype(np.float32)[..., None]
-        parts["sky"] = {"type": "envmap", "bitmap": mitsuba.Bitmap(table), "to_world": at().rotate([1, 0, 0], 90)}
+    parts = {"type": "scene", "sensor": sensor_of(told)}
+    parts |= {f"mesh {number}": mesh_of(folder, mesh) for number, mesh in enumerate(told["meshes"])}
+    if lights != "sky":
+        parts |= {f"lamp {number}": lamp_of(lamp) for number, lamp in enumerate(told["lamps"])}
+    if lights != "lamps":
+        parts |= sky_of(folder, told["even_sky"])
     return mitsuba.load_dict(parts)
+
+
+def sensor_of(told: dict) -> dict:
+    """Return the pinhole camera of a scene, every pixel an even mean over its square."""
+    rows, columns = told["shape"]
+    place = mitsuba.ScalarTransform4f().look_at(origin=told["position_m"], target=told["target_m"], up=[0, 0, 1])
+    return {
+        "type": "perspective",
+        "fov": told["field_deg"],
+        "fov_axis": "x",
+        "near_clip": 1e-3,
+        "far_clip": 1e5,
+        "to_world": place,
+        "film": {
+            "type": "hdrfilm",
+            "width": columns,
+            "height": rows,
+            "rfilter": {"type": "box"},
+            "pixel_format": "luminance",
+            "component_format": "float32",
+        },
+        "sampler": {"type": "multijitter", "sample_count": 64},
+    }
+
+
+def mesh_of(folder: Path, mesh: dict) -> dict:
+    """Return a matt surface, which may shine."""
+    matt = {"type": "diffuse", "reflectance": constant(mesh["reflectance"])}
+    shape = {
+        "type": "ply",
+        "filename": str(folder / mesh["file"]),
+        "face_normals": True,
+        "bsdf": {"type": "twosided", "inside": matt},
+    }
+    if mesh["radiance"]:
+        shape["emitter"] = {"type": "area", "radiance": constant(mesh["radiance"])}
+    return shape
+
+
+def lamp_of(lamp: dict) -> dict:
+    """Return a point that shines evenly, or as a beam."""
+    if lamp["power"] is None:
+        return {"type": "point", "position": lamp["position_m"], "intensity": constant(lamp["peak"])}
+    return {
+        "type": "beam",
+        "place": mitsuba.ScalarPoint3f(lamp["position_m"]),
+        "axis": mitsuba.ScalarVector3f(lamp["axis"]),
+        "peak": lamp["peak"],
+        "power": lamp["power"],
+    }
+
+
+def sky_of(folder: Path, even_sky: float | None) -> dict:
+    """Return the sky, even or as its table has it, by its name; nothing where there is none."""
+    if even_sky is not None:
+        return {"sky": {"type": "constant", "radiance": constant(even_sky)}}
+    if not (folder / "sky.npy").exists():
+        return {}
+    table = np.load(folder / "sky.npy").astype(np.float32)[..., None]
+    upright = mitsuba.ScalarTransform4f().rotate([1, 0, 0], 90)
+    return {"sky": {"type": "envmap", "bitmap": mitsuba.Bitmap(table), "to_world": upright}}
+
+
+def constant(value: float) -> dict:
+    """Return a spectrum that is the same everywhere."""
+    return {"type": "spectrum", "value": value}
 
 
 def rendered(scene: mitsuba.Scene, integrator: mitsuba.Integrator, samples: int, seed: int) -> np.ndarray:

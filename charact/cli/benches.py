@@ -1,6 +1,6 @@
 """Wires a plan to its bench: the virtual one with its own processes, or real ports, camera and a person at the lamp."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +12,15 @@ from labdata.dose_ledger import DoseLedger, ledger_of
 from labdata.errors import BadInput
 from labdata.limits import limits_in_force
 from labdata.plan import Plan
+from labdata.sensor import Sensor
 from labdata.session import Session
 from labdata.tube_dose import warnings
+from labdata.wires import Role, Wires
 
 if TYPE_CHECKING:
-    from drivers.interface import Camera
+    from drivers.interface import Camera, Operator
+    from drivers.tube.bench import Bench
+    from drivers.wire.line import Line
     from simulate.rig.bench import VirtualBench
     from simulate.rig.fault_script import FaultScript
 
@@ -81,46 +85,30 @@ def _on_virtual_bench(
     tell: Callable[[str], None],
     script: "FaultScript | None",
 ) -> Session:
-    from charact.cli.judge import SaturationJudge
-    from drivers.acquisition.acquire import acquire
-    from drivers.acquisition.requests import Requests
     from drivers.instruments.models import lines_on
-    from drivers.tube.bench import Bench
-    from labdata.sensors import load_sensor
     from simulate.rig.bench import VirtualBench
+
+    sensor = _virtual_sensor(plan)
+    folder = bench_folder(session)
+    virtual_bench = VirtualBench(folder, sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
+    with virtual_bench as virtual, _rehearsed(script, virtual, session, tell):
+        session.parent.mkdir(parents=True, exist_ok=True)
+        lines = None if virtual.inside is None else lines_on(virtual.inside.ports, virtual.wires)
+        bench = _bench(plan, session, sensor, wires=virtual.wires, log=folder / WATCHDOG_LOG, lines=lines)
+        camera, operator = _eye(plan, virtual, tell), virtual.operator
+        return _acquired(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
+
+
+def _virtual_sensor(plan: Plan) -> Sensor:
+    """Return the sensor of a plan for the virtual bench, which must name one and take its mains as they are."""
+    from labdata.sensors import load_sensor
     from simulate.rig.delay_generator import LINE_HZ
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
     if plan.gating.sync == "line-locked" and plan.gating.line_hz != LINE_HZ:
         raise BadInput(f"the mains of the virtual bench must be of {LINE_HZ:g} Hz, got {plan.gating.line_hz:g}")
-    sensor = load_sensor(plan.sensor)
-    virtual_bench = VirtualBench(bench_folder(session), sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
-    with virtual_bench as virtual, _rehearsed(script, virtual, session, tell):
-        session.parent.mkdir(parents=True, exist_ok=True)
-        wires, inside = virtual.wires, virtual.inside
-        return acquire(
-            plan,
-            session,
-            camera=_eye(plan, virtual, tell),
-            bench=Bench(
-                wires,
-                limits_in_force(plan.limits, sensor, plan.overrides),
-                log=bench_folder(session) / WATCHDOG_LOG,
-                lines=None if inside is None else lines_on(inside.ports, wires),
-                lamp=plan.lamp,
-                meters=plan.meters,
-                gate_hz=float(sensor.video.field_rate_hz),
-                gating=plan.gating,
-                dose=_ledger(plan, session),
-                session=str(session),
-            ),
-            operator=virtual.operator,
-            judge=SaturationJudge(),
-            resume=resume,
-            progress=progress,
-            requests=Requests(tell),
-        )
+    return load_sensor(plan.sensor)
 
 
 def _rehearsed(
@@ -150,31 +138,64 @@ def _eye(plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]) -> "A
 def _on_real_bench(
     plan: Plan, session: Path, *, resume: bool, progress: Progress, tell: Callable[[str], None]
 ) -> Session:
-    from charact.cli.judge import SaturationJudge
     from charact.cli.prompting import PromptingOperator, TargetPlacer
-    from drivers.acquisition.acquire import acquire
-    from drivers.acquisition.plan_check import field_hz
-    from drivers.acquisition.requests import Requests
-    from drivers.tube.bench import Bench
     from labdata.sensors import load_sensor
 
     sensor = None if plan.sensor is None else load_sensor(plan.sensor)
+    camera = camera_named(plan.wires.camera, tell=tell)
+    bench = _bench(plan, session, sensor, wires=plan.wires, log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"))
+    operator = PromptingOperator() if plan.lamp is None else TargetPlacer()
+    return _acquired(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
+
+
+def _bench(
+    plan: Plan,
+    session: Path,
+    sensor: Sensor | None,
+    *,
+    wires: Wires,
+    log: Path,
+    lines: "Mapping[Role, Line] | None" = None,
+) -> "Bench":
+    """Return the bench of a plan on wires; `lines`: what stands in for serial ports."""
+    from drivers.acquisition.plan_check import field_hz
+    from drivers.tube.bench import Bench
+
+    return Bench(
+        wires,
+        limits_in_force(plan.limits, sensor, plan.overrides),
+        log=log,
+        lines=lines,
+        lamp=plan.lamp,
+        meters=plan.meters,
+        gate_hz=field_hz(sensor),
+        gating=plan.gating,
+        dose=_ledger(plan, session),
+        session=str(session),
+    )
+
+
+def _acquired(
+    plan: Plan,
+    session: Path,
+    camera: "AbstractContextManager[Camera]",
+    bench: "Bench",
+    operator: "Operator",
+    *,
+    resume: bool,
+    progress: Progress,
+    tell: Callable[[str], None],
+) -> Session:
+    from charact.cli.judge import SaturationJudge
+    from drivers.acquisition.acquire import acquire
+    from drivers.acquisition.requests import Requests
+
     return acquire(
         plan,
         session,
-        camera=camera_named(plan.wires.camera, tell=tell),
-        bench=Bench(
-            plan.wires,
-            limits_in_force(plan.limits, sensor, plan.overrides),
-            log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"),
-            lamp=plan.lamp,
-            meters=plan.meters,
-            gate_hz=field_hz(sensor),
-            gating=plan.gating,
-            dose=_ledger(plan, session),
-            session=str(session),
-        ),
-        operator=PromptingOperator() if plan.lamp is None else TargetPlacer(),
+        camera=camera,
+        bench=bench,
+        operator=operator,
         judge=SaturationJudge(),
         resume=resume,
         progress=progress,

@@ -162,7 +162,21 @@ def _level(quantity: str, level: float, draws: Array, posterior: Posterior, comm
         return refused(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
     found = _measured(quantity, "cy/px", kept, MORE_BELOW_ABOVE, posterior=posterior, **_with_peaks(common, kept))
-    return found if _is_sure(found) else found.with_(flags=("low-signal",))
+    sure = found if _is_sure(found) else found.with_(flags=("low-signal",))
+    return sure.with_(value=_most_probable(found))
+
+
+def _most_probable(found: Measurement) -> float:
+    """Return the most probable frequency, within the 68 % interval: under draws normal in ln f, median exp(-s^2).
+
+    A thousandth below the median where f is known to s = 3 %, a hundredth at 10 %: errors of a frequency reach further
+    up than down, and the median's are not the least. At a step of one standard deviation they are 1.34 times the
+    bound of Cramer and Rao, and these 1.20 times.
+    """
+    assert found.value is not None and found.interval68 is not None, "draws give a value and intervals"
+    low, high = found.interval68
+    deviation = 0.5 * np.log(high / max(low, 1e-6)) / 0.994458
+    return float(max(found.value * np.exp(-(deviation**2)), low))
 
 
 def _pinned(frequency: float, draws: Array, common: dict) -> Measurement:

@@ -1,6 +1,6 @@
 """Fitting forms of the transfer to one or several points: each form by Gauss-Newton, all weighed by their evidence."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +87,25 @@ class _Linearised:
     curvature: Array
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Source:
+    """One source at its most probable light: its pixels, and below them those that were cut, weighed by their share.
+
+    Pixels at unit light, their change with each parameter, and what the data leave; -2 ln of their likelihood.
+    """
+
+    light: float
+    unit: Array
+    slopes: Array
+    residual: Array
+    chi2: float
+    cost: float
+
+    @property
+    def curvature(self) -> float:
+        return max(float(self.unit @ self.unit), 1e-300)
+
+
 class PointFitter:
     """Fits forms to the pixels of one or several points of one camera."""
 
@@ -119,51 +138,26 @@ class PointFitter:
 
     def _linearised(self, form: PointForm, point: Array) -> _Linearised:
         """Return cost, gradient and curvature at a point, lights at their best."""
-        bounds, size = form.bounds, point.size
+        bounds = form.bounds
         width = bounds[:, 1] - bounds[:, 0]
         # Differences run inwards, so that they stay within the bounds.
         moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * DIFFERENCE * width
         nodes = self.nodes(form, np.concatenate([point[None], point + np.diag(moves)]))
+        sources = [_source(one, nodes, moves) for one in self.pixels]
         mean, precision = form.prior()
         off = point - mean
-        cost, chi2 = float(off**2 @ precision), 0.0
         gradient, normal = -off * precision, np.diag(precision)
-        lights, curvatures = [], []
-        for one in self.pixels:
-            shapes = one.matrix @ nodes.T
-            unit, slopes = shapes[:, 0], (shapes[:, 1:] - shapes[:, :1]) / moves
-            light = float(one.data @ unit) / max(float(unit @ unit), 1e-300)
-            if one.censored is not None:
-                hidden = one.censored.matrix @ nodes.T
-                hidden_slopes = (hidden[:, 1:] - hidden[:, :1]) / moves
-                light = one.censored.light(one.data, unit, hidden[:, 0], light)
-                pull, weight, height = one.censored.terms(light * hidden[:, 0])
-                root = np.sqrt(weight)
-                unit, slopes = (
-                    np.append(unit, root * hidden[:, 0]),
-                    np.concatenate([slopes, root[:, None] * hidden_slopes]),
-                )
-                residual = np.append(one.data - light * shapes[:, 0], pull / root)
-                cost -= 2.0 * height
-                cost += float(residual[: one.data.size] @ residual[: one.data.size])
-            else:
-                residual = one.data - light * unit
-                cost += float(residual @ residual)
-            chi2 += float(residual[: one.data.size] @ residual[: one.data.size])
-            curvature = max(float(unit @ unit), 1e-300)
-            design = light * (slopes - np.outer(unit, unit @ slopes) / curvature)
-            gradient = gradient + design.T @ residual
+        for one in sources:
+            design = one.light * (one.slopes - np.outer(one.unit, one.unit @ one.slopes) / one.curvature)
+            gradient = gradient + design.T @ one.residual
             normal = normal + design.T @ design
-            lights.append(light)
-            curvatures.append(curvature)
-        assert gradient.size == size
         return _Linearised(
-            cost=cost,
-            chi2=chi2,
+            cost=float(off**2 @ precision) + sum(one.cost for one in sources),
+            chi2=sum(one.chi2 for one in sources),
             gradient=gradient,
             normal=normal,
-            light=np.array(lights),
-            curvature=np.array(curvatures),
+            light=np.array([one.light for one in sources]),
+            curvature=np.array([one.curvature for one in sources]),
         )
 
     def _fitted(self, form: PointForm, point: Array, here: _Linearised) -> FormFit:
@@ -205,6 +199,43 @@ def _log_likelihood(one: Pixels, nodes: Array) -> Array:
         return 0.5 * overlap**2 / curvature - 0.5 * np.log(curvature)
     hidden = nodes @ one.censored.matrix.T
     return one.censored.log_likelihood(overlap, curvature, hidden)
+
+
+def _source(pixels: Pixels, nodes: Array, moves: Array) -> _Source:
+    """Return a source for transfers at the nodes, (1 + parameter, node): at a point, and moved by each parameter."""
+    unit, slopes = _unit_and_slopes(pixels.matrix, nodes, moves)
+    light = float(pixels.data @ unit) / max(float(unit @ unit), 1e-300)
+    source = _of_light(light, pixels.data, unit, slopes)
+    if pixels.censored is None:
+        return source
+    hidden, hidden_slopes = _unit_and_slopes(pixels.censored.matrix, nodes, moves)
+    return _with_cut_pixels(source, pixels.data, pixels.censored, hidden, hidden_slopes)
+
+
+def _of_light(light: float, data: Array, unit: Array, slopes: Array) -> _Source:
+    residual = data - light * unit
+    chi2 = float(residual @ residual)
+    return _Source(light=light, unit=unit, slopes=slopes, residual=residual, chi2=chi2, cost=chi2)
+
+
+def _with_cut_pixels(source: _Source, data: Array, censored: Censored, hidden: Array, hidden_slopes: Array) -> _Source:
+    """Return a source with the pixels that were cut, given at unit light: what they pull at is a residual too."""
+    seen = _of_light(censored.light(data, source.unit, hidden, source.light), data, source.unit, source.slopes)
+    pull, weight, height = censored.terms(seen.light * hidden)
+    root = np.sqrt(weight)
+    return replace(
+        seen,
+        unit=np.append(seen.unit, root * hidden),
+        slopes=np.concatenate([seen.slopes, root[:, None] * hidden_slopes]),
+        residual=np.append(seen.residual, pull / root),
+        cost=seen.chi2 - 2.0 * height,
+    )
+
+
+def _unit_and_slopes(matrix: Array, nodes: Array, moves: Array) -> tuple[Array, Array]:
+    """Return pixels at unit light and their slope with each parameter, shapes (pixel,) and (pixel, parameter)."""
+    shapes = matrix @ nodes.T
+    return shapes[:, 0], (shapes[:, 1:] - shapes[:, :1]) / moves
 
 
 def _step(here: _Linearised, point: Array, bounds: Array, damping: float) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.special import ndtri
+from scipy.stats import lognorm
 
 from charact.method import Context
 from charact.mtf import edge_beyond, edge_forms, edge_result
@@ -142,8 +143,24 @@ def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_n
     assert 1.05 < stretch < 1.2
     wide = [middle + stretch * (low - middle), middle + stretch * (high - middle)]
     assert curve.interval95[:, column] == pytest.approx(wide)
-    found = result.find("mtf50")[0]
-    assert found.interval95[1] - found.interval95[0] > 2.05 * (found.interval68[1] - found.interval68[0])
+
+
+@pytest.mark.parametrize("deviation", [0.01, 0.05, 0.13])
+def test_the_value_is_the_most_probable_frequency(deviation):
+    """Reference: where the density of draws that are normal in ln f is highest; the 68 % interval stays theirs."""
+    draws = 0.2 * np.exp(deviation * ndtri((np.arange(4001) + 0.5) / 4001))
+    found = edge_result._level("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    grid = np.linspace(0.1, 0.3, 20001)
+    density = lognorm.pdf(grid, deviation, scale=0.2)
+    assert found.value == pytest.approx(grid[np.argmax(density)], rel=0.03 * deviation**2 + 1e-4)
+    assert found.interval68 == pytest.approx(tuple(np.quantile(draws, [0.16, 0.84])), rel=1e-3)
+
+
+def test_a_value_stays_inside_its_68_percent_interval():
+    draws = np.random.default_rng(0).uniform(0.01, 0.5, 4000)
+    found = edge_result._level("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    assert found.interval68[0] <= found.value <= found.interval68[1]
+    assert "low-signal" in found.flags
 
 
 def test_a_frequency_known_to_a_tenth_may_lie_further_up_than_down_and_a_modulus_either_way():
