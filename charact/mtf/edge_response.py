@@ -20,6 +20,8 @@ CURVED, CURVED_SD = 0.25, 0.2
 # By how much MTF50 is found too high for each curvature of one, in ln, under responses that steepen and that flatten,
 # and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on edges of every form.
 STEEPENING, FLATTENING, EITHER_WAY = 0.05, 0.02, 0.03
+# Most that an exponent up to 2.2 has been seen to lift MTF50 by.
+MOST_LIFTED = 0.04
 
 
 def response_flags(curvature: float, error: float) -> tuple[str, ...]:
@@ -28,6 +30,25 @@ def response_flags(curvature: float, error: float) -> tuple[str, ...]:
     A Gaussian edge through a power law above 1 stays nearly symmetric and shows it in its noise at most.
     """
     return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
+
+
+def hidden_note(response: Response, deviation: float) -> tuple[str, ...]:
+    """Return what a curved response that the profile cannot show may have done, where the errors do not cover it.
+
+    Parameters
+    ----------
+    response
+        Curvature of the response and its error.
+    deviation
+        Standard deviation of MTF50, as a share of it.
+    """
+    lifted = min(2.0 * STEEPENING * response[1], MOST_LIFTED)
+    if lifted < 2.0 * deviation:
+        return ()
+    return (
+        "A curved response of the camera (a gamma) would not show on this edge: it may have lifted MTF50 by up to "
+        f"{100.0 * lifted:.1f} %, more than the errors allow for.",
+    )
 
 
 def bent(posterior: Posterior, response: Response, noise_ln_odds: float, seed: int) -> Posterior:

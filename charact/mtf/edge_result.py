@@ -13,9 +13,9 @@ from charact.method import Context
 from charact.mtf import edge_checks
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.edge_find import FoundEdge
-from charact.mtf.edge_noise import noise_flags
+from charact.mtf.edge_noise import curved_ln_odds, growth_of, noise_flags
 from charact.mtf.edge_profile import Profile
-from charact.mtf.edge_response import Response, response_flags
+from charact.mtf.edge_response import Response, hidden_note, response_flags
 from charact.mtf.geometry import orientation_deg
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
@@ -33,6 +33,8 @@ LEAST_SURE = 0.14
 # may hide more. Errors of a frequency grow with it, about as its square: where the answer came out low, it looks surer
 # than it is, and four deviations reach further up than down. Errors of a modulus lean to neither side.
 MARGIN, MORE_BELOW_ABOVE, MORE_EVENLY = 1.04, (1.0, 3.0), (2.0, 2.0)
+# Ln of the odds by which noise must speak against a curved response for nothing to be said of one.
+STRAIGHT_LN_ODDS = -0.5
 # Every so many of the fine frequencies tell between which of them a curve falls to a level.
 EVERY = 6
 COARSE = np.append(FINE[:-1:EVERY], FINE[-1])
@@ -100,7 +102,12 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     common = {
         "method": outcome.method,
         "flags": tuple(dict.fromkeys(flags)),
-        "notes": (*edge.notes, *_notes(profile, used, context), *outcome.notes),
+        "notes": (
+            *edge.notes,
+            *_notes(profile, used, context),
+            *_response_notes(outcome, halves, context),
+            *outcome.notes,
+        ),
         "region": edge.where,
         "orientation_deg": orientation_deg(edge.picture, profile.angle_rad),
         "provenance": provenance,
@@ -226,6 +233,18 @@ def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, .
     if profile.shading_sd > 0:
         notes.append(f"The plateaus undulate by {profile.shading_sd:.2g} DN, which widens the intervals.")
     return tuple(notes)
+
+
+def _response_notes(outcome: Outcome, halves: Array, context: Context) -> tuple[str, ...]:
+    """Return the note on a response that may be curved unseen; a described camera's, or photons', is straight."""
+    known = halves[np.isfinite(halves)]
+    if (
+        context.sensor is not None
+        or curved_ln_odds(growth_of(outcome.edge.profile)) < STRAIGHT_LN_ODDS
+        or not known.size
+    ):
+        return ()
+    return hidden_note(outcome.response, float(np.std(np.log(known))))
 
 
 def within_note(profile: Profile) -> str:

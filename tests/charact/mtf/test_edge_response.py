@@ -118,6 +118,32 @@ def test_a_curvature_is_told_where_it_matters_and_is_sure(curvature, error, told
     assert edge_response.response_flags(curvature, error) == (("gamma",) if told else ())
 
 
+@pytest.mark.parametrize(
+    ("error", "deviation", "said"),
+    [(0.3, 0.004, "3.0 %"), (0.9, 0.004, "4.0 %"), (0.3, 0.02, None), (0.05, 0.004, None)],
+    ids=["hidden", "as far as seen", "covered by the errors", "would show"],
+)
+def test_what_a_hidden_curvature_may_do_is_said_where_the_errors_do_not_cover_it(error, deviation, said):
+    notes = edge_response.hidden_note((0.1, error), deviation)
+    assert [said in note for note in notes] == ([] if said is None else [True])
+
+
+@pytest.mark.parametrize(("shot_share", "said"), [(0.0, True), (0.95, False)], ids=["even noise", "photons' noise"])
+def test_noise_of_photons_takes_away_the_doubt_about_the_response(shot_share, said, seed):
+    """Wings that hide a curvature of 0.3: noise that grows as the light does is the only witness."""
+    wings = Blur(form="moffat", moffat_px=2.2, moffat_exponent=4.0)
+    scene = EdgeScene(
+        blur=wings, rows=135, cols=101, angle_deg=2.7, dark_dn=600.0, bright_dn=3600.0, snr=60.0,
+        shot_share=shot_share, black_dn=200.0, full_scale_dn=4095.0,
+    )  # fmt: skip
+    found = [
+        edge_parametric(scene.frames_drawn(np.random.default_rng([seed, n])), context=Context(quick=True))
+        for n in range(5)
+    ]
+    noted = sum(any("curved response" in note for note in one.find("mtf50")[0].notes) for one in found)
+    assert noted >= 4 if said else noted <= 1
+
+
 @pytest.mark.parametrize(("curved", "silent"), [(CURVED, False), (1e-12, True)], ids=["allowed for", "ignored"])
 def test_a_gamma_that_is_not_seen_is_allowed_for(monkeypatch, curved, silent):
     """Power laws of 1.5 to 2.2 at 23 to 95 standard deviations: MTF50 is .5 to 2 % high, which was twice its error.
