@@ -16,13 +16,15 @@ from charact.mtf.edge_response import bent
 from charact.mtf.edge_result import Outcome, nothing, result_of, within_note
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.region import Region
-from charact.posterior import laplace, sample
+from charact.posterior import sample, weighed
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 
 Array = NDArray[np.float64]
 
 QUANTITIES = ("mtf50", "mtf10", "mtf", "edge_angle")
+# Effective draws by importance that tell a posterior; the same where it is wanted quickly, and draws to begin with.
+ENOUGH, QUICK_ENOUGH, QUICK_FIRST = 1000.0, 500.0, 1000
 # With a halo single walkers linger in its tail for some thousand steps.
 MAX_STEPS = 8000
 METHOD = "edge-forward"
@@ -112,9 +114,19 @@ def _fitted(edge: FoundEdge, context: Context) -> _Found | str:
 
 
 def _posterior(fit: EdgeFit, context: Context) -> Posterior:
-    """Draw from the posterior: by Markov chain, or quickly from the curvature."""
+    """Draw from the posterior: by importance, and by Markov chain where draws by importance are too few to tell it."""
     model = fit.model
-    asked = {"names": model.names, "units": model.units, "start": fit.point, "covariance": fit.covariance}
+    asked = {
+        "names": model.names,
+        "units": model.units,
+        "start": fit.point,
+        "covariance": fit.covariance,
+        "seed": context.seed,
+        "bounds": model.bounds,
+    }
     if context.quick:
-        return laplace(model.log_probability, **asked, seed=context.seed, bounds=model.bounds)
-    return sample(model.log_probability, **asked, seed=context.seed, bounds=model.bounds, max_steps=MAX_STEPS)
+        return weighed(model.log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
+    posterior = weighed(model.log_probability, **asked)
+    if posterior.effective_sample_size.min() >= ENOUGH:
+        return posterior
+    return sample(model.log_probability, **asked, max_steps=MAX_STEPS)

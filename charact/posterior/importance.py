@@ -74,23 +74,20 @@ def weighed(
     space, rng = OpenSpace(walls), np.random.default_rng(seed)
     near = space.outside(gaussian_within(rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000))
     first = _StudentT(near.mean(axis=0), WIDER * np.atleast_2d(np.cov(near.T)))
-    mixture, points = [first], first.draw(rng, first_draws)
+    mixture, points = [(first, first_draws)], first.draw(rng, first_draws)
     heights = _heights(log_probability, space, points)
-    counts, densities = [first_draws], [first.log_density(points)]
+    # How densely all that was drawn lies at each point: densities add up, so that old points need the new one only.
+    drawn = _drawn(mixture, points)
     while True:
-        share = np.log(np.array(counts) / len(points))
-        weight = _weights(heights - np.logaddexp.reduce(np.array(densities) + share[:, None], axis=0))
+        weight = _weights(heights - drawn)
         effective = 1.0 / float(np.sum(weight**2))
         if effective >= enough or len(mixture) > MOST_ADDED:
             break
-        added = _added(points, weight, first)
-        fresh = added.draw(rng, MORE_DRAWS)
-        points = np.concatenate([points, fresh])
+        more = _added(points, weight, first), MORE_DRAWS
+        mixture, fresh = [*mixture, more], more[0].draw(rng, MORE_DRAWS)
         heights = np.concatenate([heights, _heights(log_probability, space, fresh)])
-        mixture, counts = [*mixture, added], [*counts, MORE_DRAWS]
-        densities = [
-            np.concatenate([old, one.log_density(fresh)]) for old, one in zip(densities, mixture[:-1], strict=True)
-        ] + [added.log_density(points)]
+        drawn = np.concatenate([np.logaddexp(drawn, _drawn([more], points)), _drawn(mixture, fresh)])
+        points = np.concatenate([points, fresh])
     picked = space.inside(points[_picked(rng, weight, draws)])
     return Posterior(
         names=names,
@@ -130,6 +127,11 @@ def _added(points: Array, weight: Array, first: _StudentT) -> _StudentT:
     own = 0.5 * (weight[nearest] + 1.0 / len(points))
     off = points[nearest] - place
     return _StudentT(place, (off * (own / own.sum())[:, None]).T @ off)
+
+
+def _drawn(mixture: list[tuple[_StudentT, int]], points: Array) -> Array:
+    """Return ln of how densely the draws from some densities lie at points, shape (point,)."""
+    return np.logaddexp.reduce([np.log(count) + one.log_density(points) for one, count in mixture], axis=0)
 
 
 def _heights(log_probability: Vectorised, space: OpenSpace, points: Array) -> Array:
