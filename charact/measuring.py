@@ -64,9 +64,9 @@ def measure(
 
 def _together(session: Session, result: Result, context: Context) -> Result:
     """What the targets of a session tell of one MTF, and whether they agree, where it has several."""
-    from charact.mtf.agreement import agreement
-    from charact.mtf.constancy import constancy
-    from charact.mtf.joint import joint
+    from charact.mtf.session.agreement import agreement
+    from charact.mtf.session.constancy import constancy
+    from charact.mtf.session.joint import joint
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}

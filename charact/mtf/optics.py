@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf import transfer as forms
-from charact.mtf.families import GlarePrior, HaloPrior, Wide
+from charact.mtf.forms import transfer as forms
+from charact.mtf.forms.families import GlarePrior, HaloPrior, Wide
 from charact.mtf.picture import Picture
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from charact.mtf.joint import joint
+from charact.mtf.session.joint import joint
 from charact.study.agreement import KINDS, SessionScene
 from charact.study.agreement_simulated import SimulatedScene
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.mtf.point_forward import point_forward
+from charact.mtf.point.forward import point_forward
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from labdata.target import Target

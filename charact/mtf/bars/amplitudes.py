@@ -1,0 +1,164 @@
+"""The numbers a bar target is reduced to: its light and its fundamental, with the noise that is in them."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.bars.target import BarTarget, amplitude
+
+Array = NDArray[np.float64]
+
+# From this many frames on, their own scatter says what the noise is.
+ENOUGH_FRAMES = 4
+SLAB_PX = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Amplitudes:
+    """Light and fundamental of a target.
+
+    Parameters
+    ----------
+    light
+        Sum of the window's pixels over the pedestal, DN.
+    fundamental
+        Fourier sum at the bars' frequency in the phase of the bars, DN.
+    covariance
+        Covariance of (light, fundamental), DN2, shape (2, 2).
+    freedom
+        Degrees of freedom of the covariance.
+    phase_rad
+        Phase of the fundamental.
+    zeros
+        Largest modulus at the two zeros beside the fundamental, over the fundamental.
+    flank
+        Modulus half way to the lower zero, over what as many bars have there by the fundamental: more bars have less.
+    fields_apart_px, fields_apart_sd_px
+        Distance between the bars in odd and in even rows, and its standard error, px across the bars.
+    frame_correlation
+        Factor by which light that lingers from frame to frame widens the error of the mean, on its square.
+    """
+
+    light: float
+    fundamental: float
+    covariance: Array
+    freedom: float
+    phase_rad: float
+    zeros: float
+    flank: float
+    fields_apart_px: float
+    fields_apart_sd_px: float
+    frame_correlation: float
+
+    @property
+    def signal_to_noise(self) -> float:
+        """The fundamental in its own standard errors."""
+        return self.fundamental / max(float(np.sqrt(self.covariance[1, 1])), 1e-12 * abs(self.light) + 1e-30)
+
+
+def amplitudes_of(data: NDArray, target: BarTarget, window: NDArray[np.bool_], beyond: NDArray[np.bool_]) -> Amplitudes:
+    """Reduce frames (frame, row, col) of a target in a window; the pedestal is the mean of the pixels beyond it.
+
+    Notes
+    -----
+    Sums over whole bars and the blur around them are projections along the bars, so that the fundamental is exactly
+    O(f) H(f) and the light O(0) H(0) (projection-slice theorem). Scatter from frame to frame holds every correlation
+    between pixels. Where there are too few frames, neighbouring slabs along the bars take their place.
+    """
+    across, _ = target.coordinates(data.shape[1:])
+    wave = np.exp(-2j * np.pi * target.frequency * across[window])
+    odd = (np.nonzero(window)[0] % 2).astype(bool)
+    sums = [_sums(frame, window, beyond, wave, odd) for frame in data]
+    light, halves = np.array([one[0] for one in sums]), np.array([one[1] for one in sums])
+    fundamental = halves.sum(axis=1)
+    phase = float(np.angle(fundamental.mean()))
+    turned = np.real(fundamental * np.exp(-1j * phase))
+    lag = frame_correlation(data, window)
+    if len(data) >= ENOUGH_FRAMES:
+        covariance, freedom = np.cov(light, turned) * lag / len(data), len(data) - 1.0
+    else:
+        covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, beyond, phase)
+    mean = data.mean(axis=0, dtype=np.float64)
+    zeros = [abs(_amplitude(mean, target, window, beyond, order)) for order in (target.bars - 1, target.bars + 1)]
+    apart, apart_sd = _fields(halves, target, float(np.sqrt(covariance[1, 1])))
+    return Amplitudes(
+        light=float(light.mean()),
+        fundamental=float(turned.mean()),
+        covariance=np.atleast_2d(covariance) + 1e-18 * np.eye(2) * light.mean() ** 2,
+        freedom=freedom,
+        phase_rad=phase,
+        zeros=max(zeros) / max(abs(turned.mean()), 1e-30),
+        flank=abs(_amplitude(mean, target, window, beyond, target.bars - 0.5))
+        * target.bars
+        * np.sin(0.5 * np.pi / target.bars)
+        / max(abs(turned.mean()), 1e-30),
+        fields_apart_px=apart,
+        fields_apart_sd_px=apart_sd,
+        frame_correlation=lag,
+    )
+
+
+def _sums(frame: NDArray, window, beyond, wave: NDArray, odd: NDArray) -> tuple[float, NDArray]:
+    """Return light and the fundamental of even and odd rows of one frame over its own pedestal."""
+    values = frame[window].astype(float) - frame[beyond].mean(dtype=np.float64)
+    terms = values * wave
+    return float(values.sum()), np.array([terms[~odd].sum(), terms[odd].sum()])
+
+
+def _amplitude(mean: Array, target: BarTarget, window, beyond, order: float) -> complex:
+    return amplitude(mean - mean[beyond].mean(), target, target.frequency * order / target.bars, window)
+
+
+def _fields(halves: NDArray, target: BarTarget, sd: float) -> tuple[float, float]:
+    """Return how far apart the bars lie in the two fields, and the standard error."""
+    even, odd = halves.mean(axis=0)
+    if min(abs(even), abs(odd)) == 0:
+        return 0.0, np.inf
+    radian_px = 1.0 / (2.0 * np.pi * target.frequency)
+    # Half of the noise in each half of the fundamental, and both in their difference.
+    error = np.sqrt(2.0) * (sd / np.sqrt(2.0)) * np.hypot(1.0 / abs(even), 1.0 / abs(odd)) / np.sqrt(2.0)
+    return float(np.angle(odd * np.conj(even)) * radian_px), float(error * radian_px)
+
+
+def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
+    """Return the variance of the mean over that of independent frames with the scatter seen, at least 1.
+
+    Notes
+    -----
+    From half mean squared differences v_k of frames k apart: v_k = g_0 - g_k, g the autocovariance, taken to have
+    died out from lag 4 on. All pixels of the window speak, so that a dozen frames are enough.
+    """
+    count = len(data)
+    if count < 7:
+        return 1.0
+    pixels = data[:, window].astype(np.float32)
+    halves = [0.5 * float(np.mean((pixels[lag:] - pixels[:-lag]) ** 2)) for lag in range(1, count - 1)]
+    total = float(np.mean(halves[3:]))
+    if not total > 0:
+        return 1.0
+    tail = [max(1.0 - half / total, 0.0) for half in halves[:3]]
+    inflation = 1.0 + 2.0 * sum((1.0 - (k + 1) / count) * r for k, r in enumerate(tail))
+    seen = 1.0 - (inflation - 1.0) / (count - 1.0)
+    return max(inflation / max(seen, 0.2), 1.0)
+
+
+def _slab_covariance(
+    mean: Array, target: BarTarget, window: NDArray[np.bool_], beyond: NDArray[np.bool_], phase: float
+) -> tuple[Array, float]:
+    """Return the covariance from the differences of neighbouring slabs along the bars, and its degrees of freedom.
+
+    Differences hold the fall of the light at the bars' ends as well, so that the error is rather too large.
+    """
+    across, along = target.coordinates(mean.shape)
+    values = mean - mean[beyond].mean()
+    half = target.length_px / 2
+    edges = np.linspace(-half, half, max(int(target.length_px / SLAB_PX), 2) + 1)
+    terms = np.real(values * np.exp(-2j * np.pi * target.frequency * across - 1j * phase))
+    slabs = [window & (along >= low) & (along < high) for low, high in pairwise(edges)]
+    sums = np.array([[values[slab].sum(), terms[slab].sum()] for slab in slabs])
+    jumps = np.diff(sums, axis=0)
+    outside = float(values[beyond].std()) * np.sqrt(np.count_nonzero(window))
+    covariance = len(slabs) * (jumps.T @ jumps) / (2.0 * len(jumps)) + np.diag([outside**2, 0.5 * outside**2])
+    return covariance, float(max(len(jumps), 2))

@@ -1,0 +1,167 @@
+"""Coltman's reading of bar targets: the series of square-wave contrasts over groups, or its first term of one group."""
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.method import Context, register
+from charact.mtf.bars.checks import flags_of_codes
+from charact.mtf.bars.place import runs_through, strip_of
+from charact.mtf.bars.target import BarTarget, find
+from charact.mtf.bars.window import fitting_margin
+from charact.mtf.region import Region
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Provenance, Result, from_sd, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "bars-coltman"
+# Terms of the series go up to this order.
+HIGHEST_ORDER = 201
+LEAST_SIGNAL = 6.0
+# Pixels this near the middle of a bar or gap, periods, and within this share of the bars' length.
+NEAR, INNER = 0.06, 0.3
+
+
+@register(
+    "bars",
+    METHOD,
+    quantities=("mtf",),
+    scope=(
+        "For comparison, always suspect: first term of Coltman's series, (pi/4)(max - min)/step of the inner bars. Up "
+        "to a fifth low below a third of the cut-off, where harmonics enter; the step of a lone patch is low by its "
+        "tails, and by several percent for tube tails (n near 1.1); high by its own noise where that nears the "
+        "modulation; phase-dependent untilted above half the sampling limit."
+    ),
+)
+def bars_coltman(
+    stack: FrameStack, *, region: Region | None = None, bars: int, frequency_cy_per_px: float, context: Context
+) -> Result:
+    """Read (pi/4)(max - min)/step from the inner bars of one group, the step being that of a large area.
+
+    Parameters
+    ----------
+    stack, region, bars, frequency_cy_per_px, context
+        As for "bars-forward".
+
+    Returns
+    -------
+    Result
+        `mtf` at the bars' frequency, always suspect.
+
+    Notes
+    -----
+    Coltman, J. Opt. Soc. Am. 44, 468 (1954). The step of a large area is the light of the whole target over the area
+    of its bars, N w a unit length.
+    """
+    began = time.perf_counter()
+    used = stack if region is None else stack.region(*region)
+    frequency = float(frequency_cy_per_px)
+    common = {
+        "method": METHOD,
+        "region": region or (0, 0, *used.shape[1:]),
+        "frequency_cy_per_px": frequency,
+        "provenance": Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars}),
+    }
+    mean = used.data.mean(axis=0, dtype=np.float64)
+    read = _read(mean, int(bars), frequency, context.pitch_ratio)
+    seconds = time.perf_counter() - began
+    if read is None or not read[0] > LEAST_SIGNAL * read[1]:
+        reason = f"no target: no modulation by {bars} bars at {frequency:g} cy/px stands out of the noise"
+        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), seconds=seconds, **common),))
+    value, sd, target = read
+    near = target.box((mean.shape[0], mean.shape[1]), 1.0)
+    one = from_sd(
+        "mtf", "1", value, sd, flags=("model-misfit", *flags_of_codes(used, near, context)),
+        notes=("First term of Coltman's series, for comparison only.",),
+        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, seconds=seconds, **common,
+    )  # fmt: skip
+    return Result(measurements=(one,))
+
+
+def _read(mean: Array, bars: int, frequency: float, pitch_ratio: float) -> tuple[float, float, BarTarget] | None:
+    """Return the reading, its standard error and the target."""
+    through = runs_through(mean, bars=bars, frequency=frequency)
+    look = strip_of if through else find
+    target = look(mean, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
+    if target is None:
+        return None
+    across, along = target.coordinates((mean.shape[0], mean.shape[1]))
+    inner = np.ones(mean.shape, bool) if through else np.abs(along) < INNER * target.length_px
+    reach = target.width_px / 2.0 + min(12.0, 1.5 / frequency)
+    if not through:
+        reach = target.width_px / 2.0 + fitting_margin(target, (mean.shape[0], mean.shape[1]), 1.5 / frequency)[0]
+    ground = inner & (np.abs(across) > reach - 1.0)
+    patch = inner & (np.abs(across) < reach)
+    fundamental = np.sum((mean[patch] - mean[ground].mean()) * np.exp(-2j * np.pi * frequency * across[patch]))
+    ahead = float(np.angle(fundamental * np.exp(1j * np.pi * (bars - 1)))) / (2.0 * np.pi)
+    phase = (across * frequency + ahead + (bars - 1) / 2.0) % 1.0
+    near = np.minimum(phase, 1.0 - phase)
+    within = inner & (np.abs(across) < ((bars - 1) / 2.0 + NEAR) / frequency)
+    on, between = mean[within & (near < NEAR)], mean[within & (near > 0.5 - NEAR)]
+    if min(on.size, between.size) < 3 or np.count_nonzero(ground) < 3:
+        return None
+    pedestal = float(mean[ground].mean())
+    light = float((mean[patch] - pedestal).mean()) * 2.0 * reach
+    step = light / (bars * 0.5 / frequency)
+    if not step > 0:
+        return None
+    # A fundamental's mean over pixels so near its peaks is lower than the peaks by a known factor.
+    value = np.pi / 4.0 * (on.mean() - between.mean()) / step / np.sinc(2.0 * NEAR)
+    error = np.pi / 4.0 * np.hypot(on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size)) / step
+    return float(value), float(error), target
+
+
+def series(modulations: Mapping[float, float]) -> dict[float, float]:
+    """Return the MTF at the frequencies of groups of bars by Coltman's series over their modulations.
+
+    Parameters
+    ----------
+    modulations
+        (max - min)/step of each group by its frequency, cycles per pixel; above the highest it is taken as zero.
+
+    Returns
+    -------
+    dict
+        MTF by frequency, dimensionless; only the groups whose third harmonic lies within the highest group, or whose
+        modulation there is negligible, are free of harmonics.
+
+    Raises
+    ------
+    BadInput
+        If there is no group, or a frequency is not positive.
+
+    Notes
+    -----
+    M(f) = (pi/4) (C(f) + C(3f)/3 - C(5f)/5 + C(7f)/7 + C(11f)/11 - ...), exact for infinite square waves.
+    Between groups C is interpolated linearly.
+    """
+    if not modulations or min(modulations) <= 0:
+        raise BadInput(f"the frequencies of bar groups must be positive, got {sorted(modulations)}")
+    known = np.array(sorted(modulations))
+    contrast = np.array([modulations[frequency] for frequency in known])
+    orders = np.arange(1, HIGHEST_ORDER + 1, 2)
+    weight = np.array([_sign(int(order)) / order for order in orders])
+    return {
+        float(frequency): float(np.pi / 4.0 * weight @ np.interp(orders * frequency, known, contrast, right=0.0))
+        for frequency in known
+    }
+
+
+def _sign(order: int) -> int:
+    """Return the sign of a term, 0 where the order has a square factor.
+
+    The square wave's harmonics carry (-1)^((k-1)/2), which is multiplicative, so that Moebius' function inverts them.
+    """
+    sign = (-1) ** ((order - 1) // 2)
+    for prime in range(3, order + 1, 2):
+        if order % prime == 0:
+            order //= prime
+            sign = -sign
+            if order % prime == 0:
+                return 0
+    return sign

@@ -1,0 +1,96 @@
+"""The plain method for bar targets: the contrast of the averaged profile times pi/4, as it is read by eye."""
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.method import Context, register
+from charact.mtf.bars.target import BarTarget, find
+from charact.mtf.bars.window import fitting_margin
+from charact.mtf.codes import code_flags
+from charact.mtf.region import Region
+from labdata.frames import FrameStack
+from labdata.measurement import Provenance, Result, from_sd, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "bars-contrast"
+# Three bars' worth of contrast in standard errors; below it peaks are peaks of noise.
+LEAST_SIGNAL = 12.0
+
+
+@register(
+    "bars",
+    METHOD,
+    quantities=("mtf",),
+    scope=(
+        "For comparison with readings by eye, always suspect: harmonics make it read up to a fifth low below a third "
+        "of the cut-off, outer bars low near it, and it is normalised to the light of the bars, not to all."
+    ),
+)
+def bars_contrast(
+    stack: FrameStack, *, region: Region | None = None, bars: int, frequency_cy_per_px: float, context: Context
+) -> Result:
+    """Read pi/4 (max - min)/(max + min) over the pedestal from the profile across the bars.
+
+    Parameters
+    ----------
+    stack, region, bars, frequency_cy_per_px, context
+        As for "bars-forward".
+
+    Returns
+    -------
+    Result
+        `mtf` at the bars' frequency, always suspect.
+
+    Notes
+    -----
+    Coltman (J. Opt. Soc. Am. 44, 468, 1954), first term of the series: right for infinite square waves beyond a third
+    of the cut-off only.
+    """
+    began = time.perf_counter()
+    used = stack if region is None else stack.region(*region)
+    where = region or (0, 0, *used.shape[1:])
+    frequency = float(frequency_cy_per_px)
+    common = {
+        "method": METHOD,
+        "region": where,
+        "frequency_cy_per_px": frequency,
+        "provenance": Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars}),
+    }
+    mean = used.data.mean(axis=0, dtype=np.float64)
+    target = find(mean, bars=int(bars), frequency=frequency, pitch_ratio=context.pitch_ratio)
+    read = None if target is None else _read(mean, target)
+    if target is None or read is None or read[0] < LEAST_SIGNAL * read[1]:
+        reason = f"no target: no contrast of {bars} bars at {frequency:g} cy/px stands out of the noise"
+        spent = time.perf_counter() - began
+        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), seconds=spent, **common),))
+    value, sd = read
+    flags = ("model-misfit", *code_flags(used.data[:, target.box(mean.shape, 1.0)], context.full_scale_dn))
+    one = from_sd(
+        "mtf", "1", value, sd, flags=flags, notes=("Contrast reading, for comparison only.",),
+        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, seconds=time.perf_counter() - began, **common,
+    )  # fmt: skip
+    return Result(measurements=(one,))
+
+
+def _read(mean: Array, target: BarTarget) -> tuple[float, float] | None:
+    """Return the reading and its standard error, from the pixels that lie on the middles of bars and of gaps."""
+    across, along = target.coordinates(mean.shape)
+    margin, _ = fitting_margin(target, (mean.shape[0], mean.shape[1]), 1.5 / target.frequency)
+    pedestal = float(np.median(mean[~target.box(mean.shape, margin)]))
+    inner = np.abs(along) < 0.3 * target.length_px
+    phase = (across * target.frequency + (target.bars - 1) / 2.0) % 1.0
+    within = inner & (np.abs(across) < (target.bars - 1) / 2.0 / target.frequency + 0.1 / target.frequency)
+    near = np.minimum(phase, 1.0 - phase)
+    on, between = mean[within & (near < 0.12)], mean[within & (near > 0.38)]
+    if min(on.size, between.size) < 3:
+        return None
+    high, low = on.mean() - pedestal, between.mean() - pedestal
+    if not high + low > 0:
+        return None
+    value = np.pi / 4.0 * (high - low) / (high + low)
+    error = np.hypot(on.std() / np.sqrt(on.size / 3.0), between.std() / np.sqrt(between.size / 3.0))
+    return float(value), float(np.pi / 4.0 * error / (high + low))

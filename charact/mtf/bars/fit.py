@@ -1,0 +1,220 @@
+"""The picture of a bar target fitted to its pixels, with the errors that the noise really there makes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.bars.model import Shape
+from charact.mtf.bars.noise import Noise, noise_of, noise_of_one
+from charact.mtf.bars.picture import BOUNDS, START_CORE, START_EXPONENT, Picture, Problem, priors, start_of
+from charact.mtf.bars.target import BarTarget
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ITERATIONS, SETTLED, ROUGHLY = 12, 3e-3, 0.1
+# Shares of a step that are tried until one betters the fit.
+SHARES = (1.0, 0.4, 0.1, 0.02)
+# Least variance of a pixel, on the square of the bars' height: the table of the picture is no better.
+LEAST_VARIANCE = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """A picture fitted.
+
+    Parameters
+    ----------
+    target
+        Where the bars lie.
+    shape
+        Their picture.
+    names, value, covariance
+        Parameters, their values and covariance.
+    residual_dn, model_dn
+        Pixels less the picture, and the picture, shape (pixel,).
+    slope
+        Derivatives of the picture, shape (parameter, pixel).
+    inverse
+        Inverse of the normal matrix, priors included, shape (parameter, parameter).
+    estimator
+        What each pixel weighs in each parameter, shape (parameter, pixel).
+    noise_covariance
+        The part of the covariance that the noise makes.
+    prior_mean, precision
+        Of the priors, shape (parameter,); precision 0: none.
+    window
+        Which pixels were used, shape (row, col).
+    noise
+        Noise of the pixels.
+    """
+
+    target: BarTarget
+    shape: Shape
+    names: tuple[str, ...]
+    value: Array
+    covariance: Array
+    residual_dn: Array
+    model_dn: Array
+    slope: Array
+    inverse: Array
+    estimator: Array
+    noise_covariance: Array
+    prior_mean: Array
+    precision: Array
+    window: Mask
+    noise: Noise
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.value[self.names.index(name)])
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return dict(zip(self.names, self.value.tolist(), strict=True))
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of a parameter."""
+        index = self.names.index(name)
+        return float(np.sqrt(self.covariance[index, index]))
+
+
+def fitted(
+    problem: Problem,
+    target: BarTarget,
+    start: dict[str, float],
+    noise: Noise | None = None,
+    *,
+    tolerance: float = SETTLED,
+) -> Fit:
+    """Fit the picture by damped Gauss-Newton steps; the noise, if known, tells the covariance.
+
+    Notes
+    -----
+    Weighted least squares is a linear estimator near its answer, E = (J' W J + P)^-1 J' W: whatever the correlation
+    between pixels, its covariance is E S E' + the priors' part.
+    """
+    picture, names = Picture(problem, target), problem.names
+    theta = np.array([start[name] for name in names])
+    here = _reached(picture, theta, picture.shape(start).pixel)
+    bounds = np.array([BOUNDS.get(name, (-np.inf, np.inf)) for name in names])
+    for _ in range(ITERATIONS):
+        there, expected = _stepped(picture, here, bounds)
+        if there is None:
+            break
+        here = there
+        if expected < tolerance:
+            break
+    return _told(problem, target, picture, here, noise)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Reached:
+    """A point on the way to a fit: the picture there, its slopes, its cost and the priors in it."""
+
+    theta: Array
+    model: Array
+    slope: Array
+    cost: float
+    mean: Array
+    precision: Array
+    pixel: float
+
+
+def _reached(picture: Picture, theta: Array, pixel: float) -> _Reached:
+    """Return the picture at a point; `pixel` is the aperture's transfer, which the priors need for the MTF."""
+    problem = picture.problem
+    model, slope = picture(dict(zip(problem.names, theta, strict=True)))
+    mean, precision = priors(problem, float(pixel * np.exp(-np.exp(theta[0]))))
+    left = (problem.image[problem.window] - model) ** 2
+    cost = float(np.sum(left / problem.variance) + precision @ (theta - mean) ** 2)
+    return _Reached(theta=theta, model=model, slope=slope, cost=cost, mean=mean, precision=precision, pixel=pixel)
+
+
+def _stepped(picture: Picture, here: _Reached, bounds: Array) -> tuple[_Reached | None, float]:
+    """Return a better point along the Gauss-Newton step, None if there is none, and the gain that was expected."""
+    problem = picture.problem
+    weighed = here.slope / problem.variance
+    normal = weighed @ here.slope.T + np.diag(here.precision)
+    gradient = weighed @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
+    for share in SHARES:
+        there = _reached(picture, np.clip(here.theta + share * step, bounds[:, 0], bounds[:, 1]), here.pixel)
+        if there.cost < here.cost:
+            return there, float(gradient @ step)
+    return None, 0.0
+
+
+def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached, noise: Noise | None) -> Fit:
+    """Return the fit at a point with its covariance."""
+    weighed = here.slope / problem.variance
+    normal = weighed @ here.slope.T + np.diag(here.precision)
+    inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=np.float64)
+    estimator = inverse @ weighed
+    noise = noise or Noise(variance=problem.variance, correlation=np.ones((1, 1)))
+    spread = noise.spread(estimator, problem.window)
+    point = dict(zip(problem.names, here.theta.tolist(), strict=True))
+    return Fit(
+        target=_moved(target, point),
+        shape=picture.shape(point),
+        names=problem.names,
+        value=here.theta,
+        covariance=spread + (inverse * here.precision) @ inverse,
+        residual_dn=problem.image[problem.window] - here.model,
+        model_dn=here.model,
+        slope=here.slope,
+        inverse=inverse,
+        estimator=estimator,
+        noise_covariance=spread,
+        prior_mean=here.mean,
+        precision=here.precision,
+        window=problem.window,
+        noise=noise,
+    )
+
+
+def _moved(target: BarTarget, point: dict[str, float]) -> BarTarget:
+    """Return the target where the fit has put it."""
+    cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])
+    across, along = point["across_px"], point.get("along_px", 0.0)
+    return replace(
+        target,
+        frequency=float(np.exp(point["log_frequency"])),
+        angle_rad=point["angle_rad"],
+        col=target.col + across * cosine - along * sine,
+        row=target.row + (across * sine + along * cosine) / target.pitch_ratio,
+    )
+
+
+def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: float = 1.0) -> tuple[Fit, Problem]:
+    """Fit the mean of frames with the noise that is in them; return the problem with each pixel's variance too.
+
+    Parameters
+    ----------
+    frames
+        Shape (frame, row, col); of one alone the noise is what a first fit leaves over.
+    inflation
+        Factor by which light that lingers widens the error of the mean, on its square.
+    """
+    first = fitted(problem, target, start_of(problem, target, START_EXPONENT, START_CORE), tolerance=ROUGHLY)
+    window = problem.window
+    if len(frames) > 1:
+        noise = noise_of(frames, first.model_dn, window, inflation=inflation)
+    else:
+        spread = first.noise_covariance
+        for _ in range(2):
+            absorbed = _root(spread).T @ first.slope
+            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window)
+            spread = noise.spread(first.estimator, window)
+    # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
+    least = max(float(noise.variance.mean()), LEAST_VARIANCE * first["level_dn"] ** 2)
+    weighed = replace(problem, variance=np.maximum(noise.variance, least))
+    return fitted(weighed, target, first.values, noise), weighed
+
+
+def _root(covariance: Array) -> Array:
+    """Return a matrix whose square is a covariance, shape (parameter, parameter)."""
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))

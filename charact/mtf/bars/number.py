@@ -1,0 +1,68 @@
+"""How many bars a picture shows: a fit of too few or too many leaves over what one more or one less explains."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.bars.fit import ROUGHLY, Fit, fitted
+from charact.mtf.bars.model import table_of
+from charact.mtf.bars.picture import START_CORE, START_EXPONENT, Picture, Problem, start_of
+
+Array = NDArray[np.float64]
+
+# Where other bars may lie beside those fitted, periods.
+BESIDE = (-0.5, 0.0, 0.5)
+# Chi squared over that of the number fitted from which on no fit of another is tried.
+HOPELESS = 2.0
+# Chi squared that another number must save, over the sum of the noise's correlation, or its share of all.
+WORTH_CHI2, WORTH_SHARE = 25.0, 1.0 / 3.0
+
+
+def other_number(fit: Fit, problem: Problem) -> int | None:
+    """Return the number of bars, one less or one more, that describes the pixels better than the one fitted, if any."""
+    asked = _misfit(fit, problem)
+    begun = {n: _begun(fit, problem, n) for n in (fit.target.bars - 1, fit.target.bars + 1) if n > 1}
+    left = {
+        n: _misfit(_refitted(fit, problem, n, shift_px), problem)
+        for n, (least, shift_px) in begun.items()
+        if least < HOPELESS * asked
+    }
+    if not left:
+        return None
+    best = min(left, key=left.__getitem__)
+    shared = max(float(np.abs(fit.noise.correlation).sum()), 1.0)
+    # A wrong number leaves patterns over that pass for correlated noise, of which no number saves a third.
+    return best if asked - left[best] > min(WORTH_CHI2 * shared, WORTH_SHARE * asked) else None
+
+
+def _misfit(fit: Fit, problem: Problem) -> float:
+    """Return chi squared and what the priors add to it."""
+    return float(np.sum(fit.residual_dn**2 / problem.variance) + fit.precision @ (fit.value - fit.prior_mean) ** 2)
+
+
+def _begun(fit: Fit, problem: Problem, bars: int) -> tuple[float, float]:
+    """Return the least chi squared of so many bars seen through the fitted transfer, light and ground free, and where.
+
+    Where is by how much they lie beside the bars fitted, px.
+    """
+    picture = Picture(problem, fit.target)
+    across, along = picture.places(fit["angle_rad"], 0.0, 0.0)
+    reach = picture.reach[0] + max(BESIDE) / fit.target.frequency, picture.reach[1]
+    table = table_of(replace(fit.shape, bars=bars), *reach)
+    weight = 1.0 / np.sqrt(problem.variance)
+    ground = np.stack([np.ones_like(across), across / reach[0], along / reach[1]]) * weight
+    data, left = problem.image[problem.window] * weight, {}
+    for shift_px in np.array(BESIDE) / fit.target.frequency:
+        design = np.concatenate([(table.at(across - shift_px, along)[0] * weight)[None], ground])
+        amplitude = np.linalg.lstsq(design @ design.T, design @ data, rcond=1e-12)[0]
+        left[float(shift_px)] = float(np.sum((data - amplitude @ design) ** 2))
+    best = min(left, key=left.__getitem__)
+    return left[best], best
+
+
+def _refitted(fit: Fit, problem: Problem, bars: int, shift_px: float) -> Fit:
+    """Return a rough fit of another number of bars."""
+    start = start_of(problem, fit.target, START_EXPONENT, START_CORE)
+    start |= {"angle_rad": fit["angle_rad"], "across_px": shift_px}
+    return fitted(problem, replace(fit.target, bars=bars), start, fit.noise, tolerance=ROUGHLY)

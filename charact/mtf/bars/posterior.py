@@ -1,0 +1,86 @@
+"""Draws of the MTF at the frequency of the bars: from a fitted picture, or from the sums over a whole target."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.bars.amplitudes import Amplitudes
+from charact.mtf.bars.bias import mtf_bias
+from charact.mtf.bars.compressed import compressed
+from charact.mtf.bars.fit import Fit
+from charact.mtf.bars.picture import BOUNDS, Problem
+from charact.posterior import laplace, sample
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+LARGEST_MTF = 1.5
+SHAPE = ("log_attenuation", "log_exponent", "departure")
+
+
+def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
+    """Draw the transfer's shape: attenuation and exponent of the family, and the departure from it at the bars.
+
+    Noise squared lifts or lowers the fitted MTF M = p exp(-a) (1 + departure) by some bias on the average: ln(a) is
+    moved by bias / (a M), which takes it off.
+    """
+    own = [fit.names.index(name) for name in SHAPE]
+    lifted = mtf_bias(fit, problem) / fit.shape.mtf
+    shift = np.array([lifted / np.exp(fit["log_attenuation"]), 0.0, 0.0])
+    asked = {
+        "names": SHAPE,
+        "units": ("1", "1", "1"),
+        "start": fit.value[own] + shift,
+        "covariance": fit.covariance[np.ix_(own, own)],
+        "bounds": np.array([BOUNDS[name] for name in SHAPE]),
+        "seed": context.seed,
+    }
+    if context.quick:
+        return laplace(lambda theta: np.zeros(len(theta)), **asked)
+    density = compressed(fit, problem)
+    return sample(lambda theta: density(theta - shift), **asked)
+
+
+def mtf_of(posterior: Posterior, fit: Fit) -> Array:
+    """Return the MTF of each draw at the reference frequency, pixel included."""
+    core = np.exp(-np.exp(posterior["log_attenuation"]))
+    return fit.shape.pixel * core * (1.0 + posterior["departure"])
+
+
+def of_sums(found: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
+    """Draw light, MTF and the share of light lost beyond the window.
+
+    Priors: light and MTF even over (0, 2 I(0)) and (0, 1.5); the share lost normal as the camera's ranges say, not
+    negative. Student's t with the freedom of the estimated covariance.
+    """
+    inverse = np.linalg.inv(found.covariance)
+    share, share_sd = lost
+    known = share_sd == 0.0
+    bounds = np.array([(0.0, 2.0), (0.0, LARGEST_MTF), (max(0.0, share - 8 * share_sd), share + 8 * share_sd)])
+    bounds = bounds[:2] if known else bounds
+
+    def log_probability(theta: Array) -> Array:
+        light, mtf = theta[:, 0], theta[:, 1]
+        beyond = np.full(len(theta), share) if known else theta[:, 2]
+        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        expected = found.light * light[:, None] * np.stack([1.0 - beyond, 2.0 / np.pi * mtf], axis=1)
+        off = np.array([found.light, found.fundamental]) - expected
+        chi2 = np.einsum("ni,ij,nj->n", off, inverse, off)
+        likelihood = -0.5 * (found.freedom + 2.0) * np.log1p(chi2 / found.freedom)
+        prior = 0.0 if known else -0.5 * ((beyond - share) / share_sd) ** 2
+        return np.where(inside, likelihood + prior, -np.inf)
+
+    ratio = min(np.pi / 2 * found.fundamental / found.light * (1.0 - share), LARGEST_MTF - 0.01)
+    start = np.array([1.0 / (1.0 - share), ratio, share])
+    relative = found.covariance / found.light**2
+    spread = np.diag([relative[0, 0], (np.pi / 2) ** 2 * relative[1, 1] + ratio**2 * relative[0, 0], share_sd**2])
+    count = len(bounds)
+    asked = {
+        "names": ("light", "mtf", "lost_share")[:count],
+        "units": ("1", "1", "1")[:count],
+        "start": start[:count],
+        "covariance": spread[:count, :count],
+    }
+    if context.quick:
+        return laplace(log_probability, **asked, seed=context.seed, bounds=bounds)
+    return sample(log_probability, **asked, seed=context.seed, bounds=bounds)

@@ -1,0 +1,1 @@
+"""Edges: each file that is named after a method is one."""

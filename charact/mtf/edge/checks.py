@@ -1,0 +1,153 @@
+"""The ways in which an edge deceives, each looked for in the data: what is found becomes a flag."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.codes import code_flags
+from charact.mtf.edge.pixels.line import RowFit
+from charact.mtf.edge.pixels.profile import Profile
+from charact.mtf.picture import Picture
+from charact.robust import median, spread
+
+Array = NDArray[np.float64]
+
+# Significance from which a departure counts, in standard errors, and the size from which it matters.
+SIGNIFICANT = 4.0
+# The same for a course that is bowed or differs between fields, of which few numbers tell.
+COURSE_SIGNIFICANT = 3.5
+FIELD_OFFSET_PX = 0.04
+SAGITTA_PX = 0.12
+LEAST_TRAVEL_PX = 1.0
+BLOCKS = 12
+# Chi squared per bin beyond which the profile is not what the model says it is.
+MISFIT = 1.6
+# Illumination that changes by more than this share over the band is told, though the fit allows for it.
+GRADIENT = 0.2
+LEAST_STEP_SD = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """A profile as a method fitted it.
+
+    Parameters
+    ----------
+    model
+        The best profile at the bins, DN.
+    amplitude
+        Step, level and both ways in which light slopes, DN and DN per px.
+    chi2, free
+        Chi squared, and the bins less the parameters that the data fix.
+    """
+
+    model: Array
+    amplitude: Array
+    chi2: float
+    free: int
+
+
+def picture_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
+    """Return the flags that the codes of the region give."""
+    return code_flags(data, full_scale_dn)
+
+
+def line_flags(picture: Picture, rows: RowFit, profile: Profile) -> tuple[str, ...]:
+    """Return the flags of the edge's course: its tilt, its bow, and whether the two fields agree."""
+    flags = []
+    if abs(rows.line.slope) * picture.value.shape[0] < LEAST_TRAVEL_PX:
+        flags.append("tilt-too-small")
+    if _bowed(rows.offset):
+        flags.append("curved-edge")
+    if _columns_disagree(picture, profile) if picture.transposed else _fields_disagree(picture, rows):
+        flags.append("interlace-motion")
+    return tuple(flags)
+
+
+def _fields_disagree(picture: Picture, rows: RowFit) -> bool:
+    """Tell whether the edge lies elsewhere in odd rows of the frame than in even ones."""
+    good = np.isfinite(rows.offset)
+    odd = (picture.row_index[:, 0] % 2).astype(bool)
+    if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < 6:
+        return False
+    one, other = rows.offset[good & odd], rows.offset[good & ~odd]
+    apart = median(one) - median(other)
+    error = 1.25 * np.hypot(spread(one) / np.sqrt(one.size), spread(other) / np.sqrt(other.size))
+    return bool(abs(apart) > max(COURSE_SIGNIFICANT * error, FIELD_OFFSET_PX))
+
+
+def _columns_disagree(picture: Picture, profile: Profile) -> bool:
+    """Tell whether fields disagree whose lines run along the edge: they alternate across the picture's columns.
+
+    Pixels off the mean profile by its slope times half a displacement, one way in odd lines and the other in even
+    ones, tell the displacement by least squares.
+    """
+    steep = np.gradient(np.convolve(profile.value, np.ones(5) / 5.0, "same"), profile.distance)
+    used = profile.gathered.used & (np.abs(profile.gathered.distance) < 8.0)
+    distance, sign = profile.gathered.distance[used], 1.0 - 2.0 * (picture.row_index[used] % 2)
+    residual = picture.value[used] - np.interp(distance, profile.distance, profile.value)
+    shape = 0.5 * sign * np.interp(distance, profile.distance, steep)
+    power = float(shape @ shape)
+    if power <= 0 or not (sign > 0).any() or not (sign < 0).any():
+        return False
+    noise = np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance))
+    return bool(abs(shape @ residual) / power > max(COURSE_SIGNIFICANT * noise / np.sqrt(power), FIELD_OFFSET_PX))
+
+
+def _bowed(offset: Array) -> bool:
+    """Tell whether the rows' displacements follow a bow or a wave rather than scatter.
+
+    Blocks of rows are compared with what their rows' scatter allows; neighbouring rows share noise, so the scatter
+    of blocks is taken from the differences of neighbouring blocks where that is larger.
+    """
+    good = np.isfinite(offset)
+    if np.count_nonzero(good) < 24:
+        return False
+    place = np.linspace(-1.0, 1.0, offset.size)[good]
+    value = offset[good]
+    design = np.polynomial.legendre.legvander(place, 3)
+    begin = np.arange(BLOCKS) * value.size // BLOCKS
+    size = np.diff(begin, append=value.size)
+    means = np.add.reduceat(value, begin) / size
+    within = np.mean((np.add.reduceat(value**2, begin) / size - means**2) / (size - 1.0))
+    differences = 0.5 * median(np.diff(means) ** 2) / 0.455
+    error = np.sqrt(max(within, differences) * BLOCKS)
+    shape = np.linalg.lstsq(design, value, rcond=None)[0][2:]
+    # A Legendre amplitude of evenly spread values has the variance (2 k + 1) s^2 / n.
+    significant = np.abs(shape) > COURSE_SIGNIFICANT * error / BLOCKS * np.sqrt([5.0, 7.0])
+    return bool(np.any(significant & (np.abs(shape) > SAGITTA_PX / 1.5)))
+
+
+def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency: float) -> tuple[str, ...]:
+    """Return the flags of the fitted profile."""
+    flags = []
+    step, slopes = abs(fitted.amplitude[0]), profile.light.by_side(fitted.amplitude)[-2:]
+    noise = float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
+    if fitted.chi2 / fitted.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fitted.free):
+        flags.append("model-misfit")
+    if profile.defects:
+        flags.append("defects")
+    if np.abs(slopes).max() * 2.0 * profile.gathered.half_width_px > GRADIENT * step:
+        flags.append("gradient")
+    if step < LEAST_STEP_SD * noise:
+        flags.append("low-signal")
+    if picture.whole_codes and step < 12.0 and noise * np.sqrt(picture.frames) < 0.45:
+        flags.append("quantised")
+    if profile.gathered.half_width_px < 1.6 / half_frequency:
+        flags.append("window-too-small")
+    if _other_steps(profile, fitted):
+        flags.append("several-targets")
+    return tuple(flags)
+
+
+def _other_steps(profile: Profile, fitted: Fitted) -> bool:
+    """Tell whether the plateaus hold another step: a tenth of the edge's own over several pixels."""
+    left = profile.value - fitted.model
+    weight = profile.count
+    cell = np.floor(profile.distance / 3.0).astype(int)
+    cell -= cell.min()
+    means = np.bincount(cell, weights=weight * left) / np.maximum(np.bincount(cell, weights=weight), 1e-9)
+    error = np.sqrt(profile.grain.covariance_over_variance * profile.grain.bright_variance)
+    error = error / np.sqrt(np.maximum(np.bincount(cell, weights=weight), 1.0))
+    return bool(np.any((np.abs(means) > 0.1 * abs(fitted.amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))

@@ -1,0 +1,166 @@
+"""Which forms of the point spread an edge's profile asks for: fitted simple ones first, weighed by their evidence."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.edge.fit.beyond import Promise, departure_gain, fit_wide, promises
+from charact.mtf.edge.fit.family_fit import FamilyFit, FamilyFitter
+from charact.mtf.edge.forward_model import departure_shapes
+from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
+from charact.mtf.forms.families import Core, DiscPrior, Family, GlarePrior, HaloPrior, VeilPrior, Wide
+from charact.mtf.optics import halo_diameters_px
+
+Array = NDArray[np.float64]
+
+# A form this much less probable than the best, as a share, adds nothing to the draws.
+LEAST_SHARE = 0.02
+# Power of the evidence by which forms are weighed: none of them is the blur itself, and the noise is an estimate too
+# (power likelihoods: Gruenwald & van Ommen 2017, doi 10.1214/17-BA1085).
+TEMPERED = 0.7
+# Gain in chi squared from which on wide light is worth a fit of its own, and odds from which on it is with less.
+WORTH_CHI2, WORTH_ODDS = 6.0, 0.6
+# Forms within this of the best in ln of the evidence are worth pursuing.
+CLOSE = 8.0
+# Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
+LEAST_FOR_DISC_PX, LEAST_FOR_HALO_PX = 6.0, 16.0
+# Light that slopes is tried with forms that would come within this of the best.
+SLOPED = 5.0
+# A fit that began this much worse than the best in chi squared is not carried on.
+HOPELESS = 100.0
+# Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
+DEPARTED_SD = 4.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weighed:
+    """A fitted form with its share of the evidence."""
+
+    fit: FamilyFit
+    share: float
+
+
+def wides(context: Context, half_width_px: float, *, transposed: bool) -> tuple[Wide, ...]:
+    """Return what light beyond the core the window can show."""
+    if context.sensor is not None:
+        low, high = halo_diameters_px(context, transposed=transposed)
+        return (HaloPrior(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
+    found: list[Wide] = [VeilPrior(size_px=(0.5 * half_width_px, 4.0 * half_width_px))]
+    if half_width_px >= LEAST_FOR_DISC_PX:
+        found.append(DiscPrior(size_px=(6.0, 2.0 * half_width_px)))
+    if half_width_px >= LEAST_FOR_HALO_PX:
+        found.append(HaloPrior(size_px=(6.0, 2.0 * half_width_px)))
+        found.append(GlarePrior(size_px=(2.0, 0.25 * half_width_px)))
+    return tuple(found)
+
+
+def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
+    """Fit the forms that the data may ask for, simple ones first, and return them, the most probable first."""
+    even = _forms(fitter, wide, EVEN_PER_PX)
+    uneven = _uneven(fitter, even)
+    likeliest = max(uneven, key=_evidence, default=even[0])
+    if likeliest.log_evidence > max(map(_evidence, even)):
+        # What was given up as hopeless in even light may be what the slopes stand for.
+        uneven = _best_of_each([*uneven, *_forms(fitter, wide, likeliest.slope_sd_per_px)])
+    return _weighed([*even, *uneven, *_unseen(fitter, uneven, wide)])
+
+
+def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float) -> list[FamilyFit]:
+    """Fit the cores, then light beyond those that may have it, under one prior of the light's slopes."""
+    guess = fitter.guess()
+    found = [fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
+    found.append(_next_core(fitter, "exponential", found[0], guess))
+    best = max(found, key=_evidence)
+    if best.family.core == "exponential":
+        found.append(_next_core(fitter, "moffat", best, guess))
+    cores = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE or fit.family.core != "moffat"]
+    promised = [one for core in cores for one in promises(fitter, core, wide)]
+    for promise in sorted(_worth(promised), key=lambda one: wide.index(one.wide)):
+        fit = fit_wide(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
+        found += [] if fit is None else [fit]
+    return found
+
+
+def _worth(promised: list[Promise]) -> list[Promise]:
+    """Return the light beyond a core that is worth a fit: all that the edge tells, and the likeliest of what it cannot.
+
+    An edge too weak to tell light beyond the core leaves it as likely as it was: one stands for all of that.
+    """
+    told = [one for one in promised if one.gains.max() >= WORTH_CHI2]
+    rest = [one for one in promised if one.gains.max() < WORTH_CHI2]
+    best = max((one.core.log_evidence for one in promised), default=0.0)
+    likely = np.array([one.odds * np.exp(one.core.log_evidence - best) for one in rest])
+    if not likely.sum() > WORTH_ODDS:
+        return told
+    likeliest = rest[int(np.argmax(likely))]
+    stands_for = float(np.log(likely.sum() / likely.max()))
+    return [*told, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
+
+
+def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
+    return np.concatenate([[0.0], Family(core=core).start(half_frequency_cy_per_px)])
+
+
+def _next_core(fitter: FamilyFitter, core: Core, near: FamilyFit, half_frequency_cy_per_px: float) -> FamilyFit:
+    """Fit a core from the shift and half frequency of another."""
+    start = _start(core, half_frequency_cy_per_px)
+    start[:2] = near.point[:2]
+    return fitter.fit(Family(core=core), start, near.slope_sd_per_px)
+
+
+def _evidence(fit: FamilyFit) -> float:
+    return fit.log_evidence
+
+
+def _best_of_each(fits: list[FamilyFit]) -> list[FamilyFit]:
+    """Return the likeliest fit of each form: one form fitted twice must not count twice."""
+    best: dict[tuple[Family, float], FamilyFit] = {}
+    for fit in fits:
+        key = fit.family, fit.slope_sd_per_px
+        if key not in best or fit.cost < best[key].cost:
+            best[key] = fit
+    return list(best.values())
+
+
+def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
+    """Fit again the forms that uneven light would make probable.
+
+    All of them are asked: light that slopes on both sides may hide behind wings or a halo fitted to it.
+    """
+    asked = [(fit, slope) for fit in found for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)]
+    promised = np.array([fit.log_evidence + fitter.slope_gain(fit, slope) for fit, slope in asked])
+    least = max(promised.max(), *(fit.log_evidence for fit in found)) - SLOPED
+    return [
+        fitter.fit(fit.family, fit.point, slope, fit.ln_weight)
+        for (fit, slope), promise in zip(asked, promised, strict=True)
+        if promise > least
+    ]
+
+
+def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...]) -> list[FamilyFit]:
+    """Fit light wider than the window to what was taken for uneven light, where it rises on both sides."""
+    veils = [prior for prior in wide if isinstance(prior, VeilPrior)]
+    rising = [fit for fit in uneven if fit.family.wide is None and fitter.side_slopes(fit).min() > 0]
+    if not veils or not rising:
+        return []
+    best, veil = max(rising, key=_evidence), veils[0]
+    widest = veil.size_px[1]
+    # The edge spread of a Gaussian rises by 1 / (sqrt(2 pi) sigma) at its middle.
+    share = min(float(fitter.side_slopes(best).min() / best.amplitude[0]) * np.sqrt(2.0 * np.pi) * widest, 0.3)
+    start = np.concatenate([best.point, [share, 0.5 * widest]])
+    return [fitter.fit(Family(core=best.family.core, wide=veil), start, UNEVEN_PER_PX, -float(np.log(len(wide))))]
+
+
+def _weighed(found: list[FamilyFit]) -> list[Weighed]:
+    evidence = np.array([fit.log_evidence for fit in found])
+    share = np.exp(TEMPERED * (evidence - evidence.max()))
+    share /= share.sum()
+    return [Weighed(fit=found[i], share=float(share[i])) for i in np.argsort(-share) if share[i] > LEAST_SHARE]
+
+
+def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
+    """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
+    gain, count = departure_gain(fitter, fit, departure_shapes)
+    return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)

@@ -1,0 +1,302 @@
+"""Line spreads of any shape that a profile allows: Gaussian processes, their smoothness chosen by evidence.
+
+A line spread in front of the pixel is smooth over a length, confined to a width and more or less symmetric. The profile
+is linear in it, so that evidence, mean and draws are in closed form.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge.pixels.profile import Profile
+from charact.mtf.optics import Known
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Places that carry the line spread: this far apart near the edge and, in shares of their distance, farther out.
+SPACING_PX, SPACING_SHARE = 0.2, 0.09
+# Widths over which the line spread is confined, px, and lengths over which it is smooth, shares of the width.
+WIDTHS_PX = 0.5 * 1.4 ** np.arange(12)
+SMOOTHNESS = (0.5, 0.8, 1.2)
+# Envelopes: 1/(1 + (d/a)^2), and one that falls exponentially.
+TAILS = ("short", "long")
+# Tails within this of the best in ln of the evidence are worth pursuing.
+CLOSE = 6.0
+# Size of what is lopsided in a line spread, as a share of what is symmetric.
+LOPSIDED = (0.03, 0.3)
+# Light beyond the region lies between none and this many times what the outer half of the region holds: a tube's
+# tails carry about nine tenths of that there, and the levels of the plateaus hide as much again.
+BEYOND = 2.0
+DRAWS = 600
+# Settings this much less probable than the best, as a share, add nothing to the draws.
+LEAST_SHARE = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """The line spread under one width and one smoothness.
+
+    Parameters
+    ----------
+    width_px, tail, smooth_px
+        The envelope's width and kind, and the length over which the line spread is smooth.
+    log_evidence
+        ln of the marginal likelihood, up to a constant.
+    mean, root
+        Line spread at the places and a root of its covariance, DN per px.
+    model
+        Profile at the bins, DN.
+    amplitude
+        Step, level and slopes, DN and DN per px.
+    chi2, used_freedom
+        Chi squared of the mean, and the parameters that the data fixed.
+    """
+
+    width_px: float
+    tail: str
+    smooth_px: float
+    log_evidence: float
+    mean: Array
+    root: Array
+    model: Array
+    amplitude: Array
+    chi2: float
+    used_freedom: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Tried:
+    """A setting with the factors of its posterior."""
+
+    log_evidence: float
+    width_px: float
+    tail: str
+    smooth_px: float
+    basis: Array
+    values: Array
+    along: Array
+
+
+class LineSpreads:
+    """Line spreads of one profile.
+
+    Parameters
+    ----------
+    profile
+        The measured profile.
+    known
+        Aperture and video filter behind the line spread.
+    slope_sd_per_px
+        Prior of the illumination's slopes, share of the step per px.
+    shift_px
+        Where the edge is.
+    """
+
+    def __init__(self, profile: Profile, known: Known, slope_sd_per_px: float, shift_px: float) -> None:
+        self._profile = profile
+        self.places = _places(float(profile.gathered.half_width_px))
+        self._scale = max(abs(profile.step), 1e-300)
+        root = np.linalg.inv(np.linalg.cholesky(profile.covariance))
+        levels = self._levels = profile.levels
+        weights = _edge_of_line(self.places, profile.distance - shift_px, profile.spread_px, known)
+        data, design = root @ profile.value, root @ np.concatenate([weights, levels], axis=1)
+        size = self.places.size
+        level_prior = np.array([0.0, *profile.slopes_sd(slope_sd_per_px) ** -2.0])
+        self._weights, self._root, self._data = weights, root, data
+        self._lines, self._white_levels, self._level_prior = design[:, :size], design[:, size:], level_prior
+        self.free = len(data) - 1
+        flat = self._white_levels[:, :1] / np.linalg.norm(self._white_levels[:, 0])
+        self.power = float(data @ data - (flat[:, 0] @ data) ** 2)
+        self.settings = self._weighed()
+
+    def _weighed(self) -> list[Setting]:
+        """Return the settings that count, the most probable first."""
+        # Levels and slopes are projected out, once for all settings.
+        outer = self._white_levels.T @ self._white_levels + np.diag(self._level_prior)
+        onto = np.linalg.solve(outer, self._white_levels.T @ np.concatenate([self._lines, self._data[:, None]], axis=1))
+        lines, data = self._lines, self._data
+        left = lines.T @ lines - (lines.T @ self._white_levels) @ onto[:, :-1]
+        right = lines.T @ data - (lines.T @ self._white_levels) @ onto[:, -1]
+        power = float(data @ data - (data @ self._white_levels) @ onto[:, -1])
+
+        def tried_at(widths, tails, smoothness, lopsidedness):
+            return [
+                self._tried(left, right, power, float(width), tail, share, lopsided)
+                for width in widths
+                for tail in tails
+                for share in smoothness
+                for lopsided in lopsidedness
+            ]
+
+        # The width first, for either kind of tail; then all that goes with widths around the best.
+        coarse = tried_at(WIDTHS_PX, TAILS, SMOOTHNESS[1:2], LOPSIDED[:1])
+        top = max(coarse, key=lambda one: one.log_evidence)
+        tails = [
+            tail
+            for tail in TAILS
+            if max(one.log_evidence for one in coarse if one.tail == tail) > top.log_evidence - CLOSE
+        ]
+        near = int(np.argmin(np.abs(WIDTHS_PX - top.width_px)))
+        around = WIDTHS_PX[max(near - 1, 0) : near + 2]
+        tried = tried_at(around, tails, SMOOTHNESS, LOPSIDED)
+        evidence = np.array([one.log_evidence for one in tried])
+        share = np.exp(evidence - evidence.max())
+        share /= share.sum()
+        self.shares = np.sort(share[share > LEAST_SHARE])[::-1]
+        order = [i for i in np.argsort(-share) if share[i] > LEAST_SHARE]
+        return [self._finished(tried[i], np.asarray(onto, float)) for i in order]
+
+    def _tried(
+        self, left: Array, right: Array, power: float, width: float, tail: str, share: float, lopsided: float
+    ) -> "_Tried":
+        """Return evidence, setting and posterior factors of one width, tail, smoothness and symmetry."""
+        even, odd = _prior_root(self.places.tobytes(), width, tail, width * share)
+        prior = np.concatenate([even, lopsided * odd], axis=1) * self._scale
+        inner = prior.T @ left @ prior
+        values, vectors = np.linalg.eigh(inner)
+        values = np.maximum(values, 0.0)
+        along = vectors.T @ (prior.T @ right)
+        log_evidence = -0.5 * (power - float(np.sum(along**2 / (1.0 + values)))) - 0.5 * float(np.sum(np.log1p(values)))
+        return _Tried(
+            log_evidence=log_evidence,
+            width_px=width,
+            tail=tail,
+            smooth_px=width * share,
+            basis=prior @ vectors,
+            values=values,
+            along=along,
+        )
+
+    def _finished(self, tried: "_Tried", onto: Array) -> Setting:
+        """Return the line spread of a setting, given the levels that go with each of its values."""
+        mean = np.asarray(tried.basis @ (tried.along / (1.0 + tried.values)), float)
+        levels = onto[:, -1] - onto[:, :-1] @ mean
+        model = self._weights @ mean + self._levels @ levels
+        step = float(np.sum(mean * _cells(self.places)))
+        residual = self._data - self._root @ model
+        return Setting(
+            width_px=tried.width_px,
+            tail=tried.tail,
+            smooth_px=tried.smooth_px,
+            log_evidence=tried.log_evidence,
+            mean=mean,
+            root=tried.basis / np.sqrt(1.0 + tried.values),
+            model=model,
+            amplitude=np.concatenate([[step], levels]),
+            chi2=float(residual @ residual),
+            used_freedom=round(float(np.sum(tried.values / (1.0 + tried.values)))),
+        )
+
+    def posterior(self, seed: int) -> Posterior:
+        """Return draws of the line spread, each setting in proportion to its evidence."""
+        rng = np.random.default_rng(seed)
+        counts = np.maximum(np.round(DRAWS * self.shares / self.shares.sum()).astype(int), 1)
+        drawn = [
+            one.mean + rng.standard_normal((count, one.root.shape[1])) @ one.root.T
+            for one, count in zip(self.settings, counts, strict=True)
+        ]
+        names = tuple(f"line_spread_{place:+.2f}_px" for place in self.places)
+        return Posterior(
+            names=names, units=("DN/px",) * len(names), draws=np.concatenate(drawn), sampler="laplace", seed=seed
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transfers:
+    """MTFs of drawn line spreads, shape (draw, place), at places, px, seen through the known part of the transfer."""
+
+    places: Array
+    draws: Array
+    known: Known
+    seed: int
+
+    def mtf(self, frequency: Array) -> Array:
+        """Return the MTF at frequencies, shape (f,) -> (draw, f), normalised to all the light."""
+        weighted = self.draws * _cells(self.places)
+        # Between places the line spread runs straight, which is a factor sinc^2 where they are evenly spaced.
+        phase = 2.0 * np.pi * np.outer(self.places, frequency)
+        smooth = np.sinc(np.outer(_cells(self.places), frequency)) ** 2
+        real, imaginary = weighted @ (np.cos(phase) * smooth), weighted @ (np.sin(phase) * smooth)
+        total = weighted.sum(axis=1)
+        outer = weighted[:, np.abs(self.places) > 0.5 * self.places[-1]].sum(axis=1)
+        beyond = np.random.default_rng(self.seed).uniform(0.0, BEYOND, len(total)) * np.maximum(outer / total, 0.0)
+        return np.hypot(real, imaginary) / (np.abs(total) * (1.0 + beyond))[:, None] * np.abs(self.known(frequency))
+
+
+def _places(limit: float) -> Array:
+    """Return places from -limit to limit, px: even near the edge, farther apart with the distance."""
+    place, side = SPACING_PX, []
+    while place < limit:
+        side.append(place)
+        place += max(SPACING_PX, SPACING_SHARE * place)
+    return np.concatenate([-np.array(side)[::-1], [0.0], side])
+
+
+def _cells(places: Array) -> Array:
+    """Return the length that each place stands for, px: half the way to both neighbours."""
+    gaps = np.diff(places)
+    return 0.5 * (np.concatenate([gaps[:1], gaps]) + np.concatenate([gaps, gaps[-1:]]))
+
+
+def _edge_of_line(places: Array, distance: Array, spread_px: Array, known: Known) -> Array:
+    """Return the map (bin, place) from a piecewise straight line spread to the edge spread behind the known transfer.
+
+    The known transfer is symmetric but for a video filter; here its kernel is sampled at a tenth of a pixel.
+    """
+    at, kernel = _kernel(known)
+    gone = np.add.outer(distance, -at)
+    plain = _integral(places, gone.ravel()).reshape(*gone.shape, places.size)
+    weights = np.tensordot(kernel, plain, axes=(0, 1))
+    # The mean over a bin: half its variance times the second derivative, by differences of a tenth of a pixel.
+    little = 0.1
+    sides = [
+        np.tensordot(kernel, _integral(places, (gone + sign * little).ravel()).reshape(plain.shape), axes=(0, 1))
+        for sign in (1, -1)
+    ]
+    return weights + 0.5 * (spread_px[:, None] / little) ** 2 * (sides[0] + sides[1] - 2.0 * weights)
+
+
+def _kernel(known: Known) -> tuple[Array, Array]:
+    """Return distances and weights of the known transfer's line spread, sampled."""
+    step, size = 0.1, 512
+    frequency = np.fft.rfftfreq(size, step)
+    # The cell's own transform taken in makes the samples the exact shares of cells.
+    line = np.fft.fftshift(np.fft.irfft(np.conj(known(np.maximum(frequency, 1e-9))) * np.sinc(frequency * step), size))
+    at = np.asarray((np.arange(size) - size // 2) * step, float)
+    kept = np.abs(at) < (12.0 if known.video else 1.2)
+    return at[kept], line[kept] / line[kept].sum()
+
+
+def _integral(places: Array, distance: Array) -> Array:
+    """Return the map (distance, place) from a piecewise straight line spread to its integral up to each distance."""
+    gaps = np.diff(places)
+    gone = np.clip((distance[:, None] - places[:-1]) / gaps, 0.0, 1.0)
+    weights = np.zeros((distance.size, places.size))
+    weights[:, 1:] += gaps * 0.5 * gone**2
+    weights[:, :-1] += gaps * (gone - 0.5 * gone**2)
+    return weights
+
+
+@lru_cache(maxsize=128)
+def _prior_root(places_bytes: bytes, width: float, tail: str, smooth: float) -> tuple[Array, Array]:
+    """Return roots of the prior covariance of the even and the odd part of a line spread of unit area.
+
+    Shapes (place, direction).
+    """
+    places = np.frombuffer(places_bytes)
+    ratio = np.abs(places) / width
+    envelope = 1.0 / (1.0 + ratio**2) if tail == "long" else np.exp(1.0 - np.sqrt(1.0 + ratio**2))
+    envelope = envelope / float(envelope @ _cells(places))
+    # Farther out the line spread is smooth over lengths that grow with the distance.
+    length = smooth * np.sqrt(1.0 + (places / (3.0 * width)) ** 2)
+    mean = 0.5 * (length[:, None] ** 2 + length**2)
+    kernel = np.sqrt(length[:, None] * length / mean) * np.exp(-0.5 * (places[:, None] - places) ** 2 / mean)
+    roots = []
+    for sign in (1.0, -1.0):
+        values, vectors = np.linalg.eigh(0.5 * (kernel + sign * kernel[:, ::-1]))
+        kept = values > 1e-7 * values[-1]
+        roots.append(envelope[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+    return roots[0], roots[1]

@@ -1,0 +1,91 @@
+"""What the noise on both sides of an edge says of the response: photons' variance grows as their light."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from charact.mtf.edge.pixels.profile import Profile
+
+# Level over noise beyond which unequal pixels may be the noise.
+QUIETEST = 80.0
+# By how much the variance of two levels may fall towards the light, or rise beyond what photons make of it, and by how
+# many standard errors besides: processed pictures fall, pixels are unequal and blacks not quite so.
+FALLING, RISING = (1.15, 5.7), (1.1, 4.0)
+# How often noise is all read-out's, and the deviation of 1 - 1/g for responses of exponent g.
+READ_OUT, BENDING = 0.5, 0.4
+# Most that noise may count for or against a curved response, ln: a picture may have been processed otherwise.
+MOST_LN_ODDS = np.log(10.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """How variance grows from the dark to the bright side of an edge.
+
+    Parameters
+    ----------
+    ratio, scatter
+        Bright over dark variance, and its relative standard error, dimensionless.
+    photons
+        The same ratio for photons' noise under a straight response; None: black is not known, frames were averaged or
+        pixels so quiet that their unequal gain is seen.
+    """
+
+    ratio: float
+    scatter: float
+    photons: float | None
+
+
+def growth_of(profile: Profile) -> Growth:
+    """Return how the variance of a profile's pixels grows with the light."""
+    grain = profile.grain
+    pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
+    photons = None
+    if profile.black is not None and profile.frames == 1 and profile.dark > profile.black:
+        bright = profile.bright - profile.black
+        if bright < QUIETEST * np.sqrt(grain.bright_variance):
+            photons = bright / (profile.dark - profile.black)
+    return Growth(
+        ratio=grain.bright_variance / grain.dark_variance,
+        # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
+        scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
+        photons=photons,
+    )
+
+
+def noise_flags(profile: Profile) -> tuple[str, ...]:
+    """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
+
+    Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
+    that the response steepens.
+    """
+    growth = growth_of(profile)
+    falling = 1.0 / growth.ratio > FALLING[0] + FALLING[1] * growth.scatter
+    rising = growth.photons is not None and growth.ratio > growth.photons * (RISING[0] + RISING[1] * growth.scatter)
+    return ("gamma",) if falling or rising else ()
+
+
+def curved_ln_odds(growth: Growth) -> float:
+    """Return ln of how much likelier a growth of the noise is under a curved response than under a straight one.
+
+    Notes
+    -----
+    Half of all noise is read-out's, which comes after the response and tells nothing. Of the other, photons have any
+    share: under a straight response ln of the ratio is anywhere from 0 to ln r, r that of the light. A power law of
+    exponent g over levels that it makes r apart moves it by 2 (1 - 1/g) ln r.
+    """
+    if growth.photons is None or not growth.photons > 1.0:
+        return 0.0
+    found, most, error = np.log(growth.ratio), np.log(growth.photons), growth.scatter
+    read_out = np.exp(-0.5 * (found / error) ** 2) / (np.sqrt(2.0 * np.pi) * error)
+    straight, curved = (
+        READ_OUT * read_out + (1.0 - READ_OUT) * _evenly_to(most, found, sd)
+        for sd in (error, np.hypot(error, 2.0 * BENDING * most))
+    )
+    ratio = np.log(np.maximum(curved, 1e-300)) - np.log(np.maximum(straight, 1e-300))
+    return float(np.clip(ratio, -MOST_LN_ODDS, MOST_LN_ODDS))
+
+
+def _evenly_to(most: float, found: float, sd: float) -> float:
+    """Return the density of what lies anywhere between 0 and a most, found with a normal error."""
+    return float(ndtr(found / sd) - ndtr((found - most) / sd)) / most

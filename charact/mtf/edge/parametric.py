@@ -1,0 +1,240 @@
+"""The parametric method for edges: forms of the point spread, fitted to the profile and weighed by their evidence."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context, register
+from charact.mtf.curve import FINE, falls_to
+from charact.mtf.edge.fit.family_fit import FamilyFit, FamilyFitter
+from charact.mtf.edge.fit.forms import Weighed, departs, fitted_forms, wides
+from charact.mtf.edge.noise import curved_ln_odds, growth_of
+from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
+from charact.mtf.edge.pixels.profile import with_shading
+from charact.mtf.edge.response import bent
+from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
+from charact.mtf.forms.families import Family, VeilPrior
+from charact.mtf.optics import Known, known_of
+from charact.mtf.region import Region
+from charact.posterior import laplace, sample, weighed
+from charact.posterior.diagnostics import leans_on_bound
+from labdata.frames import FrameStack
+from labdata.measurement import Posterior, Result
+
+Array = NDArray[np.float64]
+# A form, draws of its posterior and how many of them count.
+Drawn = tuple[Family, Posterior, int]
+
+METHOD = "edge-parametric"
+# Share of the evidence for light wider than the window from which on the window is too small.
+VEILED = 0.65
+# Share of the sizes that a form may have which are too wide for the window to tell them from a veil.
+WIDEST_SHARE = 0.15
+# Parameters whose bounds were merely chosen. Beyond those of the others lies what nature forbids or another form.
+CHOSEN_BOUNDS = ("ln_half_frequency", "exponent")
+DRAWS, QUICK_DRAWS = 1000, 500
+MAX_STEPS = 3000
+# Half frequency of a core, cycles per pixel, from which on the aperture hides it, and its posterior is no parabola.
+SHARP = 0.5
+# Standard error of ln MTF50 from which on the posteriors are no parabolas either, that from which on the interval is
+# too wide to be trusted whatever its tails, and how many draws tell it.
+UNSURE, HOPELESS, TELLING = 0.1, 0.15, 100
+# Error of ln f2 up to which a wider blur's error is taken for it: the width of a blur is positive.
+WIDEST_ERROR = 0.5
+# Effective draws from a form that is not the most probable one, of which only some are wanted.
+ENOUGH = 1000.0
+# The same where the answer is wanted quickly, and draws to begin with.
+QUICK_ENOUGH, QUICK_FIRST = 300.0, 1000
+LEAST_EFFORT = 0.55
+
+
+@register(
+    "edge",
+    METHOD,
+    quantities=("mtf50", "mtf10", "mtf", "edge_angle"),
+    scope=(
+        "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
+        "30 rows and more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) or Moffat, with halo or glare; "
+        "noise may depend on the signal and be correlated. Any other blur is flagged where the data show it; a curved "
+        "response, motion between fields, clipping and windows narrower than the blur break it."
+    ),
+)
+def edge_parametric(stack: FrameStack, *, region: Region | None = None, context: Context) -> Result:
+    """Measure the MTF across an edge by forms of the point spread.
+
+    Parameters
+    ----------
+    stack
+        Frames of one edge; they are averaged.
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the edge and its plateaus; None: the whole frame.
+    context
+        Seed, whether a Markov chain is wanted, and the camera.
+
+    Returns
+    -------
+    Result
+        `mtf50`, `mtf10`, `mtf` at pinned frequencies and `edge_angle`, the curve "mtf", and the profile as evidence.
+
+    Notes
+    -----
+    Mean of a pixel at distance d: level + step (E(d - shift) - 1/2) + slopes, E the edge spread of aperture x video x
+    form. The draws are those of every form in proportion to its evidence.
+    """
+    began = time.perf_counter()
+    edge = find_edge(stack, region, context)
+    if isinstance(edge, NoEdge):
+        return nothing(METHOD, edge.reason, edge.where, context, began)
+    known = known_of(edge.picture, edge.profile.angle_rad, context)
+    fitter, fits = _fitted(edge, known, context)
+    edge, profile, best = replace(edge, profile=fitter.profile), fitter.profile, fits[0].fit
+    reason = no_edge(best.chi2, fitter.power, best.free) or too_blurred(profile, float(np.exp(best.point[1])))
+    if reason:
+        return nothing(METHOD, reason, edge.where, context, began)
+    drawn = _drawn(fitter, fits, context, parabolic=context.quick)
+    if context.quick and _unsure(drawn[0], known):
+        drawn = _drawn(fitter, fits, context, parabolic=False)
+    response = fitter.response_curvature(best)
+    odds = curved_ln_odds(growth_of(edge.profile))
+    drawn = [(form, bent(posterior, response, odds, context.seed), count) for form, posterior, count in drawn]
+    outcome = Outcome(
+        method=METHOD,
+        edge=edge,
+        fitted=fitter.fitted(best),
+        response=response,
+        posterior=drawn[0][1],
+        mtf=lambda frequency: (
+            np.abs(known(frequency))
+            * np.concatenate([form.modulus(posterior.draws[:count, 1:], frequency) for form, posterior, count in drawn])
+        ),
+        settings={"forms": _shares(fits)},
+        notes=(_forms_note(fits), within_note(profile)),
+        flags=_flags(fitter, fits),
+    )
+    return result_of(outcome, context, began)
+
+
+def _fitted(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitter, list[Weighed]]:
+    """Fit an edge, first as if its plateaus were even, then with the shading that the forms leave over, if any."""
+    wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
+    fitter = FamilyFitter(edge.profile, known)
+    fits = fitted_forms(fitter, wide)
+    shaded = with_shading(fitter.profile, fitter.profile.value - fitter.model_of(fits[0].fit))
+    if shaded.shading_sd > 0:
+        fitter = FamilyFitter(shaded, known)
+        fits = fitted_forms(fitter, wide)
+    return fitter, fits
+
+
+def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context, *, parabolic: bool) -> list[Drawn]:
+    """Return draws of every form and how many of them count."""
+    total = sum(one.share for one in fits)
+    wanted = QUICK_DRAWS if parabolic else DRAWS
+    out = []
+    for number, one in enumerate(fits):
+        count = max(1, round(wanted * one.share / total))
+        # Of all but the most probable form only the draws that count are looked at.
+        draws = count if context.quick and number else wanted
+        posterior = _posterior(fitter, one.fit, fits[0].fit.noise_scale, context, number, draws, parabolic=parabolic)
+        out.append((one.fit.family, posterior, count))
+    return out
+
+
+def _unsure(drawn: Drawn, known: Known) -> bool:
+    """Tell whether MTF50 is so uncertain under a form that parabolas about the peaks do not tell its tails."""
+    form, posterior, _ = drawn
+    half = falls_to(FINE, np.abs(known(FINE)) * form.modulus(posterior.draws[:TELLING, 1:], FINE), 0.5)
+    half = half[np.isfinite(half)]
+    return half.size > 0 and bool(UNSURE < np.std(np.log(half)) < HOPELESS)
+
+
+def _posterior(
+    fitter: FamilyFitter,
+    fit: FamilyFit,
+    noise_scale: float,
+    context: Context,
+    number: int,
+    draws: int,
+    *,
+    parabolic: bool,
+) -> Posterior:
+    """Draw from one form's posterior: by Markov chain or importance, or from the curvature where a parabola serves."""
+    asked = {
+        "names": ("edge_shift_px", *fit.family.parameters),
+        "units": ("px", *(unit for unit, _ in fit.family.parameters.values())),
+        "start": fit.point,
+        "covariance": fit.covariance * noise_scale,
+        "seed": context.seed + number,
+        "bounds": fitter.bounds(fit.family),
+        "draws": draws,
+    }
+    if parabolic and np.exp(fit.point[1]) < SHARP:
+        posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
+        posterior = replace(posterior, draws=_even_in_width(posterior.draws, float(fit.point[1])))
+    else:
+        known = fitter.log_probability(fit.family, fit.slope_sd_per_px)
+        posterior = _sampled(lambda theta: known(theta) / noise_scale, asked, context, first=number == 0)
+    if "prior-bound" not in posterior.flags:
+        return posterior
+    chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
+    leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
+    flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
+    return replace(posterior, flags=flags)
+
+
+def _even_in_width(draws: Array, ln_half_frequency: float) -> Array:
+    """Return Gaussian draws whose errors are even in the width of the blur, 1/f2, where they were in ln f2.
+
+    Chains along these ridges lean that way: a wider blur is told better than a sharper one.
+    """
+    away = np.minimum(draws[:, 1] - ln_half_frequency, WIDEST_ERROR)
+    return np.concatenate([draws[:, :1], (ln_half_frequency - np.log1p(-away))[:, None], draws[:, 2:]], axis=1)
+
+
+def _sampled(
+    log_probability: Callable[[Array], Array], asked: dict[str, Any], context: Context, *, first: bool
+) -> Posterior:
+    """Draw by Markov chain for the most probable form; for the others, or quickly, by importance."""
+    if context.quick:
+        # A form of which few draws are wanted needs few to choose from.
+        share = max(asked["draws"] / DRAWS, LEAST_EFFORT)
+        return weighed(log_probability, **asked, enough=QUICK_ENOUGH * share, first_draws=round(QUICK_FIRST * share))
+    if not first:
+        posterior = weighed(log_probability, **asked, enough=ENOUGH)
+        if posterior.effective_sample_size.min() >= ENOUGH:
+            return posterior
+    return sample(log_probability, **asked, max_steps=MAX_STEPS)
+
+
+def _flags(fitter: FamilyFitter, fits: list[Weighed]) -> tuple[str, ...]:
+    departed, veiled = departs(fitter, fits[0].fit), _veiled(fits)
+    return (*(("model-misfit",) if departed else ()), *(("window-too-small",) if veiled else ()))
+
+
+def _veiled(fits: list[Weighed]) -> bool:
+    """Tell whether most of the evidence is for light wider than the window, whose share the window cannot tell."""
+    return sum(one.share for one in fits if _reaches_out(one.fit)) > VEILED
+
+
+def _reaches_out(fit: FamilyFit) -> bool:
+    """Tell whether a fit's light beyond the core is a veil, or as wide as its form may be."""
+    wide = fit.family.wide
+    if wide is None or isinstance(wide, VeilPrior):
+        return wide is not None
+    low, high = fit.family.bounds[-wide.after_size]
+    return bool(fit.point[-wide.after_size] > high - WIDEST_SHARE * (high - low))
+
+
+def _shares(fits: list[Weighed]) -> dict[str, float]:
+    """Return the share of the evidence of each form, in even and in uneven light together."""
+    names = dict.fromkeys(one.fit.family.name for one in fits)
+    return {name: round(sum(one.share for one in fits if one.fit.family.name == name), 4) for name in names}
+
+
+def _forms_note(fits: list[Weighed]) -> str:
+    parts = ", ".join(f"{name} {100 * share:.0f} %" for name, share in _shares(fits).items())
+    return f"Form of the point spread by evidence: {parts}."

@@ -1,0 +1,137 @@
+"""From frames to an edge ready to be fitted: where it is, how its rows lie, and its profile."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from charact.method import Context
+from charact.mtf.edge.pixels import line
+from charact.mtf.edge.pixels.extent import LEAST_ROWS, extent
+from charact.mtf.edge.pixels.profile import Profile, centred, profile_of
+from charact.mtf.picture import Picture, mean_picture
+from charact.mtf.region import Region
+from labdata.frames import FrameStack
+
+WIDEST_PX = 110.0
+# Least reach and number of pixels on either side.
+LEAST_HALF_WIDTH_PX, LEAST_PIXELS = 3.0, 16
+NO_STEP = "no target: no step from dark to bright was found in the region"
+# Least gain in chi squared for an edge to be one: a search of frames of noise finds up to about 40.
+LEAST_CHI2 = 90.0
+# What is no edge at all: chi squared per bin, and its share of that without an edge.
+UNLIKE_MISFIT, UNLIKE_SHARE = 1.5, 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundEdge:
+    """An edge found in frames.
+
+    Parameters
+    ----------
+    used
+        The frames cut to the edge and its plateaus.
+    where
+        ROW, COL, HEIGHT, WIDTH of that in the frames given.
+    picture
+        Mean frame, the edge upright.
+    rows
+        Its line and how single rows depart from it.
+    profile
+        Its profile with the noise that is in it.
+    flags, notes
+        What finding it brought up.
+    """
+
+    used: FrameStack
+    where: Region
+    picture: Picture
+    rows: line.RowFit
+    profile: Profile
+    flags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoEdge:
+    """Why there is no edge to be fitted."""
+
+    reason: str
+    where: Region
+
+
+def find_edge(stack: FrameStack, region: Region | None, context: Context) -> FoundEdge | NoEdge:
+    """Find the one edge of a region or, where the frame shows more, its most prominent one."""
+    used = stack if region is None else stack.region(*region)
+    row, col, height, width = region or (0, 0, *used.shape[1:])
+    where: Region = (row, col, height, width)
+    if min(height, width) < 8:
+        return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {height} x {width}", where=where)
+    picture, coarse = line.find(mean_picture(used, context.pitch_ratio))
+    part = extent(picture, coarse) if min(height, width) >= 2 * LEAST_ROWS else None
+    if part is not None:
+        used, where = used.region(*part), (row + part[0], col + part[1], part[2], part[3])
+        if min(part[2:]) < 8:
+            return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {part[2]} x {part[3]}", where=where)
+        picture, coarse = line.find(mean_picture(used, context.pitch_ratio))
+    rows = line.refine(picture, coarse)
+    if not _crosses(picture, rows.line):
+        return NoEdge(reason=NO_STEP, where=where)
+    rows = replace(rows, line=centred(picture, rows.line))
+    profile = profile_of(picture, rows.line, WIDEST_PX)
+    if not profile.step > 0 or profile.gathered.half_width_px < LEAST_HALF_WIDTH_PX:
+        return NoEdge(reason=NO_STEP, where=where)
+    return FoundEdge(
+        used=used,
+        where=where,
+        picture=picture,
+        rows=rows,
+        profile=profile,
+        flags=("several-targets",) if part is not None and region is not None else (),
+        notes=_notes(used, profile, cut=part is not None),
+    )
+
+
+def _notes(used: FrameStack, profile: Profile, *, cut: bool) -> tuple[str, ...]:
+    """Return what finding an edge brought up that lowers no trust."""
+    notes = ["The frame shows more than this edge; the region is the part that was used."] if cut else []
+    if profile.black is not None:
+        notes.append(f"No light is at {profile.black:.4g} DN.")
+    elif used.black_level_dn is not None:
+        notes.append(
+            f"No light would be at {used.black_level_dn:.4g} DN, above the edge's dark side at {profile.dark:.4g} DN: "
+            "taken as not known."
+        )
+    return tuple(notes)
+
+
+def _crosses(picture: Picture, edge: line.Line) -> bool:
+    """Tell whether a line leaves pixels enough on both sides of it: one found in noise may run outside."""
+    distance = edge.across(picture.value.shape)
+    sides = (np.count_nonzero((side > 0) & (side < 2 * LEAST_HALF_WIDTH_PX)) for side in (distance, -distance))
+    return bool(min(sides) >= LEAST_PIXELS)
+
+
+def no_edge(chi2: float, chi2_without: float, free: int) -> str | None:
+    """Return why the best step in a region is none, if so.
+
+    Where even it does not describe the profile, noise is larger than was thought; where it leaves more than a fifth
+    unexplained besides, what varies across the region is something else.
+    """
+    misfit = max(chi2 / free, 1.0)
+    sd = np.sqrt(max((chi2_without - chi2) / misfit, 0.0))
+    if sd**2 < LEAST_CHI2:
+        return (
+            f"no target: the best step in the region stands {sd:.1f} standard errors out of the noise, fewer than 9.5"
+        )
+    left = chi2 / chi2_without
+    if misfit > UNLIKE_MISFIT and left > UNLIKE_SHARE:
+        return f"no target: the best step in the region leaves {100 * left:.0f} % of what varies across it unexplained"
+    return None
+
+
+def too_blurred(profile: Profile, half_frequency_cy_per_px: float) -> str | None:
+    """Return why a blur is too wide for the region, if so."""
+    half_width = profile.gathered.half_width_px
+    if half_width < 0.6 / half_frequency_cy_per_px:
+        return f"no target: the blur is wider than the region, which ends {half_width:.0f} px from it"
+    return None

@@ -1,0 +1,255 @@
+"""The noise that is really in a picture: its variance on both sides of the edge and its correlation between pixels.
+
+It is taken from what the pixels leave over after the profile, so it holds all of it: photons, gain, read-out, the
+fixed pattern that frames share, and whatever blur ties neighbours together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
+
+from charact.mtf.edge.pixels.bins import NARROWEST_PX, Gathered
+from charact.mtf.edge.pixels.grain_form import form_of
+from charact.robust import median
+
+Array = NDArray[np.float64]
+
+REACH = 14  # px; correlations beyond are taken as none
+# Standard errors from which on a departure from the smooth form counts.
+STANDS_OUT = 3.5
+# Lags that tell best whether the form holds, px, and the mean square of its departures there, in errors, if it does.
+NEAR_PX, MISFIT = 2, 2.5
+# Squared residuals count for no more than so many variances.
+LARGEST_SQUARE = 50.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grain:
+    """Noise of a picture along an edge.
+
+    Parameters
+    ----------
+    dark_variance, bright_variance
+        Variance of a pixel on both plateaus, DN^2; in between it is linear in the profile.
+    correlation
+        Correlation at lags of rows and columns, shape (2 REACH + 1, 2 REACH + 1), 1 in the middle.
+    """
+
+    dark_variance: float
+    bright_variance: float
+    correlation: Array
+
+    @property
+    def covariance_over_variance(self) -> float:
+        """Sum of the correlation: by how much averages are noisier than those of independent pixels."""
+        return float(max(self.correlation.sum(), 0.05))
+
+    def variance(self, level: Array) -> Array:
+        """Return the variance where the profile stands at a level between 0 (dark) and 1 (bright)."""
+        share = np.clip(level, 0.0, 1.0)
+        return self.dark_variance + (self.bright_variance - self.dark_variance) * share
+
+
+def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) -> Grain:
+    """Estimate the noise from residuals.
+
+    Parameters
+    ----------
+    residual
+        Picture less its profile, shape (row, col), DN.
+    level
+        Profile from 0 to 1 at every pixel, shape (row, col).
+    gathered
+        The band along the edge.
+    floor
+        Least variance, DN^2.
+    """
+    used = gathered.used
+    dark, bright = _variances(residual, level, used, floor)
+    grain = Grain(dark_variance=dark, bright_variance=bright, correlation=np.ones((1, 1)))
+    if max(dark, bright) <= 1.01 * floor:
+        # What is left over is rounding, in the data or in the bins, and ties no neighbours.
+        return grain
+    standard = np.where(used, residual / np.sqrt(grain.variance(level)), 0.0)
+    slopes = float(np.diff(gathered.distance[0, :2])[0]), float(np.diff(gathered.distance[:2, 0])[0])
+    return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation_of(standard, used, slopes))
+
+
+def _variances(residual: Array, level: Array, used: NDArray[np.bool_], floor: float) -> tuple[float, float]:
+    """Return the variances at level 0 and 1 of a least-squares line through the squared residuals."""
+    normal, pull, mean = _squares(residual, level, used, floor)
+    dark, bright = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), pull)
+    mean = max(mean, floor)
+    return max(float(dark), 0.02 * mean, floor), max(float(bright), 0.02 * mean, floor)
+
+
+@njit(cache=True)
+def _squares(residual: Array, level: Array, used: NDArray[np.bool_], floor: float) -> tuple[Array, Array, float]:
+    """Return the normal equations of squared residuals, wild ones cut, linear in the level; and their mean."""
+    count, total, squares = 0, 0.0, 0.0
+    for row in range(residual.shape[0]):
+        for col in range(residual.shape[1]):
+            if used[row, col]:
+                count += 1
+                total += residual[row, col]
+                squares += residual[row, col] ** 2
+    count = max(count, 1)
+    most = LARGEST_SQUARE * (squares / count - (total / count) ** 2) + floor
+    normal, pull, mean = np.zeros((2, 2)), np.zeros(2), 0.0
+    for row in range(residual.shape[0]):
+        for col in range(residual.shape[1]):
+            if used[row, col]:
+                square, bright = min(residual[row, col] ** 2, most), level[row, col]
+                dark = 1.0 - bright
+                normal[0, 0] += dark * dark
+                normal[0, 1] += dark * bright
+                normal[1, 1] += bright * bright
+                pull[0] += dark * square
+                pull[1] += bright * square
+                mean += square / count
+    normal[1, 0] = normal[0, 1]
+    return normal, pull, mean
+
+
+def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float, float]) -> Array:
+    """Return the correlation of standardised residuals at lags up to REACH: a smooth form, and what departs from it.
+
+    Parameters
+    ----------
+    standard, used
+        Residuals in units of their deviation and which of them count, shape (row, col).
+    slopes
+        Change of the distance from the edge with one column and with one row, px.
+    """
+    rows, cols = standard.shape
+    reach_row, reach_col = min(REACH, rows - 1), min(REACH, cols - 1)
+    shape = (rows + reach_row, cols + reach_col)
+    product = _autocorrelation(standard, shape)
+    pairs = np.rint(_autocorrelation(used, shape))
+    take_row, take_col = np.arange(-reach_row, reach_row + 1), np.arange(-reach_col, reach_col + 1)
+    product, pairs = (part[np.ix_(take_row, take_col)] for part in (product, pairs))
+    correlation = np.where(pairs > 50, product / np.maximum(pairs, 1), 0.0)
+    if not correlation[reach_row, reach_col] > 0:
+        return np.ones((1, 1))
+    correlation = correlation / correlation[reach_row, reach_col]
+    across = np.add.outer(take_row * slopes[1], take_col * slopes[0])
+    form, taken = form_of(correlation, pairs, across)
+    left = correlation - form - taken
+    # Bartlett: errors of a correlation are tied over lags as the noise itself is.
+    error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
+    near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= NEAR_PX
+    if np.mean((left / error)[near] ** 2) > MISFIT:
+        # No smooth form is that of this noise: what stands out of the error of white noise counts as it is.
+        keep = np.abs(_smoothed(correlation)) > 2.5 / 3.0 / np.sqrt(np.maximum(pairs, 1))
+        form = np.zeros_like(form)
+        form[reach_row, reach_col] = 1.0
+        left = correlation
+    else:
+        tied = np.sqrt(np.sum(_smoothed(form) ** 2) / np.maximum(pairs, 1))
+        keep = np.abs(_smoothed(left)) > STANDS_OUT * tied
+    keep[reach_row, reach_col] = False
+    taper = np.outer(_taper(take_row, REACH), _taper(take_col, REACH))
+    return form + np.where(keep, left, 0.0) * taper
+
+
+def _autocorrelation(field: NDArray, shape: tuple[int, int]) -> Array:
+    """Return the sums of products at all lags; those up to what the shape adds to the field's are free of wrapping.
+
+    In single precision: a correlation is known to a thousandth at best.
+    """
+    fast = tuple(next_fast_len(size, real=True) for size in shape)
+    spectrum = np.asarray(rfft2(field.astype(np.float32), fast), np.complex64)
+    return np.asarray(irfft2(spectrum.real**2 + spectrum.imag**2, fast), np.float64)
+
+
+@njit(cache=True)
+def _smoothed(field: Array) -> Array:
+    """Return the 3 x 3 running mean, nothing beyond the borders."""
+    rows, cols = field.shape
+    out = np.zeros((rows, cols))
+    for row in range(rows):
+        for col in range(cols):
+            for i in range(max(row - 1, 0), min(row + 2, rows)):
+                for j in range(max(col - 1, 0), min(col + 2, cols)):
+                    out[row, col] += field[i, j] / 9.0
+    return out
+
+
+def _taper(lag: NDArray, reach: int) -> Array:
+    """Return 1 up to half the reach, then a cosine down to 0."""
+    share = np.clip((np.abs(lag) - reach / 2) / (reach / 2 + 1), 0.0, 1.0)
+    return 0.5 * (1.0 + np.cos(np.pi * share))
+
+
+def bin_covariance(grain: Grain, gathered: Gathered, level: Array, count: Array, keep: NDArray, slopes) -> Array:
+    """Return the covariance of the means of bins, shape (bin, bin).
+
+    Parameters
+    ----------
+    level
+        Profile at each kept bin, shape (bin,).
+    count
+        Pixels in each kept bin.
+    keep
+        Which bins of the band are meant.
+    slopes
+        Change of distance with one column and with one row, px.
+
+    Notes
+    -----
+    Pixels a lag apart are the same distance delta apart along the normal wherever they are, so
+    cov(b, b') = sqrt(v v') / (n n') sum over lags of rho times the pairs of b and b' shifted by delta: for an even
+    filling the overlap of two boxes, a second difference of the ramp sum_lag rho max(0, x - delta).
+    """
+    rows, cols = (np.arange(size) - size // 2 for size in grain.correlation.shape)
+    delta = np.add.outer(rows * slopes[1], cols * slopes[0]).ravel()
+    order = np.argsort(delta)
+    delta, mass = delta[order], grain.correlation.ravel()[order]
+    total, moment = np.concatenate([[0.0], np.cumsum(mass)]), np.concatenate([[0.0], np.cumsum(mass * delta)])
+
+    # Borders lie on a grid: few differences are different.
+    place = np.rint(gathered.borders / NARROWEST_PX).astype(np.int64)
+    reach = int(np.ptp(place))
+    apart = np.arange(-reach, reach + 1) * NARROWEST_PX
+    index = np.searchsorted(delta, apart)
+    ramp = np.asarray(total[index] * apart - moment[index], np.float64)
+    width, sd = np.diff(gathered.borders)[keep], np.sqrt(grain.variance(level))
+    covariance = _overlaps(ramp, place, np.flatnonzero(keep), sd / np.sqrt(width * count))
+    if not (np.diag(covariance) > 0).any():
+        # Too few pixels to tell a correlation, and chance made it cancel the noise: pixels count as independent.
+        return np.diag(sd**2 / count)
+    return _positive(covariance)
+
+
+@njit(cache=True)
+def _overlaps(ramp: Array, place: NDArray[np.int64], kept: NDArray[np.int64], scale: Array) -> Array:
+    """Return second differences of a ramp between the borders of kept bins, scaled, shape (bin, bin)."""
+    out, middle = np.empty((kept.size, kept.size)), ramp.size // 2
+    for i in range(kept.size):
+        begin, end = place[kept[i]], place[kept[i] + 1]
+        for j in range(i + 1):
+            other, last = place[kept[j]], place[kept[j] + 1]
+            one = ramp[middle + last - begin] - ramp[middle + last - end]
+            one += ramp[middle + other - end] - ramp[middle + other - begin]
+            two = ramp[middle + end - other] - ramp[middle + end - last]
+            two += ramp[middle + begin - last] - ramp[middle + begin - other]
+            out[i, j] = out[j, i] = 0.5 * (one + two) * scale[i] * scale[j]
+    return out
+
+
+def _positive(covariance: Array) -> Array:
+    """Return the covariance, its eigenvalues raised to a small share of those of independent pixels where negative."""
+    # A bin of one pixel whose noise the correlation estimate makes nothing of is as noisy as its neighbours.
+    diagonal = np.diag(covariance)
+    scale = np.sqrt(np.maximum(diagonal, 1e-3 * median(diagonal[diagonal > 0])))
+    correlation = covariance / np.outer(scale, scale)
+    try:
+        np.linalg.cholesky(correlation - 1e-3 * np.eye(len(correlation)))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(correlation)
+    else:
+        return covariance
+    return (vectors * np.maximum(values, 0.02)) @ vectors.T * np.outer(scale, scale)

@@ -1,0 +1,264 @@
+"""Where the edge is: a straight line found by projections and refined row by row against the edge's own profile."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.mtf.edge.pixels.projections import SLOPE_STEP, strongest
+from charact.mtf.picture import Picture
+from charact.robust import NORMAL, median, spread
+
+Array = NDArray[np.float64]
+
+# A picture is looked through at no more than this many pixels a side.
+COARSE_SIZE = 96
+# Steps towards the edge by at most about so many pixels, before one that takes all.
+FINE_FROM, COARSE_PIXELS = 3, 2000
+# How far from the edge a row tells where it is, px.
+ROW_REACH_PX = 14.0
+# Cells of the mean profile against which it is told, and the standard deviation of what smooths it, px.
+CELLS_PER_PX, ROW_BLUR_PX = 4, 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """An edge col = position + slope (row - middle row) of an upright picture.
+
+    Parameters
+    ----------
+    position, slope
+        px, and px per row.
+    strength
+        Step over its own standard error on the coarse picture, the noise taken from neighbouring pixels.
+    """
+
+    position: float
+    slope: float
+    strength: float = 0.0
+
+    def across(self, shape: tuple[int, int]) -> Array:
+        """Return the distance along the columns of every pixel from the line, shape (row, col), px."""
+        row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
+        return np.arange(shape[1])[None, :] - self.position - self.slope * row
+
+    def angle_rad(self, pitch_ratio: float) -> float:
+        """Angle of the edge to the columns' direction, rad; rows are `pitch_ratio` column pitches apart."""
+        return float(np.arctan(self.slope / pitch_ratio))
+
+
+def find(picture: Picture) -> tuple[Picture, Line]:
+    """Find the strongest straight step, turn the picture upright and return both."""
+    factor = max(1, int(np.ceil(max(picture.value.shape) / COARSE_SIZE)))
+    small = _binned(picture.value, factor)
+    ways = [(strongest(small.T if transpose else small), transpose) for transpose in (0, 1)]
+    (score, place, slope), transpose = max(ways, key=lambda way: abs(way[0][0]))
+    upright = picture.turned(transpose=bool(transpose), mirror=score < 0)
+    width = upright.value.shape[1]
+    position = (place + 0.5) * factor - 0.5
+    line = Line(position=width - 1 - position if score < 0 else position, slope=-slope if score < 0 else slope)
+    return upright, replace(settled(upright, line), strength=_strength(small, score))
+
+
+def _binned(value: Array, factor: int) -> Array:
+    """Return block means, the remainder cut off."""
+    rows, cols = (size // factor * factor for size in value.shape)
+    return value[:rows, :cols].reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
+
+
+def _strength(small: Array, score: float) -> float:
+    """Return a step score over the noise between neighbouring coarse pixels, whichever axis is the quieter."""
+    noise = min(median(np.abs(np.diff(small, axis=axis))) for axis in (0, 1)) / 0.6745 / np.sqrt(2)
+    return abs(score) / max(noise, 1e-12 * (1 + abs(score)))
+
+
+def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
+    """Return the line that fits the pixels around it best with a smooth step, by damped Gauss-Newton.
+
+    Notes
+    -----
+    Model: level + rise tanh((col - position - slope row) / width), level and rise changing evenly along the edge, as
+    uneven light has it. A symmetric template is unbiased for the course of any edge, and nearly as precise as the
+    edge's own shape. Single wild pixels count as little more than far ones.
+    """
+    rows, cols = picture.value.shape
+    row = np.arange(rows) - (rows - 1) / 2
+    wander = 0.5 * rows * SLOPE_STEP
+    across = line.across((rows, cols))
+    reach = 12.0 + wander
+    inside = np.nonzero(np.abs(across) < reach)
+    every = picture.value[inside], across[inside], row[inside[0]] / rows
+    if every[0].size < 16:
+        return line
+    # The first steps are far from exact: some of the pixels tell them.
+    few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // COARSE_PIXELS)]) for part in every)
+    shift, turn, width, clip = 0.0, 0.0, max(2.0, wander), np.inf
+    last = np.inf
+    for iteration in range(iterations):
+        value, distance, height = few if iteration < FINE_FROM else every
+        place = (distance - shift - turn * height) / width
+        design, residual = _levelled(value, place, np.tanh(place), height, width)
+        if iteration in (3, 6):
+            clip = 6.0 * NORMAL * median(np.abs(residual[:: max(1, value.size // 4000)]))
+        move = _least_squares(design, np.minimum(np.maximum(residual, -clip), clip))[4:].tolist()
+        step = _within(move[0], -4.0, 4.0), _within(move[1], -8.0, 8.0)
+        shift, turn = _within(shift + step[0], -reach, reach), turn + step[1]
+        width = _within(width + _within(move[2], -0.5 * width, width), 0.4, 20.0)
+        size = abs(step[0]) + abs(step[1])
+        if iteration > FINE_FROM and size < 1e-3 and last < 0.1:
+            break
+        last = size
+    return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
+
+
+def _within(value: float, low: float, high: float) -> float:
+    """Return a number, or the limit that it passes: on one of them NumPy's clip takes fifty times as long."""
+    return min(max(value, low), high)
+
+
+@njit(cache=True)
+def _levelled(value: Array, place: Array, bend: Array, height: Array, width: float) -> tuple[Array, Array]:
+    """Return the change of a smooth step with level, rise, their slopes along the edge, place, turn and width.
+
+    Shape (7, pixel); and what the best levels and slopes leave of the pixels, shape (pixel,).
+    """
+    design = np.empty((7, value.size))
+    for k in range(value.size):
+        design[0, k], design[1, k], design[2, k], design[3, k] = 1.0, bend[k], height[k], height[k] * bend[k]
+    levels = _least_squares(design[:4], value)
+    residual = np.empty(value.size)
+    for k in range(value.size):
+        rise = levels[1] + levels[3] * height[k]
+        residual[k] = value[k] - levels[0] - levels[2] * height[k] - rise * bend[k]
+        design[4, k] = -rise / width * (1.0 - bend[k] ** 2)
+        design[5, k], design[6, k] = design[4, k] * height[k], design[4, k] * place[k]
+    return design, residual
+
+
+@njit(cache=True)
+def _least_squares(design: Array, value: Array) -> Array:
+    """Return the amplitudes of rows of a design, shape (row, pixel); one that nothing feels stays at none."""
+    normal = np.dot(design, design.T)
+    for k in range(len(normal)):
+        normal[k, k] += 1e-9 * normal[k, k] + 1e-300
+    return np.linalg.solve(normal, np.dot(design, value))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowFit:
+    """The line refined against the profile, and how single rows depart from it.
+
+    Parameters
+    ----------
+    line
+        The refined line.
+    offset
+        Displacement of each row's edge from the line, shape (row,), px.
+    offset_sd
+        Their scatter, px.
+    """
+
+    line: Line
+    offset: Array
+    offset_sd: float
+
+
+def refine(picture: Picture, line: Line) -> RowFit:
+    """Return the displacement of each row's edge from the line, the line's own course corrected by them.
+
+    Notes
+    -----
+    With the mean profile m of all rows as template a row's displacement is least squares on -m'(d).
+    """
+    rows = picture.value.shape[0]
+    row = np.arange(rows) - (rows - 1) / 2
+    offset, good, shift, turn = _against(picture, line, row)
+    if abs(shift) + abs(turn) * rows > 0.02:
+        shift, turn = _within(shift, -3.0, 3.0), _within(turn * rows, -6.0, 6.0) / rows
+        line = replace(line, position=line.position + shift, slope=line.slope + turn)
+        offset, good, shift, turn = _against(picture, line, row)
+    if good.sum() < 3:
+        return RowFit(line=line, offset=offset, offset_sd=np.inf)
+    offset = np.where(good, offset - shift - turn * row, np.nan)
+    return RowFit(line=line, offset=offset, offset_sd=spread(offset[good]))
+
+
+def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
+    """Return the rows' displacements, which of them hold the edge, and their mean and slope over the rows."""
+    offset, good = _row_offsets(picture, line)
+    if good.sum() < 3:
+        return offset, good, 0.0, 0.0
+    good &= np.abs(offset - median(offset[good])) < 6 * spread(offset[good]) + 1e-9
+    design = np.stack([np.ones_like(row), row], axis=1)[good]
+    shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0]
+    return offset, good, float(shift), float(turn)
+
+
+def _row_offsets(picture: Picture, line: Line) -> tuple[Array, NDArray[np.bool_]]:
+    """Return each row's displacement against the mean profile, and which rows hold the edge."""
+    across = line.across(picture.value.shape)
+    sums, counts = _near(picture.value, across)
+    places, kernel = _smoothing()
+    profile = kernel @ sums / np.maximum(kernel @ counts, 1e-300)
+    offset, power = _displaced(picture.value, across, places, profile, np.gradient(profile, places))
+    return offset, (power > 0.5 * median(power)) & (power > 0)
+
+
+@lru_cache(maxsize=1)
+def _smoothing() -> tuple[Array, Array]:
+    """Return the cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell)."""
+    places = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
+    return places, np.exp(-0.5 * ((places[:, None] - places) / ROW_BLUR_PX) ** 2)
+
+
+@njit(cache=True)
+def _near(value: Array, across: Array) -> tuple[Array, Array]:
+    """Return the sum of the pixels in each cell of the rows' mean profile, and their number."""
+    size = 2 * CELLS_PER_PX * int(ROW_REACH_PX)
+    sums, counts = np.zeros(size), np.zeros(size)
+    for row in range(value.shape[0]):
+        for col in range(value.shape[1]):
+            if abs(across[row, col]) < ROW_REACH_PX:
+                cell = min(int((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX), size - 1)
+                sums[cell] += value[row, col]
+                counts[cell] += 1.0
+    return sums, counts
+
+
+@njit(cache=True)
+def _displaced(value: Array, across: Array, places: Array, profile: Array, rise: Array) -> tuple[Array, Array]:
+    """Return by how much each row's edge lies off a profile, shape (row,), px, and the power that tells it.
+
+    A row's own level and step are free: light that changes along the edge must not move it.
+    """
+    rows, cols = value.shape
+    offset, power = np.zeros(rows), np.zeros(rows)
+    first, step, mean = places[0], places[1] - places[0], profile.mean()
+    shape = np.ones(3)
+    for row in range(rows):
+        normal, pull = np.zeros((3, 3)), np.zeros(3)
+        for col in range(cols):
+            if abs(across[row, col]) >= ROW_REACH_PX:
+                continue
+            place = min(max((across[row, col] - first) / step, 0.0), places.size - 1.0)
+            left = min(int(place), places.size - 2)
+            rest = place - left
+            template = profile[left] + rest * (profile[left + 1] - profile[left])
+            shape[0] = rise[left] + rest * (rise[left + 1] - rise[left])
+            shape[2] = template - mean
+            for k in range(3):
+                pull[k] += shape[k] * (value[row, col] - template)
+                for m in range(k + 1):
+                    normal[k, m] += shape[k] * shape[m]
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        for k in range(3):
+            for m in range(k):
+                normal[m, k] = normal[k, m]
+        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
+        # Symmetric: the first column of the inverse is its first row.
+        inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0]))
+        power[row] = scale[0] ** 2 / inverse[0]
+        offset[row] = -np.dot(inverse, pull / scale) / scale[0]
+    return offset, power

@@ -1,0 +1,255 @@
+"""An edge's profile with the noise that is in it: bin means, their covariance, levels and shading."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge.fit.evidence import Evidence, evidence_of
+from charact.mtf.edge.fit.spread import edge_weights
+from charact.mtf.edge.pixels.bins import Gathered, gather
+from charact.mtf.edge.pixels.grain import Grain, bin_covariance, grain_of
+from charact.mtf.edge.pixels.light import (
+    DEFECT_SD,
+    LEAST_DEFECT,
+    defective,
+    even_along,
+    levels_of,
+    residual_of,
+    span,
+    without_slope,
+)
+from charact.mtf.edge.pixels.line import Line
+from charact.mtf.edge.pixels.uneven_light import UnevenLight, believed_black, uneven_light
+from charact.mtf.picture import Picture
+from charact.robust import median
+
+Array = NDArray[np.float64]
+
+PLATEAU_FROM_PX = 10.0
+SHADING_LENGTH_PX = 10.0
+LEAST_SHADED_PX = 1.4 * SHADING_LENGTH_PX
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """A measured edge profile.
+
+    Parameters
+    ----------
+    gathered
+        Pixels and bins.
+    distance, spread_px, value, count
+        Mean distance, its standard deviation, mean value and count of the pixels of each bin that holds any,
+        shape (bin,).
+    keep
+        Which bins of the band those are.
+    dark, bright
+        Levels of both sides at the edge, DN.
+    black
+        Code at no light, DN; None: not known.
+    grain
+        Noise of the picture.
+    covariance
+        Of the bin means, shape (bin, bin), DN^2.
+    shading_sd
+        Standard deviation of slow undulations of the plateaus that the grain does not hold, DN.
+    defects
+        Pixels left out for values that the noise cannot explain.
+    frames
+        Frames averaged.
+    angle_rad, slopes
+        Angle of the edge; change of distance with one column and one row, px.
+    variance_floor
+        Least variance of a pixel, DN^2: rounding to codes, and a ten-thousandth of the step.
+    """
+
+    gathered: Gathered
+    distance: Array
+    spread_px: Array
+    value: Array
+    count: Array
+    keep: NDArray[np.bool_]
+    dark: float
+    bright: float
+    black: float | None
+    grain: Grain
+    covariance: Array
+    shading_sd: float
+    defects: int
+    frames: int
+    angle_rad: float
+    slopes: tuple[float, float]
+    variance_floor: float
+
+    @property
+    def step(self) -> float:
+        """Height of the edge, DN."""
+        return self.bright - self.dark
+
+    @cached_property
+    def light(self) -> UnevenLight:
+        """How light may slope."""
+        return uneven_light(self.dark, self.bright, self.black)
+
+    @cached_property
+    def levels(self) -> Array:
+        """A level and the two ways in which light slopes at the bins, shape (bin, 3)."""
+        return self.light.levels(self.distance)
+
+    def slopes_sd(self, slope_sd_per_px: float) -> Array:
+        """Return the deviations of the priors of the two ways in which light slopes, DN per px.
+
+        Parameters
+        ----------
+        slope_sd_per_px
+            Standard deviation of the prior of the bright side's slope, share of the step per px.
+        """
+        return self.light.slopes_sd(slope_sd_per_px) * max(abs(self.step), 1e-300)
+
+    def evidence(self, grid: Array, slope_sd_per_px: float) -> Evidence:
+        """Return the evidence on nodes, level, step and the slopes of the light marginalised.
+
+        Parameters
+        ----------
+        slope_sd_per_px
+            As of `slopes_sd`.
+        """
+        spread = np.concatenate(edge_weights(grid, self.distance, self.spread_px), axis=1)
+        prior = np.array([np.inf, *self.slopes_sd(slope_sd_per_px)])
+        return evidence_of(self.value, self.covariance, spread, self.levels, prior, abs(self.step))
+
+
+def profile_of(picture: Picture, line: Line, half_width_px: float) -> Profile:
+    """Gather the profile of an edge and estimate its noise from what the pixels leave over after it."""
+    masked = np.zeros(picture.value.shape, bool)
+    gathered = gather(picture, line, half_width_px, masked)
+    picture = even_along(picture, gathered)
+    residual, level = residual_of(picture, gathered)
+    rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
+    spread = abs(span(picture, gathered))
+    masked = defective(residual, level, gathered.used, max(rounding_sd, LEAST_DEFECT * spread / DEFECT_SD))
+    defects = int(masked.sum())
+    if defects:
+        gathered = gather(picture, line, half_width_px, masked)
+        residual, level = residual_of(picture, gathered)
+    return _assembled(picture, line, gathered, residual, level, defects)
+
+
+def centred(picture: Picture, line: Line) -> Line:
+    """Return the line moved to where the profile is half way up, so that bins fall alike on both sides of the edge."""
+    gathered = gather(picture, line, 16.0, np.zeros(picture.value.shape, bool))
+    mean, count = gathered.means(picture.value)
+    filled = count > 0
+    distance, value = gathered.place[filled], mean[filled]
+    dark, bright = levels_of(mean, count, gathered)
+    smooth = np.convolve(value, np.ones(9) / 9.0, "same")[4:-4]
+    above = smooth > 0.5 * (dark + bright)
+    place = distance[4:-4]
+    rises = np.flatnonzero(np.diff(above.astype(int)) == 1)
+    shift = median(place[rises]) if rises.size else 0.0
+    if not np.isfinite(shift) or abs(shift) > 4.0:
+        return line
+    return replace(line, position=line.position + shift / float(np.cos(line.angle_rad(picture.pitch_ratio))))
+
+
+def _assembled(
+    picture: Picture, line: Line, gathered: Gathered, residual: Array, level: Array, defects: int
+) -> Profile:
+    """Return the profile of gathered pixels with the covariance of its bins."""
+    mean, count = gathered.means(picture.value)
+    distance = gathered.place
+    square, _ = gathered.means(gathered.distance**2)
+    keep = count >= 1
+    dark, bright = levels_of(mean, count, gathered)
+    angle = line.angle_rad(picture.pitch_ratio)
+    slopes = (float(np.cos(angle)), float(-line.slope * np.cos(angle)))
+    rounding = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
+    floor = max(rounding, (3e-4 * (bright - dark)) ** 2, 1e-30)
+    grain = grain_of(residual, level, gathered, floor)
+    profile = Profile(
+        gathered=gathered,
+        distance=distance[keep],
+        spread_px=np.sqrt(np.maximum(square - distance**2, 0.0))[keep],
+        value=mean[keep],
+        count=count[keep],
+        keep=keep,
+        dark=dark,
+        bright=bright,
+        black=believed_black(picture.black_dn, dark, bright),
+        grain=grain,
+        covariance=np.eye(int(keep.sum())),
+        shading_sd=0.0,
+        defects=defects,
+        frames=picture.frames,
+        angle_rad=angle,
+        slopes=slopes,
+        variance_floor=floor,
+    )
+    return with_grain(profile, grain)
+
+
+def refined(profile: Profile, picture: Picture, model_value: Array) -> Profile:
+    """Return the profile with its noise estimated anew from what the pixels leave over after a model's bin values.
+
+    Parameters
+    ----------
+    model_value
+        The model at every kept bin, shape (bin,), DN.
+    """
+    at_pixel = np.interp(profile.gathered.distance, profile.distance, model_value)
+    level = (at_pixel - profile.dark) / profile.step
+    value = np.where(profile.gathered.used, picture.value - at_pixel, 0.0)
+    residual = without_slope(value, profile.gathered, level)
+    anew = with_grain(profile, grain_of(residual, level, profile.gathered, profile.variance_floor))
+    return with_shading(anew, profile.value)
+
+
+def with_grain(profile: Profile, grain: Grain) -> Profile:
+    """Return the profile with another noise, its plateaus taken as even."""
+    level = (profile.value - profile.dark) / (profile.step if profile.step != 0 else 1.0)
+    covariance = bin_covariance(grain, profile.gathered, level, profile.count, profile.keep, profile.slopes)
+    return replace(profile, grain=grain, covariance=covariance, shading_sd=0.0)
+
+
+def with_shading(profile: Profile, left_over: Array) -> Profile:
+    """Return the profile with slow undulations of its plateaus allowed for, as large as values left over show them.
+
+    Parameters
+    ----------
+    left_over
+        The bins' values, or what a model leaves of them, shape (bin,), DN.
+    """
+    bare = profile.covariance - _undulations(profile.distance, profile.shading_sd)
+    shading = _shading(replace(profile, covariance=bare), left_over)
+    return replace(profile, covariance=bare + _undulations(profile.distance, shading), shading_sd=shading)
+
+
+def _undulations(place: Array, sd: float) -> Array | float:
+    """Return the covariance of slow undulations at some places, shape (place, place); 0 where there are none."""
+    if sd == 0:
+        return 0.0
+    return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
+
+
+def _shading(profile: Profile, left_over: Array) -> float:
+    """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins.
+
+    In a plateau not much longer than an undulation all but a thousandth of it is bend, of which nothing is told.
+    """
+    excess, weight, scatter = 0.0, 0.0, 0.0
+    for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
+        place = profile.distance[side]
+        if place.size < 12 or np.ptp(place) < LEAST_SHADED_PX:
+            continue
+        design = np.stack([np.ones_like(place), place, place**2], axis=1)
+        basis = np.linalg.qr(design)[0]
+        project = np.eye(place.size) - basis @ basis.T
+        left = project @ left_over[side]
+        noise = project @ profile.covariance[np.ix_(side, side)] @ project
+        excess += float(left @ left - np.trace(noise))
+        scatter += 2.0 * float(np.sum(noise**2))
+        weight += float(np.sum(project * _undulations(place, 1.0)))
+    # The excess of plateaus without shading scatters by this much; only what stands out of it counts.
+    return float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0

@@ -1,0 +1,275 @@
+"""What the plain methods for edges share: the way from frames to a result around an estimator without a noise model.
+
+Such an estimator gathers pixels by their distance from a straight line and transforms a windowed line spread. It is
+normalised to the light inside its window; its intervals are jackknifed over blocks of rows.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.method import Context
+from charact.mtf.curve import FINE, PINNED, REPORTED, falls_to
+from charact.mtf.edge import checks as edge_checks
+from charact.mtf.edge.geometry import orientation_deg
+from charact.mtf.edge.noise import noise_flags
+from charact.mtf.edge.pixels import line
+from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge
+from charact.mtf.edge.pixels.profile import Profile
+from charact.mtf.picture import Picture
+from charact.mtf.region import Region
+from labdata.frames import FrameStack
+from labdata.measurement import Curve, Measurement, Provenance, Result, from_sd, refused
+
+Array = NDArray[np.float64]
+
+BLOCKS = 20
+# Share of a crossing's frequency on both sides over which the response's slope is taken, and the least slope there.
+AROUND, SHALLOWEST = 0.3, 0.1
+LEAST_ROWS, LEAST_COLS = 20, 16
+# Step over the noise of a pixel below which there is nothing to estimate plainly.
+LEAST_STEP_SD = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response:
+    """What an estimator makes of an edge.
+
+    Parameters
+    ----------
+    frequency
+        Along the normal of the edge, equally spaced from zero, shape (f,), cy per column pitch.
+    value
+        Response of all rows, one at zero, shape (f,).
+    parts
+        The same with each block of rows left out, shape (block, f).
+    notes
+        What a reader may want to know of the estimate.
+    """
+
+    frequency: Array
+    value: Array
+    parts: Array
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlainMethod:
+    """An estimator with what is known of its limits.
+
+    Parameters
+    ----------
+    name
+        Name of the method.
+    estimate
+        From the upright picture and the line of its edge to the response.
+    own_error
+        Bias of MTF50 over the declared scope, relative, as a standard deviation: measured against closed forms.
+    least_snr
+        Step over the noise of a pixel below which noise is known to bias it.
+    settings
+        Its numbers, for the provenance.
+    """
+
+    name: str
+    estimate: Callable[[Picture, line.Line], Response]
+    own_error: float
+    least_snr: float
+    settings: dict[str, float]
+
+
+def measured_plainly(plain: PlainMethod, stack: FrameStack, region: Region | None, context: Context) -> Result:
+    """Find the edge, estimate its response and say what must be distrusted.
+
+    Parameters
+    ----------
+    plain
+        The estimator.
+    stack, region, context
+        As every method gets them.
+    """
+    began = time.perf_counter()
+    edge = find_edge(stack, region, context)
+    provenance = Provenance(version=charact.__version__, settings=dict(plain.settings))
+    common = {"method": plain.name, "region": edge.where, "provenance": provenance}
+    reason = edge.reason if isinstance(edge, NoEdge) else _unusable(edge)
+    if reason is not None or isinstance(edge, NoEdge):
+        return _nothing(str(reason), common, began)
+    picture, profile = edge.picture, edge.profile
+    response = plain.estimate(picture, edge.rows.line)
+    common |= {
+        "orientation_deg": orientation_deg(picture, profile.angle_rad),
+        "flags": _flags(plain, edge, falls_to(response.frequency, response.value[None], 0.5)[0], context),
+        "notes": (*edge.notes, *response.notes, "Normalised to the light inside the region."),
+    }
+    measurements = [*_measurements(plain, response, common), _angle(edge, common)]
+    seconds = time.perf_counter() - began
+    return Result(
+        measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+        curves={"mtf": _curve(response)},
+        evidence={
+            "edge-spread": {
+                "figure": "edge-spread",
+                "distance_px": profile.distance.tolist(),
+                "value_dn": profile.value.tolist(),
+                "sd_dn": np.sqrt(np.diag(profile.covariance)).tolist(),
+                "step_dn": profile.step,
+            }
+        },
+    )
+
+
+def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
+    """Return the mean of the pixels of each cell, of all rows and with each block of rows left out.
+
+    Parameters
+    ----------
+    cell
+        Cell of every pixel, shape (row, col); those outside 0 to `size` are left out.
+    value
+        Shape (row, col).
+    size
+        Number of cells.
+
+    Returns
+    -------
+    ndarray
+        Shape (1 + block, cell); empty cells are interpolated between their neighbours.
+    """
+    inside = (cell >= 0) & (cell < size)
+    block = np.broadcast_to((np.arange(len(value)) * BLOCKS // len(value))[:, None], value.shape)
+    index = (block * size + cell)[inside]
+    total = np.bincount(index, weights=value[inside], minlength=BLOCKS * size).reshape(BLOCKS, size)
+    count = np.bincount(index, minlength=BLOCKS * size).reshape(BLOCKS, size)
+    totals = np.concatenate([total.sum(0)[None], total.sum(0) - total])
+    counts = np.concatenate([count.sum(0)[None], count.sum(0) - count])
+    place = np.arange(size)
+    means = totals / np.maximum(counts, 1)
+    for mean, filled in zip(means, counts > 0, strict=True):
+        if not filled.all() and filled.any():
+            mean[~filled] = np.interp(place[~filled], place[filled], mean[filled])
+    return means
+
+
+def _noise(profile: Profile) -> float:
+    return float(np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance)))
+
+
+def _unusable(edge: FoundEdge) -> str | None:
+    """Return why nothing plain can be made of an edge, if so."""
+    rows, cols = edge.picture.value.shape
+    if rows < LEAST_ROWS or cols < LEAST_COLS:
+        return f"the plain edge estimator needs {LEAST_ROWS} rows across {LEAST_COLS} px, got {rows} across {cols}"
+    noise, step = _noise(edge.profile), edge.profile.step
+    if step < 3.0 * noise / np.sqrt(len(edge.profile.distance)) or edge.rows.line.strength < 60.0:
+        return "no target: no edge stands clear of the noise"
+    if step < LEAST_STEP_SD * noise:
+        return (
+            f"the plain edge estimator needs a step of {LEAST_STEP_SD:g} standard deviations of the noise, "
+            f"got {step / noise:.1f}"
+        )
+    return None
+
+
+def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -> tuple[str, ...]:
+    used, profile = edge.used, edge.profile
+    return (
+        *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
+        *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
+        *noise_flags(profile),
+        *(("low-signal",) if profile.step < plain.least_snr * _noise(profile) else ()),
+        *(("defects",) if profile.defects else ()),
+        *edge.flags,
+        *_window_flags(profile, half),
+    )
+
+
+def _window_flags(profile: Profile, half: float) -> tuple[str, ...]:
+    """Return flags of what a plain estimator, unlike a fit, cannot allow for."""
+    flags = []
+    if not np.isfinite(half) or profile.gathered.half_width_px < 2.5 / half:
+        flags.append("window-too-small")
+    for side in (profile.distance < -8, profile.distance > 8):
+        if np.count_nonzero(side) < 8:
+            continue
+        slope, _ = np.polyfit(profile.distance[side], profile.value[side], 1, w=np.sqrt(profile.count[side]))
+        if abs(slope) * np.ptp(profile.distance[side]) > 0.025 * profile.step:
+            flags.append("gradient")
+    return tuple(flags)
+
+
+def _measurements(plain: PlainMethod, response: Response, common: dict) -> list[Measurement]:
+    found = []
+    frequency = response.frequency
+    for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1)):
+        value = falls_to(frequency, response.value[None], level)[0]
+        each = falls_to(frequency, response.parts, level)
+        if not np.isfinite(value) or not np.isfinite(each).all() or value > FINE[-1]:
+            found.append(
+                refused(quantity, "cy/px", f"the response does not fall to {level:g} within 1 cy/px", **common)
+            )
+            continue
+        # Scatter, a share of a frequency step, and the estimator's own bias.
+        sd = np.sqrt(
+            _crossing_sd(response, value, each) ** 2 + (0.1 * frequency[1]) ** 2 + (plain.own_error * float(value)) ** 2
+        )
+        found.append(from_sd(quantity, "cy/px", float(value), float(sd), **common))
+    for pinned in PINNED:
+        each = np.array([np.interp(pinned, frequency, part) for part in response.parts])
+        value = float(np.interp(pinned, frequency, response.value))
+        found.append(from_sd("mtf", "1", value, float(_jackknife(each)), frequency_cy_per_px=pinned, **common))
+    return found
+
+
+def _crossing_sd(response: Response, crossing: float, each: Array) -> float:
+    """Return the standard error of a crossing: the response's scatter around there over its slope at large.
+
+    Noise makes a response of no model uneven: where it falls steeply by chance its own crossings, one for each block
+    left out, hardly scatter, and the true one may be far. They serve where too few frequencies are near.
+    """
+    frequency = response.frequency
+    near = np.abs(frequency / crossing - 1.0) < AROUND
+    if np.count_nonzero(near) < 3:
+        return float(_jackknife(each))
+    slope = np.polyfit(frequency[near], response.value[near], 1)[0]
+    scatter = float(np.sqrt(np.mean(_jackknife(response.parts[:, near]) ** 2)))
+    return scatter / max(-slope, SHALLOWEST / crossing)
+
+
+def _angle(edge: FoundEdge, common: dict) -> Measurement:
+    used = np.flatnonzero(np.isfinite(edge.rows.offset))
+    sd = edge.rows.offset_sd / np.sqrt(np.sum((used - used.mean()) ** 2)) / edge.picture.pitch_ratio
+    angle = abs(float(np.rad2deg(edge.profile.angle_rad)))
+    return from_sd("edge_angle", "deg", angle, float(np.rad2deg(sd)), **common)
+
+
+def _jackknife(parts: Array) -> Array:
+    """Return the standard error from leave-one-block-out values (block, ...)."""
+    count = len(parts)
+    return np.sqrt((count - 1) / count * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
+
+
+def _curve(response: Response) -> Curve:
+    value = np.interp(REPORTED, response.frequency, response.value)
+    sd = _jackknife(np.array([np.interp(REPORTED, response.frequency, part) for part in response.parts]))
+    return Curve(
+        frequency_cy_per_px=REPORTED,
+        value=value,
+        interval68=np.stack([value - 0.994458 * sd, value + 0.994458 * sd]),
+        interval95=np.stack([value - 1.959964 * sd, value + 1.959964 * sd]),
+    )
+
+
+def _nothing(reason: str, common: dict, began: float) -> Result:
+    flags = ("no-target",) if reason.startswith("no target") else ("low-signal",)
+    units = {"mtf50": "cy/px", "mtf10": "cy/px", "edge_angle": "deg"}
+    seconds = time.perf_counter() - began
+    return Result(
+        measurements=tuple(
+            refused(q, unit, reason, flags=flags, seconds=seconds, **common) for q, unit in units.items()
+        )
+    )

@@ -1,0 +1,130 @@
+"""A camera's response that is not straight: what of it an edge shows, and what it leaves in doubt."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge.pixels.profile import Profile
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Curvature of the response and what it is found with.
+Response = tuple[float, float]
+
+# Curvature of the response from which the modulus is in doubt by a percent, and its significance.
+CURVATURE, CURVATURE_SD = 0.05, 3.0
+# Before the data: the probability that a response is curved, and by how much then, as a standard deviation.
+CURVED, CURVED_SD = 0.25, 0.2
+# By how much MTF50 is found too high for each curvature of one, in ln, under responses that steepen and that flatten,
+# and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on edges of every form.
+STEEPENING, FLATTENING, EITHER_WAY = 0.05, 0.02, 0.03
+# Most that an exponent up to 2.2 has been seen to lift MTF50 by.
+MOST_LIFTED = 0.04
+
+
+def response_flags(curvature: float, error: float) -> tuple[str, ...]:
+    """Return `gamma` where the profile looks curved: lopsided beyond what the camera's known filter makes it.
+
+    A Gaussian edge through a power law above 1 stays nearly symmetric and shows it in its noise at most.
+    """
+    return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
+
+
+def hidden_note(response: Response, deviation: float) -> tuple[str, ...]:
+    """Return what a curved response that the profile cannot show may have done, where the errors do not cover it.
+
+    Parameters
+    ----------
+    response
+        Curvature of the response and its error.
+    deviation
+        Standard deviation of MTF50, as a share of it.
+    """
+    lifted = min(2.0 * STEEPENING * response[1], MOST_LIFTED)
+    if lifted < 2.0 * deviation:
+        return ()
+    return (
+        "A curved response of the camera (a gamma) would not show on this edge: it may have lifted MTF50 by up to "
+        f"{100.0 * lifted:.1f} %, more than the errors allow for.",
+    )
+
+
+def bent(posterior: Posterior, response: Response, noise_ln_odds: float, seed: int) -> Posterior:
+    """Return draws of a blur with what a response that may be curved leaves in doubt.
+
+    Parameters
+    ----------
+    posterior
+        Draws of the blur's parameters, the second one ln of a frequency that scales the form.
+    response
+        Curvature of the response and its error, as the profile asks for them; below 0 it steepens.
+    noise_ln_odds
+        Ln of how much likelier the noise is under a curved response.
+    seed
+        Of what is drawn besides.
+
+    Notes
+    -----
+    A straight response is weighed against one whose curvature is normal about none (Savage-Dickey ratio); of the
+    share that the curved one has, each draw takes back what a curvature, drawn from what prior and profile leave of
+    it, has done to its frequency. That is nothing to a tenth of the curvature, for the blur may be what is lopsided.
+    """
+    rng = np.random.default_rng([seed, 61])
+    draws = posterior.draws.copy()
+    curvature = _curvatures(response, noise_ln_odds, rng, len(draws))
+    share = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(len(draws))
+    draws[:, 1] += share * curvature
+    return replace(posterior, draws=draws)
+
+
+def _curvatures(response: Response, noise_ln_odds: float, rng: np.random.Generator, count: int) -> Array:
+    """Return draws of the response's curvature, 0 where it is straight."""
+    found, error = response[0], max(response[1], 1e-9)
+    apart = np.hypot(error, CURVED_SD)
+    ln_odds = np.log(CURVED / (1.0 - CURVED) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
+    ln_odds += noise_ln_odds
+    curved = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
+    drawn = found * (CURVED_SD / apart) ** 2 + error * CURVED_SD / apart * rng.standard_normal(count)
+    return np.where(curved, drawn, 0.0)
+
+
+def response_curvature(
+    profile: Profile, precision_root: Array, spread: Array, tangents: Array, shapes: Array, shape_sd: Array
+) -> tuple[float, float]:
+    """Return the curvature of the response that a profile asks for if its blur is symmetric, with its error.
+
+    Parameters
+    ----------
+    profile
+        The measured profile.
+    precision_root
+        Inverse root of the covariance of its bins.
+    spread
+        Fitted edge spread less one half at the bins, shape (bin,).
+    tangents
+        Its change as each parameter of the blur moves by the most it may, shape (parameter, bin).
+    shapes, shape_sd
+        Levels and slopes at the bins, shape (bin, shape), and the deviations of their priors, DN.
+
+    Notes
+    -----
+    A response y = u + c u (1 - u) of the edge spread u; a power law of exponent g over levels a to b has about
+    c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. A lopsided blur looks the same on one edge;
+    either way the modulus of the transform is not what it would be at low contrast. First order in c and in every
+    parameter of a symmetric blur.
+    """
+    level = np.clip(spread + 0.5, 0.0, 1.0)
+    design = np.concatenate(
+        [spread[:, None], (level * (1.0 - level))[:, None], tangents.T * abs(profile.step), shapes], axis=1
+    )
+    white = precision_root @ design
+    prior = np.zeros(design.shape[1])
+    prior[2 : 2 + len(tangents)] = 1.0
+    prior[2 + len(tangents) :] = 1.0 / np.maximum(shape_sd, 1e-300) ** 2
+    scale = np.sqrt(np.maximum(np.sum(white**2, axis=0) + prior, 1e-300))
+    normal = (white.T @ white + np.diag(prior)) / np.outer(scale, scale)
+    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
+    found = inverse @ (white.T @ (precision_root @ profile.value))
+    return float(found[1] / found[0]), float(np.sqrt(max(inverse[1, 1], 0.0)) / abs(found[0]))

@@ -1,0 +1,1 @@
+"""Forms of the point spread that lenses and tubes have, and their transfers."""

@@ -1,0 +1,116 @@
+"""Forms of the point spread with their slopes, compiled: one transfer and its change with every parameter at once.
+
+`families` has the same forms for many points at a time; a fit asks for one point, a hundred times.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.mtf.forms.families import LEAST_LN, Family
+from charact.mtf.forms.moffat_table import Table, moffat_at, moffat_table
+from charact.mtf.forms.wide_tables import disc_at, disc_table, sine_integral_at, sine_table
+
+Array = NDArray[np.float64]
+Tables = tuple[Table, Array, Array]
+
+CORES = {"gaussian": 0, "exponential": 1, "moffat": 2}
+WIDES = {"halo": 0, "disc": 1, "glare": 2, "veil": 3}
+LN2 = float(np.log(2.0))
+
+
+def kind_of(family: Family) -> tuple[int, int, float]:
+    """Return the numbers of a form's core and of its light beyond it, -1 for none, and the widest of its sizes, px."""
+    if family.wide is None:
+        return CORES[family.core], -1, 1.0
+    return CORES[family.core], WIDES[family.wide.name], float(family.wide.size_px[1])
+
+
+@lru_cache(maxsize=1)
+def tables() -> Tables:
+    """Return what the forms are looked up in: Moffat's transfer, Si, and a disc's transfer and slope."""
+    return moffat_table(), sine_table(), disc_table()
+
+
+@njit(cache=True)
+def form_and_slopes(kind: tuple, theta: Array, frequency: Array, tables: Tables) -> Array:
+    """Return a form's transfer and its slopes with its parameters, shape (parameter + 1, f).
+
+    Parameters
+    ----------
+    kind
+        As `kind_of` tells.
+    theta
+        The form's parameters, shape (parameter,).
+    frequency
+        Shape (f,), cycles per pixel.
+    tables
+        As `tables` gives.
+    """
+    core, wide, widest_px = kind
+    out = np.empty((theta.size + 1, frequency.size))
+    cores = 1 if core == 0 else 2
+    for j in range(frequency.size):
+        value, by_half, by_shape = _core(core, theta, frequency[j], tables)
+        out[0, j], out[1, j] = value, by_half
+        if cores == 2:
+            out[2, j] = by_shape
+        if wide < 0:
+            continue
+        size = theta[cores + 1]
+        unit = size / widest_px if wide == 3 else 1.0
+        other = theta[cores + 2] if wide == 0 else 0.0
+        beyond, by_size, by_other = _wide(wide, size, other, frequency[j], tables)
+        share = theta[cores] * unit
+        kept = 1.0 - share + share * beyond
+        for k in range(cores + 1):
+            out[k, j] *= kept
+        out[cores + 1, j] = value * unit * (beyond - 1.0)
+        turned = share * by_size
+        if wide == 3:
+            turned += theta[cores] / widest_px * (beyond - 1.0)
+        out[cores + 2, j] = value * turned
+        if wide == 0:
+            out[cores + 3, j] = value * share * by_other
+    return out
+
+
+@njit(cache=True)
+def _core(core: int, theta: Array, frequency: float, tables: Tables) -> tuple[float, float, float]:
+    """Return a core's transfer and its slopes with ln of the half frequency and with its exponent."""
+    ratio = np.log(frequency) - theta[0]
+    if core == 2:
+        ln, rise, by_exponent = moffat_at(ratio, theta[1], tables[0])
+        if ln < LEAST_LN:
+            return np.exp(LEAST_LN), 0.0, 0.0
+        value = np.exp(ln)
+        return value, -value * rise, value * by_exponent
+    exponent = 2.0 if core == 0 else theta[1]
+    fall = -LN2 * np.exp(exponent * ratio)
+    if fall < LEAST_LN:
+        return np.exp(LEAST_LN), 0.0, 0.0
+    value = np.exp(fall)
+    return value, -value * fall * exponent, value * fall * ratio
+
+
+@njit(cache=True)
+def _wide(wide: int, size: float, other: float, frequency: float, tables: Tables) -> tuple[float, float, float]:
+    """Return the transfer of light beyond the core and its slopes with its size and its other parameter."""
+    if wide == 2:
+        turn = (2.0 * np.pi * frequency) ** 2
+        value = 1.0 / (1.0 + turn * size**2)
+        return value, -2.0 * turn * size * value**2, 0.0
+    if wide == 3:
+        turn = 2.0 * (np.pi * frequency) ** 2
+        value = np.exp(-turn * size**2)
+        return value, -2.0 * turn * size * value, 0.0
+    x = np.pi * size * frequency
+    if wide == 1:
+        value, slope = disc_at(x, tables[2])
+        return value, slope * np.pi * frequency, 0.0
+    sinc = np.sin(x) / x
+    even = sine_integral_at(x, tables[1]) / x
+    slope = (other * (np.cos(x) - sinc) + (1.0 - other) * (sinc - even)) / size
+    return other * sinc + (1.0 - other) * even, slope, sinc - even

@@ -1,0 +1,1 @@
+"""The noise of flats, whose spectrum is the transfer behind the gain."""

@@ -1,0 +1,117 @@
+"""What can be wrong with a noise spectrum of flats: each check returns flags, and notes that say what it saw."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.noise_spectrum.data import Chosen, Spectrum
+from charact.mtf.noise_spectrum.folding import Shape
+from charact.mtf.noise_spectrum.model import COMMON, Peak, peak_of, scattering
+from charact.noise.checks import QUANTISED_DN2
+from charact.posterior import predictive_check
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Fewer frames cannot tell light that exposures share from pattern.
+LEAST_FRAMES = 4
+FLICKER = 0.05
+# Change of the power over the signal along the levels that a straight response may have, and in standard errors.
+BENT_SHARE = 0.08
+SIGNIFICANT = 4.0
+# Gain in ln likelihood by which scattered light must be told: less than once in a hundred by chance.
+VEIL_LIKELIHOOD = 5.0
+# Chance of calling a right model wrong.
+MISFIT_LEVEL = 0.002
+
+
+def findings_of(
+    spectrum: Spectrum, chosen: Chosen, peak: Peak, context: Context
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return flags and notes."""
+    flags, notes = [], []
+    if chosen.left_out:
+        notes.append(f"left out, at another gain, saturated or of a single frame: {', '.join(chosen.left_out)}")
+    if chosen.clipped:
+        flags.append("clipped")
+    if chosen.flicker > FLICKER:
+        flags.append("flicker")
+        notes.append(f"the light changes by {100 * chosen.flicker:.2g} % from frame to frame")
+    if spectrum.frames < LEAST_FRAMES:
+        flags.append("too-few-frames")
+        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {LEAST_FRAMES} can")
+    if spectrum.lag_open:
+        flags.append("lag")
+        notes.append("earlier exposures still glow at the last lag that the frames allow")
+    elif len(spectrum.lag):
+        notes.append(f"successive exposures share light (correlation {spectrum.lag[0]:.2g}), which was allowed for")
+    if not any(level.signal_dn for level in spectrum.levels):
+        flags.append("no-darks")
+        notes.append("no darks: noise of the electronics was taken for white, and the response for straight")
+    elif len(spectrum.levels) < 2:
+        flags.append("too-few-frames")
+        notes.append("one level of light only: whether the response is straight cannot be seen")
+    if min(float(np.mean(level.power_dn2)) for level in spectrum.levels) < QUANTISED_DN2:
+        flags.append("quantised")
+    flags += _curved(spectrum, peak)
+    if _scattered(spectrum, peak):
+        flags.append("model-misfit")
+        notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
+    if context.sensor is not None and float(context.sensor.video.gamma) != 1.0:
+        flags.append("gamma")
+    return tuple(dict.fromkeys(flags)), tuple(notes)
+
+
+def _curved(spectrum: Spectrum, peak: Peak) -> list[str]:
+    """Whether the power of the pulses over the signal changes along the levels, as under a gamma."""
+    levels = [level for level in spectrum.levels if level.signal_dn]
+    if len(levels) < 2:
+        return []
+    white, pulses = peak.problem.parts(peak.point[None])
+    shape = (white + pulses)[0]
+    signal, ratio, error = [], [], []
+    for level in levels:
+        weight = (shape / level.power_sd_dn2) ** 2
+        signal.append(level.signal_dn)
+        ratio.append(float(np.average(level.power_dn2 / shape, weights=weight)) / float(level.signal_dn or 1.0))
+        error.append(1.0 / np.sqrt(float(weight.sum())) / float(level.signal_dn or 1.0))
+    mean = float(np.average(ratio, weights=1.0 / np.square(error)))
+    away, sd = (np.array(ratio) - mean) / mean, np.array(error) / mean
+    # The heights of pulses scatter, which all cells of a level share: by about a percent.
+    return ["gamma"] if np.any(np.abs(away) > BENT_SHARE + SIGNIFICANT * np.hypot(sd, 0.01)) else []
+
+
+def _scattered(spectrum: Spectrum, peak: Peak) -> bool:
+    """Whether a veil of scattered light makes the data much likelier."""
+    form = scattering(spectrum.shorter_px)
+    if form is None:
+        return False
+
+    def start(shape: Shape) -> Array:
+        half = np.exp(peak.point[len(COMMON)])
+        return np.concatenate([peak.point[: len(COMMON)], shape.start(half)])
+
+    veiled = peak_of(spectrum, peak.problem.known, form, start=start)
+    return _log_likelihood(veiled) - _log_likelihood(peak) > VEIL_LIKELIHOOD
+
+
+def _log_likelihood(peak: Peak) -> float:
+    problem = peak.problem
+    return float(problem.log_likelihood(problem.model(peak.point[None]))[0])
+
+
+def misfit(peak: Peak, posterior: Posterior, rng: np.random.Generator) -> tuple[str, ...]:
+    """Return `model-misfit` where the spectrum, in the order of radius, departs from its model by more than noise."""
+    problem = peak.problem
+    spectrum = problem.spectrum
+    order = np.argsort(np.hypot(spectrum.column_cy_per_px, spectrum.row_cy_per_px))
+    best = problem.model(peak.point[None])[0]
+    # The cube root of a gamma variable is nearly normal (Wilson & Hilferty 1931), its mean lower by 1/(9 n).
+    looks = problem.looks
+    data = np.cbrt(spectrum.power_dn2 / best)
+    # Where the posterior bends, its mean is no fit: what matters is how far draws may lie from the best one.
+    drawn = np.cbrt(problem.model(posterior.draws[:300]) / best)
+    drawn = (1.0 + drawn - drawn.mean(axis=0)) * (1.0 - 1.0 / (9.0 * looks))
+    noise = 1.0 / (3.0 * np.sqrt(looks))
+    check = predictive_check(data[order], drawn[:, order], noise[order], rng=rng, level=MISFIT_LEVEL)
+    return check.flags

@@ -1,0 +1,228 @@
+"""What the noise spectrum of flats ought to be: a white floor, and pulses blurred after the gain, folded by sampling.
+
+Photoelectrons arrive independently and the gain makes a pulse of each, so that the power of their noise is
+k F^2 mu |H|^2, H being the transfer of all that comes after the gain; electrons of the CCD add K mu, white. A pixel
+grid folds |H|^2 back into its band, whereas white noise stays white; a video filter acts on both.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.forms.families import Family, GlarePrior
+from charact.mtf.noise_spectrum.data import Spectrum
+from charact.mtf.noise_spectrum.folding import Folding, Known, Shape, folding, sparser
+from charact.posterior import maximum
+
+Array = NDArray[np.float64]
+
+FAMILIES: tuple[Family, ...] = (Family(core="gaussian"), Family(core="exponential"), Family(core="moffat"))
+# Light scattered behind the gain, looked for beside the forms: its reach from so many px to this share of the
+# image's shorter side, and its share.
+SCATTER_PX, SCATTER_SHARE = 3.0, 0.08
+SCATTER_FRACTION = (0.0, 0.4)
+COMMON = ("ln_power", "white_share", "ln_anisotropy")
+COMMON_UNITS = ("ln(DN^2)", "1", "1")
+# Half frequency along columns over that along rows, both in column pitches: normal in its logarithm. Blur of tubes and
+# fibres is round, but the pitches of an unknown camera's rows and the video before its digitiser are not known.
+ROUND_SD, UNKNOWN_SD = 0.1, 0.4
+ANISOTROPY = (-1.5, 1.5)
+# Share of the mean power that is white: never quite none.
+WHITE = (1e-6, 1.0)
+
+
+def scattering(shorter_px: float) -> Family | None:
+    """Return the form with scattered light that an image of this shorter side can tell, or None."""
+    longest = SCATTER_SHARE * shorter_px
+    if longest < 2.0 * SCATTER_PX:
+        return None
+    return Family(core="exponential", wide=GlarePrior(size_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION))
+
+
+def known_of(context: Context) -> Known:
+    """Return what the camera's description says of the transfer after the gain."""
+    if context.sensor is None:
+        return Known(height_px=1.0, video=None, anisotropy_sd=UNKNOWN_SD)
+    rows = 2.0 if context.interlaced else 1.0
+    pitch_um, taper = float(context.sensor.ccd.pitch_x_um), context.sensor.taper
+    return Known(
+        height_px=rows * context.pitch_ratio,
+        video=context.sensor.video.low_pass,
+        anisotropy_sd=ROUND_SD,
+        fibres=(float(taper.fibre_pitch_um) / pitch_um, float(taper.interface_mtf_lp_per_mm) * pitch_um * 1e-3),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Whittle's likelihood of a noise spectrum under one form of the transfer.
+
+    Notes
+    -----
+    The modes of noise are nearly independent complex Gaussians, so that a mean over n of them is gamma distributed
+    with shape n: ln L = -n (ln M + P/M) for a measured power P and a model M (Whittle 1953).
+    """
+
+    spectrum: Spectrum
+    known: Known
+    shape: Shape
+    folding: Folding
+    looks: Array
+
+    @property
+    def bounds(self) -> Array:
+        """Bounds of all parameters, shape (parameter, 2)."""
+        level = np.log(float(np.mean(self.spectrum.power_dn2)))
+        return np.concatenate([[(level - 12.0, level + 6.0), WHITE, ANISOTROPY], self.shape.bounds])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        return (*COMMON, *self.shape.parameters)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return (*COMMON_UNITS, *(unit for unit, _ in self.shape.parameters.values()))
+
+    def parts(self, theta: Array) -> tuple[Array, Array]:
+        """Return the white part and that of the blurred pulses, each (n, cell), DN^2."""
+        white = theta[:, 1:2] * self._white_dn2
+        return white + self.spectrum.quantised_dn2, np.exp(theta[:, :1]) * self.folding.power(self.shape, theta[:, 2:])
+
+    @cached_property
+    def _white_dn2(self) -> Array:
+        """Power in every cell if all of it were white, shape (cell,), DN^2."""
+        own = float(np.mean(self.spectrum.power_dn2 - self.spectrum.dark_dn2))
+        return max(own, 1e-12) * self.known.electronics(self.spectrum.column_cy_per_px) ** 2
+
+    def model(self, theta: Array) -> Array:
+        """Return the power in every cell, dark included, shape (n, cell), DN^2."""
+        white, pulses = self.parts(theta)
+        return self.spectrum.dark_dn2 + white + pulses
+
+    def log_likelihood(self, model: Array) -> Array:
+        """Return ln L of models (n, cell), 0 where model and data agree."""
+        ratio = self.spectrum.power_dn2 / model
+        return np.sum(self.looks * (1.0 + np.log(ratio) - ratio), axis=1)
+
+    def log_probability(self, theta: Array) -> Array:
+        """Return ln of the posterior density up to a constant that all forms share."""
+        bounds = self.bounds
+        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        safe = np.where(inside[:, None], theta, self.centre())
+        likelihood = self.log_likelihood(self.model(safe))
+        # Anisotropies of an unknown camera and of a known one differ in width: normalised, should they be compared.
+        round_ = -0.5 * (safe[:, 2] / self.known.anisotropy_sd) ** 2 - np.log(self.known.anisotropy_sd)
+        total = likelihood + self.shape.log_prior(safe[:, len(COMMON) :]) + round_
+        return np.where(inside & np.isfinite(total), total, -np.inf)
+
+    def centre(self) -> Array:
+        """A point inside all bounds."""
+        level = np.log(float(np.mean(self.spectrum.power_dn2)))
+        return np.concatenate([[level, 0.1, 0.0], self.shape.start(0.2)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Peak:
+    """The best fit under one form.
+
+    Parameters
+    ----------
+    problem
+        With the looks and the replicas that belong to the fit.
+    point, covariance
+        Peak and covariance there.
+    log_evidence
+        Laplace's approximation of the evidence, up to a constant that all forms share.
+    """
+
+    problem: Problem
+    point: Array
+    covariance: Array
+    log_evidence: float
+
+
+def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[Shape], Array] | None = None) -> Peak:
+    """Climb to the best fit under a form: roughly, then with the replicas, cells and looks that belong to it."""
+    whole = folding(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.row_pitch, known)
+    problem = Problem(spectrum=spectrum, known=known, shape=shape, folding=whole, looks=spectrum.looks_lagged)
+    begin = start(shape) if start is not None else _start(problem)
+    # Heavy tails fold from afar: what a broad form leaves out, no likely form needs.
+    problem = replace(problem, folding=sparser(whole, shape, _broader(begin, shape)[2:]))
+    point, covariance = maximum(problem.log_probability, begin, problem.bounds, iterations=25)
+    for _ in range(2):
+        problem = _refined(problem, whole, point)
+        point, covariance = maximum(problem.log_probability, point, problem.bounds, iterations=25)
+    height = float(problem.log_probability(point[None])[0])
+    _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
+    return Peak(problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume))
+
+
+def _broader(point: Array, shape: Shape) -> Array:
+    """The point with the half frequency raised by half: the first of a form's parameters is its logarithm."""
+    out = point.copy()
+    out[len(COMMON)] = min(out[len(COMMON)] + np.log(1.5), shape.bounds[0, 1])
+    return out
+
+
+def _start(problem: Problem) -> Array:
+    """The best of a few half frequencies, with a fifth of white noise."""
+    spectrum, candidates = problem.spectrum, []
+    for half in (0.05, 0.1, 0.17, 0.3, 0.5):
+        shape = problem.shape.start(half)
+        folded = problem.folding.power(problem.shape, np.concatenate([[0.0], shape])[None])[0]
+        above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
+        level = max(float(np.sum(problem.looks * 0.9 * above) / np.sum(problem.looks * folded)), 1e-9)
+        candidates.append(np.concatenate([[np.log(level), 0.1, 0.0], shape]))
+    points = np.clip(np.array(candidates), problem.bounds[:, 0], problem.bounds[:, 1])
+    return points[int(np.argmax(problem.log_probability(points)))]
+
+
+def _refined(problem: Problem, whole: Folding, point: Array) -> Problem:
+    """Return the problem with the replicas, the means within cells and the looks of a fit."""
+    spectrum = problem.spectrum
+    sparse = sparser(whole, problem.shape, point[2:])
+    within = _within(problem, point)
+    white, pulses = problem.parts(point[None])
+    share = (pulses / (spectrum.dark_dn2 + white + pulses))[0]
+    # Only the pulses are shared by exposures; products of two exposures feel it in the square.
+    fewer = 1.0 / spectrum.looks_lagged - 1.0 / spectrum.looks
+    looks = 1.0 / (1.0 / spectrum.looks + share**2 * fewer)
+    return replace(problem, folding=replace(sparse, within=within), looks=looks)
+
+
+def _within(problem: Problem, point: Array) -> Array:
+    """Mean power over the modes of each cell, smeared as fading out the sides smears it, over that at its middle."""
+    spectrum = problem.spectrum
+
+    def folded(column: Array, row: Array) -> Array:
+        near = folding(column, row, spectrum.row_pitch, problem.known, replicas=1)
+        return near.power(problem.shape, point[None, 2:])[0]
+
+    modes = np.mean(
+        [
+            folded(spectrum.mode_column + across * spectrum.smear_column, spectrum.mode_row + up * spectrum.smear_row)
+            for across, up in ((-1, -1), (-1, 1), (1, -1), (1, 1))
+        ],
+        axis=0,
+    )
+    mean = np.bincount(spectrum.mode_cell, modes) / np.bincount(spectrum.mode_cell)
+    middle = folded(spectrum.column_cy_per_px, spectrum.row_cy_per_px)
+    # Where next to nothing of the pulses is left, how it is spread over the cell does not matter.
+    return np.clip(mean / np.maximum(middle, 1e-30), 0.2, 5.0)
+
+
+def white_log_probability(peak: Peak) -> float:
+    """Return ln L of the best white spectrum, to be compared with the evidence of a blurred one."""
+    problem = peak.problem
+    spectrum = problem.spectrum
+    floor = problem.known.electronics(spectrum.column_cy_per_px) ** 2
+    above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2 - spectrum.quantised_dn2, 0.0)
+    level = float(np.sum(problem.looks * above) / np.sum(problem.looks * floor))
+    levels = level * np.exp(np.linspace(-0.3, 0.3, 121))
+    return float(problem.log_likelihood(spectrum.dark_dn2 + spectrum.quantised_dn2 + levels[:, None] * floor).max())

@@ -1,0 +1,127 @@
+"""The ways in which a point source deceives, each looked for in the data, and the fitted profile for the report."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.point.data import Window
+from charact.mtf.point.forward_fit import PointFit
+from charact.mtf.point.motion import motion_flags
+from charact.mtf.point.source import Source
+
+Array = NDArray[np.float64]
+
+# Chi squared per value beyond which the pixels are not what the model says they are.
+MISFIT, SIGNIFICANT = 1.8, 5.0
+LOW_LIGHT = 10.0
+# Standard deviations from its description at which a camera's cut-off is no longer that camera's.
+STRANGE = 3.0
+# Power of the light by which noise falls behind its model that only a curved response explains.
+FALLING, LEAST_FRAMES, LEAST_PIXELS = 0.35, 4, 6
+
+
+def flags(found: PointFit, window: Window, source: Source, context: Context) -> tuple[str, ...]:
+    """Return the flags of a fitted source."""
+    out = []
+    if not window.keep.all():
+        out.append("saturated")
+    if found.light < LOW_LIGHT * found.light_sd:
+        out.append("low-signal")
+    if window.frames < 3:
+        out.append("too-few-frames")
+    if found.chi2 / found.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / found.free):
+        out.append("model-misfit")
+    if source.others:
+        out.append("several-targets")
+    if window.cut:
+        out.append("window-too-small")
+    if _leans(found, context):
+        out.append("prior-bound")
+    if window.keep.all():
+        out += motion_flags(window.frames_above(found.pedestal), *window.centred, window.row_parity)
+        out += ["gamma"] if _noise_falls(found, window) else []
+    return tuple(out)
+
+
+def _noise_falls(found: PointFit, window: Window) -> bool:
+    """Tell whether the frames' noise grows less with the light than pulses make it: only a flattened response does.
+
+    The variance over its model is taken to go as the light to some power, found by maximum likelihood.
+    """
+    if found.noise is None or window.frames < LEAST_FRAMES:
+        return False
+    light = found.light * found.model.core(found.point[None])[0].ravel()
+    expected = found.noise.gain * found.light * np.diag(found.noise.pulse) + window.floor
+    clear = (expected > 2.0 * window.floor) & (light > 0.05 * light.max())
+    if np.count_nonzero(clear) < LEAST_PIXELS:
+        return False
+    ratio = np.mean(window.deviations[:, clear] ** 2, axis=0) * window.frames / (window.frames - 1) / expected[clear]
+    design = np.stack([np.ones(ratio.size), np.log(light[clear] / light.max())], axis=1)
+    power = np.zeros(2)
+    for _ in range(20):
+        power = power + np.linalg.lstsq(design, ratio * np.exp(-design @ power) - 1.0, rcond=None)[0]
+    error = np.sqrt(2.0 / (window.frames - 1) * np.linalg.inv(design.T @ design)[1, 1])
+    return bool(power[1] < -max(FALLING, SIGNIFICANT * float(error)))
+
+
+def _leans(found: PointFit, context: Context) -> bool:
+    """Tell whether the core is far from what the camera's description says, or at a bound."""
+    prior = found.model.prior
+    chosen = prior.chosen
+    point = dict(zip(prior.free, found.point, strict=True))
+    low, high = prior.bounds[chosen].T
+    if np.any((np.abs(found.point - low) < 1e-6) | (np.abs(found.point - high) < 1e-6), where=_core(prior.free)):
+        return True
+    away = (found.point - prior.centre[chosen]) / prior.spread[chosen]
+    return context.sensor is not None and bool(abs(away[list(point).index("ln_cut_off")]) > STRANGE)
+
+
+def _core(free: tuple[str, ...]) -> NDArray[np.bool_]:
+    return np.array([name in ("x_px", "y_px", "ln_cut_off", "exponent") for name in free])
+
+
+def notes(found: PointFit, window: Window, context: Context, pinhole_px: float | None) -> tuple[str, ...]:
+    """Return what a reader may want to know and what lowers no trust."""
+    out = []
+    out.append("The response is taken as straight: one spot hardly shows a gamma correction.")
+    if pinhole_px is None:
+        out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
+    if found.model.prior.halo_px is None:
+        out.append("Normalised to the light of the core; a halo would not be seen in this region.")
+    elif found.noise is not None:
+        out.append("Normalised to all light, the halo's share as far as pixels and the camera's description tell it.")
+    if context.sensor is None:
+        out.append("Pixels taken as square.")
+    return tuple(out)
+
+
+def evidence(found: PointFit, window: Window) -> dict:
+    """Return the mean frame around the source, its model and the lines through its middle, for a figure."""
+    model = found.pedestal + found.light * found.model.core(found.point[None])[0]
+    rings = (
+        found.pedestal + found.light * found.model.rings(found.point[None])[0] if window.ring_dn.size else np.empty(0)
+    )
+    at = dict(zip(found.model.prior.free, found.point.tolist(), strict=True))
+    row = int(np.argmin(np.abs(window.y - at["y_px"])))
+    col = int(np.argmin(np.abs(window.x - at["x_px"])))
+    return {
+        "figure": "point-profile",
+        "column_px": (window.x - at["x_px"]).tolist(),
+        "row_px": (window.y - at["y_px"]).tolist(),
+        "value_dn": window.core.tolist(),
+        "model_dn": model.tolist(),
+        "used": window.keep.tolist(),
+        "along_row_dn": window.core[row].tolist(),
+        "along_row_model_dn": model[row].tolist(),
+        "along_column_dn": window.core[:, col].tolist(),
+        "along_column_model_dn": model[:, col].tolist(),
+        "ring_px": window.ring_px.mean(axis=1).tolist(),
+        "ring_dn": window.ring_dn.tolist(),
+        "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
+        "ring_model_dn": rings.tolist(),
+        "light_dn_px2": found.light,
+        "light_sd_dn_px2": found.light_sd,
+        "pedestal_dn": found.pedestal,
+        "chi_squared": found.chi2,
+        "degrees_of_freedom": found.free,
+    }

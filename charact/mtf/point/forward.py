@@ -1,0 +1,220 @@
+"""The forward method for points: the pixels of a point source fitted with the noise of whole pulses of light."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.method import Context, register
+from charact.mtf.curve import FINE, REPORTED, curve_of, falls_to
+from charact.mtf.optics import halo_diameters_px
+from charact.mtf.point import checks as point_checks
+from charact.mtf.point import source as point_source
+from charact.mtf.point.data import Window, window_of
+from charact.mtf.point.forward_fit import PointFit, fit
+from charact.mtf.point.forward_model import Optics
+from charact.mtf.region import Region
+from charact.posterior import laplace, sample
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "point-forward"
+QUANTITIES = ("mtf50", "mtf10")
+LEAST_PX = 9
+# Standard errors of its light that a source needs.
+LEAST_LIGHT = 6.0
+# Least share of the light that unspoilt pixels must hold.
+LEAST_KEPT = 0.3
+MAX_STEPS = 1200
+
+
+@register(
+    "point",
+    METHOD,
+    quantities=QUANTITIES,
+    preferred=True,
+    scope=(
+        "Single point sources whose core stays below full scale, light over 6 standard errors, pixels of an "
+        "intensifier or of an ordinary camera. A core beyond full scale is left out and flagged; motion and neighbours "
+        "are told. Not told: a second source within 1 px, and a curved response, which on one spot only scales the "
+        "width (a gamma of g moves MTF50 by about the root of g)."
+    ),
+)
+def point_forward(
+    stack: FrameStack, *, region: Region | None = None, pinhole_px: float | None = None, context: Context
+) -> Result:
+    """Measure the horizontal and vertical MTF of a camera from its picture of a point source.
+
+    Parameters
+    ----------
+    stack
+        Frames of one point source; they are averaged, and their differences give the noise.
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the source; None: the whole frame.
+    pinhole_px
+        Diameter of the source's image, column pitches; its own transfer is divided out. None: a point.
+    context
+        Seed, whether a Markov chain is wanted, and the camera.
+
+    Returns
+    -------
+    Result
+        `mtf50` and `mtf10` in both directions, the curves "mtf" and "mtf_vertical", and the profile as evidence. All
+        frequencies are cycles per column pitch.
+
+    Raises
+    ------
+    BadInput
+        If the pinhole's diameter is negative.
+
+    Notes
+    -----
+    A pixel's mean is pedestal + light P(x, y), P the transform of
+    pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f s)^2) x [(1 - q) + q H_halo].
+    Light and pedestal are marginalised in closed form.
+    """
+    began = time.perf_counter()
+    if pinhole_px is not None and not 0 <= pinhole_px < 50:
+        raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
+    used = stack if region is None else stack.region(*region)
+    where = region or (0, 0, *used.shape[1:])
+    task = Task(context=context, where=where, began=began, pinhole_px=pinhole_px)
+    if min(used.shape[1:]) < LEAST_PX:
+        return task.nothing(f"a point needs a region of at least {LEAST_PX} x {LEAST_PX} px, got {where[2:]}",
+                            "window-too-small")  # fmt: skip
+    source = point_source.find(used.data, context.pitch_ratio)
+    if isinstance(source, str):
+        full = context.full_scale_dn or used.full_scale_dn
+        if full is not None and used.data.max() >= full and np.median(used.data, axis=0).max() >= full:
+            return task.nothing("the source is too bright: pixels stay at full scale and nothing is dark", "saturated")
+        return task.nothing(source, "no-target")
+    window = _window(used, source, context)
+    kept = _kept(window)
+    if kept < LEAST_KEPT:
+        return task.nothing(f"the source is too bright: {100 * (1 - kept):.0f} % of its core's light lies in pixels "
+                            "that full scale spoils", "saturated")  # fmt: skip
+    found = fit(window, context, _optics(context, pinhole_px or 0.0))
+    if found is None:
+        return task.nothing("no target: what stands out of the background is not the picture of a point", "no-target")
+    if found.light < LEAST_LIGHT * found.light_sd:
+        return task.nothing(
+            f"no target: the light stands {found.light / found.light_sd:.1f} standard errors out of {LEAST_LIGHT:g}",
+            "no-target",
+        )
+    return task.result(found, window, source, used, _posterior(found, context))
+
+
+def _window(used: FrameStack, source: point_source.Source, context: Context) -> Window:
+    halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
+    return window_of(
+        used.data, source.row, source.col, pitch_ratio=context.pitch_ratio,
+        full_scale_dn=context.full_scale_dn or used.full_scale_dn, halo_radius_px=halo,
+        filtered=context.sensor is not None,
+    )  # fmt: skip
+
+
+def _kept(window: Window) -> float:
+    """Return the share of the core's light in unspoilt pixels, what is spoilt counted at its cut height."""
+    height = np.maximum(window.core - np.median(window.core), 0.0)
+    return float(height[window.keep].sum() / max(float(height.sum()), 1e-12))
+
+
+def _optics(context: Context, pinhole_px: float) -> Optics:
+    """Return what is known of pixel and video filter."""
+    if context.sensor is None:
+        rows = 2.0 if context.interlaced else 1.0
+        return Optics(width_px=1.0, height_px=rows, video=None, pinhole_px=pinhole_px, top=2.0)
+    rows = 2.0 if context.interlaced else 1.0
+    return Optics(
+        width_px=1.0,
+        height_px=rows * context.pitch_ratio,
+        video=context.sensor.video.low_pass,
+        pinhole_px=pinhole_px,
+        top=1.2,
+    )
+
+
+def _posterior(found: PointFit, context: Context) -> Posterior:
+    """Draw from the posterior: by Markov chain, or quickly from the curvature."""
+    prior = found.model.prior
+    asked = {"names": prior.names, "units": prior.units, "start": found.point, "covariance": found.covariance}
+    bounds = prior.bounds[prior.chosen]
+    if context.quick:
+        return laplace(found.log_probability, **asked, seed=context.seed, bounds=bounds)
+    return sample(found.log_probability, **asked, seed=context.seed, bounds=bounds, max_steps=MAX_STEPS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What was asked, and when."""
+
+    context: Context
+    where: Region
+    began: float
+    pinhole_px: float | None
+
+    @property
+    def provenance(self) -> Provenance:
+        """Version, seed and settings."""
+        settings = {"quick": self.context.quick, "pinhole_px": self.pinhole_px}
+        return Provenance(version=charact.__version__, seed=self.context.seed, settings=settings)
+
+    def nothing(self, reason: str, flag: str) -> Result:
+        """Return the refusal of all that a point gives."""
+        seconds = time.perf_counter() - self.began
+        common = {"method": METHOD, "flags": (flag,), "region": self.where, "seconds": seconds}
+        return Result(measurements=tuple(
+            refused(name, "cy/px", reason, orientation_deg=angle, provenance=self.provenance, **common)
+            for name in QUANTITIES for angle in (0.0, 90.0)
+        ))  # fmt: skip
+
+    def result(
+        self, found: PointFit, window: Window, source: point_source.Source, used: FrameStack, posterior: Posterior
+    ) -> Result:
+        """Return measurements, curves and evidence of a fitted source."""
+        common = {
+            "method": METHOD,
+            "flags": (*point_checks.flags(found, window, source, self.context), *_of_chain(posterior)),
+            "notes": (
+                *used.notes,
+                *point_checks.notes(found, window, self.context, self.pinhole_px),
+            ),
+            "region": self.where,
+            "provenance": self.provenance,
+        }
+        measurements: list[Measurement] = []
+        curves = {}
+        for name, vertical in (("mtf", False), ("mtf_vertical", True)):
+            fine = found.model.mtf(posterior.draws, FINE, vertical=vertical)
+            angle = 90.0 if vertical else 0.0
+            measurements += [_level(quantity, level, fine, posterior, {**common, "orientation_deg": angle})
+                             for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1))]  # fmt: skip
+            curves[name] = curve_of(REPORTED, found.model.mtf(posterior.draws, REPORTED, vertical=vertical))
+        seconds = time.perf_counter() - self.began
+        return Result(
+            measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+            curves=curves,
+            evidence={"point-profile": point_checks.evidence(found, window)},
+        )
+
+
+def _of_chain(posterior: Posterior) -> tuple[str, ...]:
+    """Flags of the posterior; bounded parameters of the halo lean on theirs without harm."""
+    return tuple(flag for flag in posterior.flags if flag != "prior-bound")
+
+
+def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
+    """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
+    draws = falls_to(FINE, fine, level)
+    lost = float(np.mean(~np.isfinite(draws)))
+    if lost > 0.02:
+        reason = (
+            f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
+        )
+        return refused(quantity, "cy/px", reason, **common)
+    return from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)

@@ -1,0 +1,239 @@
+"""Fitting a point source: pixels of the core and means of rings, weighed by the noise that is in them."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.point.data import Window
+from charact.mtf.point.forward_model import Optics, PointModel
+from charact.mtf.point.forward_prior import NAMES, Prior, priors_of
+from charact.mtf.point.noise import SHARES, Noise, memory_of, noise_of
+from charact.posterior import maximum
+
+Array = NDArray[np.float64]
+
+# Share by which a screen's own pattern makes pixels unequal, and over how many pixels it is alike.
+PATTERN, PATTERN_PX = 0.015, 1.5
+# Noise of a quiet pixel that helps rounding, DN; mean square over squared mean of pulses; pulses per DN before they
+# are known.
+QUIET_SD, PULSE_VARIANCE, SPARSE = 0.2, 3.0, 1.0
+CLIMBS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointFit:
+    """The most probable transfer of a point source.
+
+    Parameters
+    ----------
+    model
+        The forward model.
+    data, white
+        Values used, shape (value,), and the matrix that whitens them.
+    keep
+        Which pixels of the core are used, shape (row, col).
+    point, covariance
+        Peak of the posterior and inverse of the curvature.
+    light, pedestal
+        Best light, DN px^2, and level, DN.
+    light_sd
+        Standard error of the light.
+    chi2, free
+        At the peak, and the values less what the data fix.
+    noise
+        Noise of the core.
+    """
+
+    model: PointModel
+    data: Array
+    white: Array
+    keep: NDArray[np.bool_]
+    point: Array = field(default_factory=lambda: np.empty(0))
+    covariance: Array = field(default_factory=lambda: np.empty(0))
+    light: float = 0.0
+    pedestal: float = 0.0
+    light_sd: float = 0.0
+    chi2: float = 0.0
+    free: int = 1
+    noise: Noise | None = None
+
+    def shapes(self, theta: Array) -> Array:
+        """Return values of unit light, shape (n, value)."""
+        core = self.model.core(theta)[:, self.keep]
+        return np.concatenate([core, self.model.rings(theta)], axis=1) if self.model.ring_px.size else core
+
+    def linear(self, theta: Array) -> tuple[Array, Array, Array]:
+        """Return chi squared, best light and pedestal (n, 2), and their normal matrix (n, 2, 2)."""
+        unit = self.shapes(theta) @ self.white.T
+        flat, data = self.white.sum(axis=1), self.white @ self.data
+        normal = np.empty((len(theta), 2, 2))
+        normal[:, 0, 0] = (unit**2).sum(axis=1)
+        normal[:, 0, 1] = normal[:, 1, 0] = unit @ flat
+        normal[:, 1, 1] = flat @ flat
+        right = np.stack([unit @ data, np.full(len(theta), flat @ data)], axis=1)
+        best = np.linalg.solve(normal, right[..., None])[..., 0]
+        chi2 = data @ data - (best * right).sum(axis=1)
+        return np.asarray(chi2, np.float64), np.asarray(best, np.float64), normal
+
+    def log_probability(self, theta: Array) -> Array:
+        """Return ln of the posterior with light and pedestal marginalised, shape (n,)."""
+        value = self.model.prior.log_density(theta)
+        inside = np.isfinite(value)
+        if inside.any():
+            chi2, _, normal = self.linear(theta[inside])
+            height = -0.5 * chi2 - 0.5 * np.log(normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2)
+            value[inside] += np.where(np.isfinite(height), height, -np.inf)
+        return value
+
+
+def fit(window: Window, context: Context, optics: Optics) -> PointFit | None:
+    """Fit a window and return the more probable of the transfers' kinds; None where none is possible."""
+    first, *others = priors_of(context, halo_seen=window.holds_halo)
+    found = _fit(window, context, optics, first)
+    for prior in others:
+        if found is not None and _evidence(_alike(found, prior)) > _evidence(found):
+            found = _fit(window, context, optics, prior) or found
+    return found
+
+
+def _alike(found: PointFit, prior: Prior) -> PointFit:
+    """Return another kind of transfer at its peak under the weights of a fit, for a fair comparison."""
+    at = {name: float(value[0]) for name, value in found.model.prior.named(found.point[None]).items()}
+    other = replace(found, model=replace(found.model, prior=prior))
+    starts = np.array([
+        [at[name] if name in found.model.prior.free else share * prior.centre[NAMES.index(name)] for name in prior.free]
+        for share in (0.3, 1.0, 2.0)
+    ])  # fmt: skip
+    start = starts[int(np.argmax(other.log_probability(starts)))]
+    point, covariance = maximum(other.log_probability, start, prior.bounds[prior.chosen])
+    return _at(other, point, covariance, found.noise)
+
+
+def _evidence(found: PointFit) -> float:
+    """Return ln of the evidence by Laplace's approximation, up to what fits of the same weights share."""
+    prior = found.model.prior
+    spread = prior.spread[prior.chosen]
+    known = np.isfinite(spread)
+    height = float(found.log_probability(found.point[None])[0])
+    volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * found.covariance)[1])
+    return height + volume - float(np.sum(np.log(np.sqrt(2.0 * np.pi) * spread[known])))
+
+
+def _fit(window: Window, context: Context, optics: Optics, prior: Prior) -> PointFit | None:
+    """Fit a window, noise and transfer in turns; None where no transfer is possible."""
+    model = PointModel(optics=optics, prior=prior, x=window.x, y=window.y, ring_px=window.ring_px)
+    memory = memory_of(context, window.frames)
+    point = _first(model, window)
+    noise = None
+    found = _weighted(model, window, point, None, memory)
+    for turn in range(CLIMBS):
+        if not np.isfinite(found.log_probability(point[None])[0]):
+            return None
+        point, covariance = maximum(found.log_probability, point, prior.bounds[prior.chosen])
+        found = _at(found, point, covariance, noise)
+        if found.light <= 0:
+            return None
+        if turn == CLIMBS - 1:
+            break
+        if window.frames > 2:
+            shares = _shares(context, turn)
+            noise = noise_of(model, point, max(found.light, 1e-9), window.deviations, window.floor,
+                             window.parity, memory, shares)  # fmt: skip
+        found = _weighted(model, window, point, noise, memory, light=found.light)
+    return found
+
+
+def _shares(context: Context, turn: int) -> tuple[float | None, ...]:
+    """Return the kinds of noise to choose from: at first the described tube's own."""
+    if context.sensor is None:
+        return None, *SHARES
+    return (float(context.sensor.tube.post_gain_share),) if turn == 0 else SHARES
+
+
+def _first(model: PointModel, window: Window) -> Array:
+    """Return where to climb from: the centre of light."""
+    start = model.prior.centre[model.prior.chosen].copy()
+    start[0], start[1] = window.centre
+    return start
+
+
+def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, light: float = 0.0) -> PointFit:
+    """Return a problem whose weights follow from noise, pattern and rounding at a point."""
+    keep = window.keep.ravel()
+    core = light * model.core(point[None])[0] if light else np.maximum(window.core - np.median(window.core), 0.0)
+    rings = light * model.rings(point[None])[0] if light and window.ring_dn.size else np.zeros(window.ring_dn.size)
+    bright = core.ravel()
+    covariance = _core_covariance(window, bright, noise, memory, light)[np.ix_(keep, keep)]
+    size = len(covariance)
+    whole = np.zeros((size + rings.size,) * 2)
+    whole[:size, :size] = covariance
+    whole[size:, size:] = np.diag(window.ring_variance)
+    pulse = np.zeros(bright.size) if noise is None else noise.gain * light * np.diag(noise.pulse) * memory.frame_same
+    scatter = np.append(pulse[keep], np.full(rings.size, np.inf))
+    if window.quiet > 0.0:
+        pulses = SPARSE if noise is None else PULSE_VARIANCE / (noise.gain * noise.sharpness)
+        whole += rounding_covariance(np.append(bright[keep], rings), scatter, window.floor, pulses)
+    root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole)), np.float64)
+    return PointFit(model=model, data=np.concatenate([window.core.ravel()[keep], window.ring_dn]), white=root,
+                    keep=window.keep)  # fmt: skip
+
+
+def _core_covariance(window: Window, bright: Array, noise: Noise | None, memory, light: float) -> Array:
+    """Return the covariance of the core's mean: pulses, the pixels' own noise, and the screen's pattern."""
+    count = window.frames
+    if noise is None:
+        covariance = np.diag(0.02 * bright * max(float(bright.max()), 1.0)) / count
+    else:
+        same = window.parity[:, None] == window.parity[None, :]
+        covariance = noise.gain * light * noise.pulse * np.where(same, memory.mean_same, memory.mean_other) / count
+    pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
+    return covariance + np.eye(bright.size) * window.floor / count + PATTERN**2 * np.outer(bright, bright) * pattern
+
+
+def rounding_covariance(height: Array, pulse_variance: Array, floor: float, pulses_per_dn: float) -> Array:
+    """Return the covariance of what rounding to codes adds to means, shape (value, value).
+
+    Parameters
+    ----------
+    height
+        Values above the pedestal, shape (value,), DN.
+    pulse_variance
+        Variance of one frame by pulses, shape (value,), DN^2.
+    floor
+        Variance of a dark pixel, DN^2.
+    pulses_per_dn
+        Pulses that make one DN: sparse ones leave quiet moments.
+
+    Notes
+    -----
+    Rounding of a value x with Gaussian noise sd adds -exp(-2 (pi sd)^2) sin(2 pi x) / pi to its mean (first term of the
+    sawtooth's series). Where the pedestal lies between codes is unknown, so x = pedestal + height has any phase and
+    two values' errors go as the cosine of their difference. Sparse pulses leave quiet moments: there the factor is not
+    below exp(-their number).
+    """
+    own = min(floor, QUIET_SD**2)
+    damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses_per_dn * np.maximum(height, 0.0))
+    size = np.exp(-2.0 * np.pi**2 * own - damping) / np.pi
+    phase = 2.0 * np.pi * height
+    return 0.5 * np.outer(size, size) * np.cos(phase[:, None] - phase)
+
+
+def _at(found: PointFit, point: Array, covariance: Array, noise: Noise | None) -> PointFit:
+    """Return the fit at a peak."""
+    chi2, best, normal = found.linear(point[None])
+    return PointFit(
+        model=found.model,
+        data=found.data,
+        white=found.white,
+        keep=found.keep,
+        point=point,
+        covariance=covariance,
+        light=float(best[0, 0]),
+        pedestal=float(best[0, 1]),
+        light_sd=float(np.sqrt(np.linalg.inv(normal[0])[0, 0])),
+        chi2=float(chi2[0]),
+        free=max(found.data.size - 2 - min(point.size, 5), 1),
+        noise=noise,
+    )

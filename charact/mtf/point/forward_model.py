@@ -1,0 +1,221 @@
+"""The forward model of a point source: from possible transfers to the pixels of its core and the rings around it.
+
+The transfer in two dimensions is exp(-(f/fc)^n - 2 (pi f s)^2), which holds tubes, lenses and fibres, times the halo,
+times the known pixel and, along rows, the known causal video filter. All lengths are column pitches, vertical ones too.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.forms import transfer as forms
+from charact.mtf.forms.wide_tables import sine_integral
+from charact.mtf.point.forward_prior import Prior
+
+Array = NDArray[np.float64]
+
+# Spacing of the frequencies: copies of the source then lie this far apart, beyond core and halo, px.
+PERIOD_PX = 40.0
+RING_STEP, RING_TOP = 1.0 / 160.0, 0.5
+# Rings are wide: smoothing by this much changes nothing and ends the integral gently.
+RING_SMOOTHING_PX = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """What is known of the camera before the fit.
+
+    Parameters
+    ----------
+    width_px, height_px
+        Extent of a pixel as read, column pitches.
+    video
+        (bandwidth MHz, pixel clock MHz, order) of the filter along rows, or None.
+    pinhole_px
+        Diameter of the source's image, column pitches; 0 is a point.
+    top
+        Highest frequency with contrast, cycles per column pitch.
+    """
+
+    width_px: float
+    height_px: float
+    video: tuple[float, float, int] | None
+    pinhole_px: float
+    top: float
+
+    def fixed(self, fx: Array, fy: Array) -> Array:
+        """Return pixel and pinhole at frequencies along rows and columns, real."""
+        return np.sinc(fx * self.width_px) * np.sinc(fy * self.height_px) * pinhole(np.hypot(fx, fy), self.pinhole_px)
+
+    def filtered(self, frequency: Array, ln_bandwidth: Array) -> NDArray[np.complex128]:
+        """Return the video filter, delay removed, shape (n, frequency), for ln of bandwidth over its nominal value."""
+        if self.video is None:
+            return np.ones((len(ln_bandwidth), frequency.size), complex)
+        bandwidth, clock, order = self.video
+        low, middle, high = (forms.video(frequency, bandwidth * np.exp(x), clock, order) for x in (-0.1, 0.0, 0.1))
+        x = ln_bandwidth[:, None] / 0.1
+        return middle + 0.5 * x * (high - low) + 0.5 * x**2 * (high + low - 2 * middle)
+
+
+def pinhole(frequency: Array, diameter_px: float) -> Array:
+    """Return 2 J1(u)/u, u = pi d f, the transfer of a disc of even light."""
+    if diameter_px <= 0:
+        return np.ones_like(frequency)
+    from scipy.special import j1
+
+    u = np.maximum(np.pi * diameter_px * frequency, 1e-9)
+    return 2.0 * j1(u) / u
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointModel:
+    """Pixels and rings of a point source of unit light, for any transfer.
+
+    Parameters
+    ----------
+    optics
+        The known part.
+    prior
+        Names, bounds and probability of the parameters.
+    x, y
+        Places of the core's columns and rows, px from the first guess of the source, shape (col,) and (row,).
+    ring_px
+        Distances of some pixels of every ring, shape (ring, pixel), px.
+    """
+
+    optics: Optics
+    prior: Prior
+    x: Array
+    y: Array
+    ring_px: Array
+
+    @cached_property
+    def grid(self) -> tuple[Array, Array]:
+        """Frequencies along rows (fx,) and along columns (fy, 1), cycles per column pitch."""
+        step = 1.0 / PERIOD_PX
+        return np.arange(step / 2, self.optics.top, step), np.arange(step / 2, 0.85 * self.optics.top, step)[:, None]
+
+    @cached_property
+    def _video_lines(self) -> tuple[NDArray[np.complex128], ...]:
+        at = self.grid[0]
+        low, middle, high = (self.optics.filtered(at, np.array([x]))[0] for x in (-0.1, 0.0, 0.1))
+        return middle, 5.0 * (high - low), 50.0 * (high + low - 2 * middle)
+
+    @cached_property
+    def halo_table(self) -> "HaloTable":
+        """The halo at the grid's frequencies."""
+        fx, fy = self.grid
+        return HaloTable.of(np.hypot(fx, fy), self.prior.halo_px)
+
+    @cached_property
+    def fixed_part(self) -> Array:
+        """Pixel and pinhole at the grid's frequencies, with the integral's weights, shape (fy, fx)."""
+        fx, fy = self.grid
+        return 4.0 / PERIOD_PX**2 * self.optics.fixed(fx, fy)
+
+    @cached_property
+    def _rings(self) -> tuple[Array, "HaloTable", Array]:
+        """Frequencies, halo and the Hankel transform onto the rings, shape (frequency, ring)."""
+        from scipy.special import j0
+
+        f = np.arange(RING_STEP / 2, RING_TOP, RING_STEP)
+        kernel = j0(2 * np.pi * f[:, None, None] * self.ring_px).mean(axis=2)
+        return f, HaloTable.of(f, self.prior.halo_px), kernel * (2 * np.pi * RING_STEP * f)[:, None]
+
+    def modulus(self, theta: Array, fx: Array, fy: Array, halo: "HaloTable | None" = None) -> Array:
+        """Return the transfer without pixel and video filter at frequencies (...), shape (n, ...)."""
+        p = self.prior.named(theta)
+        shape = (slice(None), *(None,) * np.broadcast(fx, fy).ndim)
+        stretch = np.exp(p["stretch"])[shape]
+        square = fx**2 * stretch + fy**2 / stretch
+        power = np.log(square)
+        power *= 0.5 * p["exponent"][shape]
+        power -= (p["exponent"] * p["ln_cut_off"])[shape]
+        core = np.exp(power, out=power)
+        core += square * (2.0 * (np.pi * p["blur_px"][shape]) ** 2)
+        np.exp(-core, out=core)
+        if self.prior.halo_px is None:
+            return core
+        return core * self.spread(theta, halo or HaloTable.of(np.hypot(fx, fy), self.prior.halo_px))
+
+    def spread(self, theta: Array, table: "HaloTable") -> Array:
+        """Return the transfer of straight and scattered photoelectrons, shape (n, ...) as the table's."""
+        if self.prior.halo_px is None:
+            return np.ones((len(theta), *(1,) * (table.elastic.ndim - 1)))
+        p = self.prior.named(theta)
+        share = self.prior.halo_fraction(p["halo_deviate"])
+        return table(share, p["halo_diameter_px"], p["halo_elastic_share"])
+
+    def core(self, theta: Array) -> Array:
+        """Return the core's pixels per unit light, shape (n, row, col), 1/px^2."""
+        fx, fy = self.grid
+        return self.image(theta, self.modulus(theta, fx, fy, self.halo_table) * self.fixed_part)
+
+    def image(self, theta: Array, transfer: Array) -> Array:
+        """Return the picture of transfers given at the grid's frequencies with its weights, shape (n, row, col)."""
+        p = self.prior.named(theta)
+        line, lines = self.grid[0], self.grid[1][:, 0]
+        middle, slope, bend = self._video_lines
+        width = p["ln_bandwidth"][:, None]
+        shift = np.exp(-2j * np.pi * p["x_px"][:, None] * line)
+        along = (middle + slope * width + bend * width**2) * shift
+        phase = 2.0 * np.pi * line[:, None] * self.x
+        columns = along.real[:, :, None] * np.cos(phase) - along.imag[:, :, None] * np.sin(phase)
+        rows = np.cos(2.0 * np.pi * (self.y[None, :, None] - p["y_px"][:, None, None]) * lines)
+        return rows @ transfer @ columns
+
+    def rings(self, theta: Array) -> Array:
+        """Return the rings' means per unit light, shape (n, ring), 1/px^2."""
+        f, table, kernel = self._rings
+        along = self.optics.width_px / 2.0 + self.optics.height_px / 2.0
+        radial = self.modulus(theta, f / np.sqrt(2), f / np.sqrt(2), table)
+        return (radial * np.sinc(f * along / 2) * np.exp(-2.0 * (np.pi * f * RING_SMOOTHING_PX) ** 2)) @ kernel
+
+    def mtf(self, theta: Array, frequency: Array, *, vertical: bool) -> Array:
+        """Return the MTF along rows or along columns, shape (n, frequency), of the camera alone, without pinhole."""
+        p = self.prior.named(theta)
+        f = np.maximum(frequency, 1e-7)
+        none = np.zeros_like(f)
+        if vertical:
+            return self.modulus(theta, none, f) * np.abs(np.sinc(f * self.optics.height_px))
+        video = np.abs(self.optics.filtered(f, p["ln_bandwidth"]))
+        return self.modulus(theta, f, none) * np.abs(np.sinc(f * self.optics.width_px)) * video
+
+
+@dataclass(frozen=True, kw_only=True)
+class HaloTable:
+    """Transfer of the halo at fixed frequencies, quadratic in ln of its diameter between its bounds."""
+
+    middle: float
+    half: float
+    elastic: Array
+    uniform: Array
+
+    @classmethod
+    def of(cls, frequency: Array, halo_px: tuple[float, float] | None) -> "HaloTable":
+        """Make the table for diameters between two, px."""
+        low, high = np.log(halo_px or (1.0, 2.0))
+        u = np.pi * frequency * np.exp(np.array([low, 0.5 * (low + high), high]).reshape(-1, *(1,) * frequency.ndim))
+        return cls(
+            middle=0.5 * (low + high),
+            half=0.5 * (high - low),
+            elastic=_bend(np.sinc(u / np.pi)),
+            uniform=_bend(sine_integral(u) / u),
+        )
+
+    def __call__(self, fraction: Array, diameter_px: Array, elastic_share: Array) -> Array:
+        """Return 1 - q + q H for the halo's share q of the light, shape (n, frequency...)."""
+        x = (np.log(diameter_px) - self.middle) / self.half
+        weight = fraction * np.stack([np.ones_like(x), x, x * x])
+        both = np.concatenate([weight * elastic_share, weight * (1.0 - elastic_share)]).T
+        parts = np.concatenate([self.elastic, self.uniform]).reshape(6, -1)
+        scattered = (both @ parts).reshape(-1, *self.elastic.shape[1:])
+        scattered += (1.0 - fraction)[(slice(None), *(None,) * (self.elastic.ndim - 1))]
+        return scattered
+
+
+def _bend(values: Array) -> Array:
+    """Return constant, slope and curvature of values at -1, 0 and 1."""
+    return np.stack([values[1], 0.5 * (values[2] - values[0]), 0.5 * (values[2] + values[0]) - values[1]])

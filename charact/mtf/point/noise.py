@@ -1,0 +1,195 @@
+"""The noise around a point source: whole pulses of light that move the core up, down and sideways as one.
+
+A photoelectron lands where the blur before the gain takes it and makes a pulse as wide as the blur behind the gain.
+So the pixels' covariance is a sum of pulse shapes over the places of landing, and its size is found from how the
+frames differ. A decaying screen shows a pulse in several fields, which ties frames and both fields together.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.point.forward_model import PERIOD_PX, PointModel
+
+Array = NDArray[np.float64]
+
+SHARES = (0.4, 0.6, 0.8, 1.0)
+# Half the spacing of the places of landing near the core and far from it, px, and how far each reaches.
+NEAR, FAR = (0.5, 3.0), (1.5, 15.0)
+FIELDS, MOMENTS = 64, 200
+# Pixels whose frames are compared lie this near the source, px.
+NEAR_PX = 5.5
+# Variances of light tried, in those of a dark pixel.
+GAINS = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 200))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Memory:
+    """How pulses are shared out over fields and frames, relative to the light of one frame.
+
+    Parameters
+    ----------
+    mean_same, mean_other
+        Covariance of the mean of all frames times their number, within a field's rows and between both fields' rows.
+    frame_same, frame_other
+        Expected covariance between frames (ddof 1), likewise.
+    """
+
+    mean_same: float
+    mean_other: float
+    frame_same: float
+    frame_other: float
+
+
+def memory_of(context: Context, frames: int) -> Memory:
+    """Return how long pulses are remembered: by the described screen, else not at all."""
+    shares = _shares(context)
+    if not context.interlaced:
+        # The screen's memory from frame to frame: two fields of a frame add up.
+        same = float(np.mean(np.sum(shares**2, axis=1)))
+        return _memory(1.0, 0.0, same, 0.0, frames)
+    even, odd = shares[:, ::2].sum(axis=1), shares[:, 1::2].sum(axis=1)
+    same, other = float(np.mean(even**2 + odd**2)), float(np.mean(2 * even * odd))
+    frame = float(np.mean(np.sum(shares**2, axis=1)))
+    between = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
+    return _memory(same, other, frame, between, frames)
+
+
+def _memory(mean_same: float, mean_other: float, same: float, other: float, frames: int) -> Memory:
+    count = max(frames, 2)
+    return Memory(
+        mean_same=mean_same,
+        mean_other=mean_other,
+        frame_same=(count * same - mean_same) / (count - 1),
+        frame_other=(count * other - mean_other) / (count - 1),
+    )
+
+
+def _shares(context: Context) -> Array:
+    """Share of a pulse's light in each field from its own on, shape (pulse, field), for an open gate."""
+    if context.sensor is None:
+        return np.ones((1, 1))
+    phosphor = context.sensor.phosphor
+    exposures = 1.0 / float(context.sensor.video.field_rate_hz) * 1e3
+    tau = np.maximum([float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)], 1e-6)
+    fast = float(phosphor.fast_fraction)
+    light = np.array([fast, 1.0 - fast]) * tau
+    arrival = (np.arange(MOMENTS) + 0.5) / MOMENTS * exposures
+    ends = np.arange(1, FIELDS + 1) * exposures
+    left = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (light / light.sum())
+    return -np.diff(left, axis=1, prepend=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Noise of the core's pixels.
+
+    Parameters
+    ----------
+    pulse
+        Covariance of one frame per unit light and unit gain, without the fields' factors, shape (pixel, pixel).
+    gain
+        Covariance per light, DN px^2.
+    share
+        Share of the blur that lies behind the gain; None: pixels whose noise is their own, as in ordinary cameras.
+    sharpness
+        Mean square of a pulse of unit light over its area, 1/px^2.
+    """
+
+    pulse: Array
+    gain: float
+    share: float | None
+    sharpness: float
+
+
+def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
+    """Return the covariance of unit light at unit gain, shape (pixel, pixel), for a share of blur behind the gain."""
+    fx, fy = model.grid
+    p = {name: float(value[0]) for name, value in model.prior.named(point[None]).items()}
+    square = fx**2 + fy**2
+    tube = np.exp(p["exponent"] * (0.5 * np.log(square) - p["ln_cut_off"]))
+    gauss = (np.pi * p["blur_px"]) ** 2 * square
+    behind = np.exp(-share * tube - gauss) * model.fixed_part
+    before = np.exp(-(1.0 - share) * tube - gauss) * model.spread(point[None], model.halo_table)[0]
+    out = np.zeros((model.x.size * model.y.size,) * 2)
+    for (step, reach), inner in ((NEAR, 0.0), (FAR, NEAR[1])):
+        places = np.arange(-reach, reach + 1e-9, step)
+        cell = np.sinc(fx * step) * np.sinc(fy * step)
+        along, down = (np.cos(2 * np.pi * np.outer(places, f)) for f in (fx, fy))
+        density = down @ (before * cell) @ along.T * (4.0 / PERIOD_PX**2)
+        weight = np.maximum(density, 0.0) * step**2
+        keep = np.maximum(*np.broadcast_arrays(np.abs(places)[:, None], np.abs(places))) > inner - 1e-9
+        keep = keep if inner else np.ones_like(keep)
+        shapes = _shapes(model, point, behind, places, keep)
+        out += (shapes * weight[keep][:, None]).T @ shapes
+    return out
+
+
+def shot_covariance(model: PointModel, point: Array) -> Array:
+    """Return the covariance of unit light at unit gain where every pixel counts for itself, shape (pixel, pixel)."""
+    return np.diag(np.maximum(model.core(point[None])[0].ravel(), 0.0))
+
+
+def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, keep: NDArray[np.bool_]) -> Array:
+    """Return pulses at places around the source, shape (place, pixel)."""
+    rows, cols = np.nonzero(keep)
+    shifted = np.repeat(point[None], rows.size, axis=0)
+    x, y = (model.prior.free.index(name) for name in ("x_px", "y_px"))
+    shifted[:, x] += places[cols]
+    shifted[:, y] += places[rows]
+    return model.image(shifted, transfer).reshape(rows.size, -1)
+
+
+def _near(model: PointModel, point: Array) -> NDArray[np.int64]:
+    """Return the pixels near the source, where nearly all of its noise is."""
+    p = model.prior.named(point[None])
+    x, y = np.broadcast_arrays(model.x - p["x_px"], (model.y - p["y_px"])[:, None])
+    return np.flatnonzero((np.hypot(x, y) < NEAR_PX).ravel())
+
+
+def noise_of(
+    model: PointModel,
+    point: Array,
+    light: float,
+    deviations: Array,
+    floor: float,
+    parity: NDArray[np.bool_],
+    memory: Memory,
+    shares: tuple[float | None, ...] = SHARES,
+) -> Noise:
+    """Return the noise that makes the frames' differences most probable.
+
+    Parameters
+    ----------
+    light
+        Light of the source, DN px^2.
+    deviations
+        Frames less their mean, shape (frame, pixel), DN.
+    floor
+        Variance of a pixel far from the source, DN^2.
+    parity
+        Field of each pixel, shape (pixel,).
+    shares
+        Shares of blur behind the gain to choose from; None: no gain, white noise of the light.
+    """
+    near = _near(model, point)
+    deviations, parity = deviations[:, near], parity[near]
+    factor = np.where(parity[:, None] == parity[None, :], memory.frame_same, memory.frame_other)
+    best: tuple[float, Noise] | None = None
+    area = float(np.diff(model.y[:2])[0] * np.diff(model.x[:2])[0])
+    freedom = len(deviations) - 1
+    for share in shares:
+        pulse = shot_covariance(model, point) if share is None else pulse_covariance(model, point, share)
+        sharp = float(np.trace(pulse)) * area
+        values, vectors = np.linalg.eigh(pulse[np.ix_(near, near)] * factor * light)
+        gains = GAINS * floor / max(float(values.mean()), 1e-300)
+        power = ((deviations @ vectors) ** 2).sum(axis=0)
+        variance = gains[:, None] * np.maximum(values, 0.0) + floor
+        fit = -0.5 * (freedom * np.log(variance) + power / variance).sum(axis=1)
+        top = int(np.argmax(fit))
+        if best is None or fit[top] > best[0]:
+            best = float(fit[top]), Noise(pulse=pulse, gain=float(gains[top]), share=share, sharpness=sharp)
+    assert best is not None
+    return best[1]

@@ -1,0 +1,295 @@
+"""The parametric method for points: forms of the point spread, fitted to pixels and weighed by their evidence."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.method import Context, register
+from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
+from charact.mtf.forms.families import DiscPrior, GlarePrior, HaloPrior, Wide
+from charact.mtf.optics import halo_diameters_px
+from charact.mtf.point import distrust as point_distrust
+from charact.mtf.point import source as point_source
+from charact.mtf.point.choice import Weighed, fitted
+from charact.mtf.point.data import window_of
+from charact.mtf.point.form_fit import FormFit, PointFitter
+from charact.mtf.point.noise import memory_of
+from charact.mtf.point.pixels import Site
+from charact.mtf.point.pulses import dark_of
+from charact.mtf.point.table import Aperture
+from charact.mtf.region import Region
+from charact.posterior import has_several_peaks, laplace, sample
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "point-parametric"
+LEAST_PX = 9
+LEAST_LIGHT = 6.0
+# Least share of the light that pixels below full scale must hold.
+LEAST_KEPT = 0.2
+DRAWS, QUICK_DRAWS = 1000, 500
+MAX_STEPS = 1500
+# Rings that a disc or glare must leave bare.
+BARE_RINGS = 2
+PINHOLE_PX = (0.0, 50.0)
+
+
+@register(
+    "point",
+    METHOD,
+    quantities=("mtf50", "mtf10", "mtf"),
+    scope=(
+        "Single point sources or pinholes of known, bounded or no size, light over 6 standard errors, one frame and "
+        "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, round, "
+        "elliptical or separable, with halo, disc or glare that the region shows. Pixels at full scale count as at "
+        "least that. Not told: a second source within 1 px, a weak gamma, and a pinhole whose size is not given."
+    ),
+)
+def point_parametric(
+    stack: FrameStack,
+    *,
+    region: Region | None = None,
+    regions: tuple[Region, ...] | None = None,
+    pinhole_px: float | tuple[float, float] | None = None,
+    context: Context,
+) -> Result:
+    """Measure the horizontal and vertical MTF of a camera from its picture of one or several points.
+
+    Parameters
+    ----------
+    stack
+        Frames of the sources; they are averaged, and their differences give the noise.
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the source; None: the whole frame.
+    regions
+        Regions of several sources of one size, fitted with one transfer; they take the place of `region`.
+    pinhole_px
+        Diameter of the source's image, column pitches, whose transfer is divided out, or the bounds between which it
+        is unknown. None: a point.
+    context
+        Seed, whether a Markov chain is wanted, and the camera.
+
+    Returns
+    -------
+    Result
+        `mtf50`, `mtf10` and `mtf` at pinned frequencies in both directions, and the curves "mtf" and "mtf_vertical".
+        All frequencies are cycles per column pitch.
+
+    Raises
+    ------
+    BadInput
+        If the pinhole's diameter is negative or its bounds are no interval, or if there are no regions.
+
+    Notes
+    -----
+    A pixel's mean is level + slopes + light P(x, y), P the transform of pinhole x pixel x video x form. Level, slopes
+    and the shift from the best place are marginalised in closed form; pixels at full scale enter by the probability
+    of being at least there. The draws are those of every form in proportion to its evidence.
+    """
+    began = time.perf_counter()
+    task = _Task(context=context, region=region or (0, 0, *stack.shape[1:]), began=began, pinhole=_pinhole(pinhole_px))
+    if regions is not None and not regions:
+        raise BadInput("several sources need at least one region, got none")
+    parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
+    sites, crowded = [], False
+    for part in parts:
+        site = _site(part, context)
+        if isinstance(site, tuple):
+            return task.nothing(*site)
+        sites.append(site[0] if isinstance(site, list) else site)
+        crowded |= isinstance(site, list)
+    sites, fitter, found = fitted(sites, task.pinhole, _wides(sites, parts, context))
+    best = found[0].fit
+    weak = best.light < LEAST_LIGHT * point_distrust.light_errors(fitter, best)
+    if weak.any():
+        return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out", "no-target")
+    return task.result(sites, fitter, found, stack.notes, crowded)
+
+
+def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
+    """Return diameter or bounds, checked."""
+    low, high = PINHOLE_PX
+    if isinstance(pinhole_px, tuple | list):
+        least, most = (float(number) for number in pinhole_px)
+        if not low <= least < most < high:
+            raise BadInput(f"bounds of pinhole_px must rise within [0, 50) column pitches, got {least:g} to {most:g}")
+        return least, most
+    if pinhole_px is not None and not low <= pinhole_px < high:
+        raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
+    return float(pinhole_px or 0.0)
+
+
+def _site(part: FrameStack, context: Context) -> "Site | list[Site] | tuple[str, str]":
+    """Return the source of a part of the frames, in a list where others stand beside it, or why there is none."""
+    if min(part.shape[1:]) < LEAST_PX:
+        return f"a point needs a region of at least {LEAST_PX} x {LEAST_PX} px", "window-too-small"
+    full = context.full_scale_dn or part.full_scale_dn
+    source = point_source.find(part.data, context.pitch_ratio)
+    if isinstance(source, str):
+        bright = full is not None and np.median(part.data, axis=0).max() >= full
+        return ("the source is too bright: nothing is dark", "saturated") if bright else (source, "no-target")
+    halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
+    window = window_of(
+        part.data, source.row, source.col, pitch_ratio=context.pitch_ratio, full_scale_dn=full, halo_radius_px=halo,
+        filtered=context.sensor is not None,
+    )  # fmt: skip
+    height = np.maximum(window.core - np.median(window.core), 0.0)
+    if height[window.keep].sum() < LEAST_KEPT * height.sum():
+        return "the source is too bright: pixels below full scale hold too little of its light", "saturated"
+    rows = 2.0 if context.interlaced else 1.0
+    site = Site(
+        window=window,
+        aperture=Aperture(
+            height_px=rows * context.pitch_ratio, video=context.sensor.video.low_pass if context.sensor else None
+        ),
+        dark=dark_of(part.data, source.row, source.col),
+        memory=memory_of(context, window.frames),
+        full_scale_dn=full,
+        screen=context.sensor is not None,
+    )
+    return [site] if source.others else site
+
+
+def _wides(sites: list[Site], parts: list[FrameStack], context: Context) -> tuple[Wide, ...]:
+    """Return what light beyond the core the regions can show."""
+    if context.sensor is not None:
+        low, high = halo_diameters_px(context, transposed=False)
+        return (HaloPrior(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
+    # Rings beyond the light tell it from the background.
+    rings = min((site.window.ring_px for site in sites), key=len)
+    if len(rings) <= BARE_RINGS:
+        return ()
+    reach = float(rings[-1 - BARE_RINGS].max())
+    return DiscPrior(size_px=(6.0, 2.0 * reach)), GlarePrior(size_px=(2.0, reach / 3.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Task:
+    """What was asked, and when."""
+
+    context: Context
+    region: Region
+    began: float
+    pinhole: float | tuple[float, float]
+
+    @property
+    def _common(self) -> dict[str, Any]:
+        settings = {"quick": self.context.quick, "pinhole_px": self.pinhole}
+        provenance = Provenance(version=charact.__version__, seed=self.context.seed, settings=settings)
+        return {"method": METHOD, "region": self.region, "provenance": provenance}
+
+    def nothing(self, reason: str, flag: str) -> Result:
+        """Return the refusal of all that a point gives."""
+        seconds = time.perf_counter() - self.began
+        return Result(measurements=tuple(
+            refused(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), seconds=seconds, **self._common)
+            for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
+        ))  # fmt: skip
+
+    def result(
+        self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...], crowded: bool
+    ) -> Result:
+        """Return measurements and curves of fitted sources."""
+        drawn = [self._posterior(fitter, one.fit, number) for number, one in enumerate(found)]
+        pedestals = np.array([float(np.median(site.window.core)) for site in sites])
+        flags = (
+            *point_distrust.flags(sites, fitter, found, pedestals),
+            *(("several-targets",) if crowded else ()),
+            *(("too-few-frames",) if sites[0].window.frames < 2 else ()),
+            *(flag for flag in drawn[0].flags if flag not in ("prior-bound", "several-modes")),
+        )
+        common = {
+            **self._common,
+            "flags": tuple(dict.fromkeys(flags)),
+            "notes": (*notes, *_notes(sites, found, self.pinhole, self.context)),
+        }
+        total = sum(one.share for one in found)
+        wanted = QUICK_DRAWS if self.context.quick else DRAWS
+        counts = [max(1, round(wanted * one.share / total)) for one in found]
+        measurements: list[Measurement] = []
+        curves = {}
+        frequency = np.concatenate([FINE, PINNED, np.maximum(REPORTED, 1e-6)])
+        for name, cosine, angle in (("mtf", 1.0, 0.0), ("mtf_vertical", -1.0, 90.0)):
+            aperture = sites[0].aperture
+            known = np.abs(aperture.horizontal(frequency) if cosine > 0 else aperture.vertical(frequency))
+            draws = known * np.concatenate([
+                one.fit.form.camera(posterior.draws[:count], frequency, np.array([cosine]))[:, 0]
+                for one, posterior, count in zip(found, drawn, counts, strict=True)
+            ])  # fmt: skip
+            fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
+            one = {**common, "orientation_deg": angle}
+            measurements += [
+                _level(quantity, at, fine, drawn[0], one) for quantity, at in (("mtf50", 0.5), ("mtf10", 0.1))
+            ]
+            measurements += [
+                from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **_peaked(one, pinned[:, index]))
+                for index, f in enumerate(PINNED)
+            ]
+            curves[name] = curve_of(REPORTED, reported)
+        seconds = time.perf_counter() - self.began
+        return Result(measurements=tuple(m.with_(seconds=seconds) for m in measurements), curves=curves)
+
+    def _posterior(self, fitter: PointFitter, fit: FormFit, number: int) -> Posterior:
+        """Draw from one form's posterior: by Markov chain, or quickly from the curvature."""
+        asked = {
+            "names": tuple(fit.form.parameters),
+            "units": tuple(unit for unit, _ in fit.form.parameters.values()),
+            "start": fit.point,
+            "covariance": fit.covariance,
+            "seed": self.context.seed + number,
+            "bounds": fit.form.bounds,
+            "draws": QUICK_DRAWS if self.context.quick else DRAWS,
+        }
+        if self.context.quick:
+            return laplace(lambda theta: np.zeros(len(theta)), **asked)
+        return sample(lambda theta: fitter.log_probability(fit.form, theta), **asked, max_steps=MAX_STEPS)
+
+
+def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
+    """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
+    draws = falls_to(FINE, fine, level)
+    lost = float(np.mean(~np.isfinite(draws)))
+    if lost > 0.02:
+        reason = (
+            f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
+        )
+        return refused(quantity, "cy/px", reason, **common)
+    kept = draws[np.isfinite(draws)]
+    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_peaked(common, kept))
+
+
+def _peaked(common: dict, draws: Array) -> dict:
+    """Return what measurements share, flagged where the draws of this one have several peaks."""
+    return {**common, "flags": (*common["flags"], "several-modes")} if has_several_peaks(draws[:, None]) else common
+
+
+def _notes(
+    sites: list[Site], found: list[Weighed], pinhole: float | tuple[float, float], context: Context
+) -> tuple[str, ...]:
+    """Return what a reader may want to know and what lowers no trust."""
+    parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
+    out = [f"Form of the point spread by evidence: {parts}."]
+    cut, lost = (sum(int(np.count_nonzero(mask)) for mask in masks) for masks in (
+        [site.cut.any(axis=0) for site in sites],
+        [~site.window.keep.ravel() & ~site.cut.any(axis=0) for site in sites],
+    ))  # fmt: skip
+    if cut:
+        out.append(f"{cut} pixels at full scale count as at least that.")
+    if lost:
+        out.append(f"{lost} pixels that the video filter spoils behind full scale are left out.")
+    if pinhole == 0.0:
+        out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
+    if all(one.fit.form.wide is None for one in found):
+        out.append("Normalised to the light of the core; a halo would not be seen, or was not.")
+    if any(site.dark.common > 0 for site in sites):
+        out.append("Noise is correlated between pixels and treated as such.")
+    if context.sensor is None:
+        out.append("Pixels taken as square.")
+    return tuple(out)

@@ -1,0 +1,271 @@
+"""One point source as the fit of forms sees it: its place, the noise of its pixels, and what is linear taken out."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.point.censored import Censored
+from charact.mtf.point.data import FULL_SHARE, Window
+from charact.mtf.point.form_fit import FormFit, Pixels
+from charact.mtf.point.forms import PointForm
+from charact.mtf.point.forward_fit import PATTERN, PATTERN_PX, PULSE_VARIANCE, SPARSE, rounding_covariance
+from charact.mtf.point.noise import Memory
+from charact.mtf.point.pulses import NEAR_PX, SHARES, Dark, Pulses, pulse_covariance, pulses_of
+from charact.mtf.point.table import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
+
+Array = NDArray[np.float64]
+
+# Half frequencies among which the first guess is taken, cycles per column pitch.
+GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
+GUESSED = PointForm(core="exponential")
+PLACINGS = 3
+# Share of the brightest pixel by which the first guess distrusts bright ones.
+FIRST_SHARE = 0.02
+# What the tables of the model are good for, share of a value and of a tenth of the brightest.
+EXACT = 3e-4
+# A variance from 12 sectors is itself unsure: Student's distribution is wider by this.
+SECTORS_UNSURE = 11.0 / 9.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """A source in its window.
+
+    Parameters
+    ----------
+    window
+        Its pixels and rings.
+    aperture
+        Known part of the camera's transfer.
+    dark
+        Noise of its surroundings.
+    memory
+        How pulses are shared out over fields and frames.
+    full_scale_dn
+        Highest code, DN; None: unknown.
+    screen
+        Whether a screen's pattern makes pixels unequal.
+    place
+        Column and row of the source from the middle of the window, column pitches.
+    pulses
+        Noise of its light; None before it is known.
+    """
+
+    window: Window
+    aperture: Aperture
+    dark: Dark
+    memory: Memory
+    full_scale_dn: float | None
+    screen: bool
+    place: tuple[float, float] = (0.0, 0.0)
+    pulses: Pulses | None = None
+
+    @property
+    def axes(self) -> tuple[Array, Array]:
+        """Places of columns and rows from the source, column pitches."""
+        return self.window.x - self.place[0], self.window.y - self.place[1]
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which of core pixels and rings are values, shape (value,)."""
+        return np.append(self.window.keep.ravel(), np.ones(self.window.ring_dn.size, bool))
+
+    @property
+    def values(self) -> Array:
+        """Core pixels and rings, DN."""
+        return np.append(self.window.core.ravel(), self.window.ring_dn)
+
+    @property
+    def frames(self) -> Array:
+        """Single frames of the core, shape (frame, pixel), DN."""
+        return self.window.deviations + self.window.core.ravel()
+
+    @property
+    def cut(self) -> NDArray[np.bool_]:
+        """Which values of the frames stand at full scale, shape (frame, pixel)."""
+        if self.full_scale_dn is None:
+            return np.zeros(self.window.deviations.shape, bool)
+        return np.asarray(self.frames >= FULL_SHARE * self.full_scale_dn)
+
+    def ring_variance(self) -> Array:
+        """Return the variance of the rings' means: what their sectors scatter, but not less than the dark noise."""
+        ring = self.window.ring_px
+        if not len(ring):
+            return np.empty(0)
+        area = np.pi * (ring[:, -1] ** 2 - ring[:, 0] ** 2) / float(np.diff(self.window.y[:2])[0])
+        least = self.dark.variance * self.dark.grain / self.window.frames / np.maximum(area, 1.0)
+        return SECTORS_UNSURE * np.maximum(self.window.ring_variance, least)
+
+    def matrix(self) -> Array:
+        """Return the matrix from a transfer to core pixels and rings of unit light, shape (value, node)."""
+        return np.concatenate([
+            pixel_matrix(self.aperture, *self.axes), ring_matrix(self.aperture, self.window.ring_px)
+        ])  # fmt: skip
+
+    def background(self) -> Array:
+        """Return shapes of level and slopes at core pixels and rings, shape (value, 3)."""
+        x, y = (part.ravel() for part in np.broadcast_arrays(self.window.x, self.window.y[:, None]))
+        core = np.stack([np.ones(x.size), x, y], axis=1)
+        return np.concatenate([core, np.tile([1.0, 0.0, 0.0], (self.window.ring_dn.size, 1))])
+
+
+def placed(site: Site) -> tuple[Site, float]:
+    """Return a source at its place, and the half frequency at which a form between lens and tube fits best."""
+    height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
+    top = max(float(height.max()), 1e-12)
+    variance = site.dark.variance + FIRST_SHARE * height * top + (FIRST_SHARE * top) ** 2
+    sd = np.append(np.sqrt(variance / site.window.frames), np.sqrt(site.ring_variance()))
+    used = site.used
+    site = replace(site, place=site.window.centre)
+    flat = site.background()[used] / sd[used, None]
+    data = site.values[used] / sd[used]
+    thetas = np.stack([np.log(GUESSES), np.full_like(GUESSES, 1.5), np.zeros_like(GUESSES)], axis=1)
+    transfers = GUESSED.transfer(thetas, radial(site.aperture.top)[1], cosines())
+    shapes = transfers.reshape(len(thetas), -1) @ site.matrix()[used].T / sd[used]
+    basis = np.linalg.qr(flat)[0]
+    free, left = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
+    best = int(np.argmax((free @ left) * np.abs(free @ left) / np.sum(free**2, axis=1)))
+    for _ in range(PLACINGS):
+        site, move = _replaced(site, transfers[best], sd[: height.size])
+        if move < 0.01:
+            break
+    return site, float(GUESSES[best])
+
+
+def _replaced(site: Site, transfer: Array, sd: Array) -> tuple[Site, float]:
+    """Return a source at the place where a transfer fits best, to first order, and how far it moved, px.
+
+    Parameters
+    ----------
+    sd
+        Standard deviations of the core's pixels that weigh them, shape (pixel,).
+    """
+    core = site.window.keep.ravel()
+    shown = pictures(site.aperture, transfer, *site.axes)[:3].T
+    design = np.concatenate([shown, site.background()[: core.size]], axis=1)[core] / sd[core, None]
+    found = np.linalg.lstsq(design, site.window.core.ravel()[core] / sd[core], rcond=None)[0]
+    move = np.clip(-found[1:3] / max(float(found[0]), 1e-300), -1.0, 1.0)
+    place = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
+    return replace(site, place=place), float(np.abs(move).max())
+
+
+def with_noise(site: Site, fit: FormFit, light: float) -> Site:
+    """Return a source at its place by a fitted form, with the noise of its light.
+
+    That is what the frames' differences show, or of a single frame what the form leaves.
+    """
+    transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
+    height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
+    variance = site.dark.variance + FIRST_SHARE * height * float(height.max()) + (EXACT * float(height.max())) ** 2
+    site, _ = _replaced(site, transfer, np.sqrt(variance))
+    x, y = site.axes
+    mean = light * pictures(site.aperture, transfer, x, y)[0]
+    blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
+    units = {share: pulse_covariance((_nodes(site)[0], blur), share, mean, x, y) for share in SHARES}
+    same = site.window.parity[:, None] == site.window.parity[None, :]
+    factor = np.where(same, site.memory.frame_same, site.memory.frame_other)
+    near = np.flatnonzero((np.hypot(x, y[:, None]) < NEAR_PX).ravel() & site.window.keep.ravel())
+    if near.size < 9:
+        return site
+    pulses = pulses_of(_samples(site, mean), _dark(site), {k: unit * factor for k, unit in units.items()}, near)
+    return replace(site, pulses=replace(pulses, unit=units[pulses.share]))
+
+
+def _samples(site: Site, mean: Array) -> Array:
+    """Return independent samples of one frame's noise: contrasts of frames, or of one what the model leaves."""
+    count = site.window.frames
+    if count > 1:
+        contrasts = np.linalg.qr(np.eye(count)[:, : count - 1] - 1.0 / count)[0]
+        return contrasts.T @ site.window.deviations
+    background, used = site.background()[: mean.size], site.window.keep.ravel()
+    left = site.window.core.ravel() - mean
+    level = np.linalg.lstsq(background[used], left[used], rcond=None)[0]
+    return (left - background @ level)[None]
+
+
+def _nodes(site: Site) -> tuple[Array, Array]:
+    return radial(site.aperture.top)[1], cosines()
+
+
+def _dark(site: Site) -> Array:
+    return site.dark.covariance(*(np.arange(at.size, dtype=np.float64) for at in (site.window.x, site.window.y)))
+
+
+def covariance(site: Site, mean: Array, light: float) -> Array:
+    """Return the covariance of the mean frame's core pixels and rings, shape (value, value), DN^2."""
+    window, count, size = site.window, site.window.frames, site.window.core.size
+    out = np.zeros((mean.size, mean.size))
+    pulse = np.zeros(size)
+    if site.pulses is None:
+        core = np.diag(FIRST_SHARE * np.maximum(mean[:size], 0.0) * max(float(mean[:size].max()), 0.0))
+    else:
+        same = window.parity[:, None] == window.parity[None, :]
+        core = site.pulses.covariance * np.where(same, site.memory.mean_same, site.memory.mean_other)
+        pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
+    out[:size, :size] = (core + _dark(site)) / count
+    if site.screen:
+        pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
+        out[:size, :size] += PATTERN**2 * np.outer(mean[:size], mean[:size]) * pattern
+    out[size:, size:] = np.diag(site.ring_variance())
+    out += np.diag((EXACT * (mean + 0.1 * float(mean.max()))) ** 2)
+    if window.quiet > 0.0:
+        gain = 0.0 if site.pulses is None else site.pulses.gain
+        scatter = np.append(pulse, np.full(mean.size - size, np.inf))
+        out += rounding_covariance(mean, scatter, site.dark.variance, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
+    return out
+
+
+def pixels(site: Site, transfer: Array, light: float) -> Pixels:
+    """Return the whitened pixels of a source, its place and background marginalised.
+
+    Parameters
+    ----------
+    transfer
+        About the transfer, shape (direction, frequency): it weighs pixels and tells how a shift changes them.
+    light
+        About the light, DN px^2.
+    """
+    used, size = site.used, site.window.core.size
+    matrix, level = site.matrix(), site.background()
+    mean = light * (matrix @ transfer.ravel())
+    slopes = np.zeros((used.size, 2))
+    slopes[:size] = light * pictures(site.aperture, transfer, *site.axes)[1:3].T
+    nuisance = np.concatenate([level, slopes], axis=1)
+    whole = covariance(site, mean, light)
+    root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole[np.ix_(used, used)])), np.float64)
+    white = root @ nuisance[used]
+    basis, upper = np.linalg.qr(white / np.linalg.norm(white, axis=0))
+    raw, data = root @ matrix[used], root @ site.values[used]
+    hidden = np.asarray(site.cut.any(axis=0), np.bool_)
+    back = np.linalg.solve(upper, basis.T) / np.linalg.norm(white, axis=0)[:, None]
+    return Pixels(
+        data=data - basis @ (basis.T @ data),
+        matrix=raw - basis @ (basis.T @ raw),
+        free=int(used.sum()) - nuisance.shape[1],
+        root=root,
+        basis=basis,
+        censored=_censored(site, hidden, matrix, nuisance, back, raw, data, whole) if hidden.any() else None,
+    )
+
+
+def _censored(
+    site: Site, hidden: NDArray[np.bool_], matrix: Array, nuisance: Array, back: Array, raw: Array, data: Array,
+    whole: Array,
+) -> Censored:  # fmt: skip
+    """Return the pixels that were cut, background and place being what the others make them."""
+    size = hidden.size
+    beside = nuisance[:size][hidden]
+    level = beside @ (back @ data)
+    cut = site.cut[:, hidden]
+    left = np.sum(~cut, axis=0)
+    mean = np.sum(np.where(cut, 0.0, site.frames[:, hidden]), axis=0) / np.maximum(left, 1)
+    assert site.full_scale_dn is not None
+    return Censored(
+        matrix=matrix[:size][hidden] - beside @ (back @ raw),
+        limit=FULL_SHARE * site.full_scale_dn - level,
+        sd=np.sqrt(np.diag(whole)[:size][hidden] * site.window.frames),
+        cut=cut.sum(axis=0).astype(float),
+        left=left.astype(float),
+        mean=mean - level,
+    )

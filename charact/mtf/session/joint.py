@@ -1,0 +1,231 @@
+"""One MTF fitted to all targets of a session: edges, bars, points, and the noise of flats as a bound."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import charact
+from charact.method import Context
+from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
+from charact.mtf.forms.families import Core, HaloPrior
+from charact.mtf.optics import halo_diameters_px
+from charact.mtf.session.joint_fit import Fit, Problem, Verdict, fitted, verdict
+from charact.mtf.session.joint_model import JointForm, Known
+from charact.mtf.session.joint_told import Told, told
+from charact.posterior import sample, weighed
+from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
+
+Array = NDArray[np.float64]
+
+METHOD = "joint"
+# A form this much less probable than the best, as a share, adds nothing to the draws.
+LEAST_SHARE = 0.02
+DRAWS = 1000
+# Weighted draws worth fewer than this are given up for a Markov chain, which may take so many steps.
+LEAST_EFFECTIVE, MAX_STEPS = 1000, 3000
+# Chance below which targets lie outside their joint 95 % region, and below which one MTF is not believed.
+OUTSIDE, MISFIT = 0.05, 0.01
+# Targets within this of the rows' or columns' direction tell of it, degrees.
+NEAR_DEG = 30.0
+CORES: tuple[tuple[Core, bool], ...] = (
+    ("gaussian", False), ("exponential", False), ("moffat", False), ("exponential", True),
+)  # fmt: skip
+NATURAL_BOUNDS = ("blur_px2", "halo_fraction", "halo_elastic_share", "moffat_exponent", "halo_diameter_px")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    """All that a joint fit found: forms with their share of the evidence and draws, and the test of the best."""
+
+    fits: Sequence[Fit]
+    shares: Array
+    posteriors: Sequence[Posterior]
+    verdict: Verdict
+
+    def mtf(self, frequency: Array, vertical: bool) -> Array:
+        """Return drawn MTFs along rows or along columns, cycles per column pitch, shape (draw, f)."""
+        none = np.zeros_like(frequency)
+        fx, fy = (none, frequency) if vertical else (frequency, none)
+        return np.concatenate([
+            fit.problem.form.transfer(posterior.draws[: max(1, round(DRAWS * share))], fx, fy)
+            for fit, posterior, share in zip(self.fits, self.posteriors, self.shares, strict=True)
+        ])  # fmt: skip
+
+
+def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
+    """Fit one MTF to what all targets of a session told and test whether they told of one.
+
+    Parameters
+    ----------
+    result
+        Measurements and curves of one session; only sound (ok) ones are used.
+    kinds
+        Kind of each stack ("edge", "bars", "point") by its label.
+    context
+        Seed, whether a Markov chain may be run, and the camera. Without a description of an intensifier no halo is
+        looked for.
+
+    Returns
+    -------
+    Result
+        `mtf50`, `mtf10` and `mtf` at pinned frequencies, method "joint" and no stack, along each of rows (0 deg) and
+        columns (90 deg) of which targets tell; curves "mtf_joint" and "mtf_joint_vertical"; evidence "joint MTF".
+        All frequencies are cycles per column pitch. Empty where fewer than two targets are sound.
+
+    Notes
+    -----
+    Likelihood normal in the principal components of each target's curve and in each bar group's value. The draws are
+    those of every form of the core in proportion to its evidence (Laplace). Where chi squared of all targets has a
+    chance under 0.05 a note says so and names the one that differs most; under 0.01 the flag is `model-misfit`.
+    """
+    began = time.perf_counter()
+    sound, bounds = told(result, kinds, context)
+    if len({one.target for one in sound}) < 2:
+        return Result()
+    found = _found(sound, bounds, context)
+    common = {
+        "method": METHOD,
+        "flags": _flags(found),
+        "notes": _notes(found),
+        "provenance": Provenance(
+            version=charact.__version__,
+            seed=context.seed,
+            settings={"quick": context.quick, "forms": _forms(found), "targets": list(found.verdict.targets)},
+        ),
+    }
+    measurements: list[Measurement] = []
+    curves = {}
+    for vertical in _directions(sound):
+        own = {**common, "orientation_deg": 90.0 if vertical else 0.0}
+        fine = found.mtf(FINE, vertical)
+        measurements += [_level(name, level, fine, found, own) for name, level in (("mtf50", 0.5), ("mtf10", 0.1))]
+        pinned = found.mtf(np.array(PINNED), vertical)
+        measurements += [
+            from_draws("mtf", "1", values, frequency_cy_per_px=frequency, **own)
+            for frequency, values in zip(PINNED, pinned.T, strict=True)
+        ]
+        name = "mtf_joint_vertical" if vertical else "mtf_joint"
+        curves[name] = curve_of(REPORTED, found.mtf(np.maximum(REPORTED, 1e-6), vertical))
+    seconds = time.perf_counter() - began
+    return Result(
+        measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+        curves=curves,
+        evidence={"joint MTF": _evidence(found, sound)},
+    )
+
+
+def _directions(sound: Sequence[Told]) -> list[bool]:
+    """Whether rows (False) and columns (True) have targets that tell of them."""
+    off = np.concatenate([np.abs((np.rad2deg(one.angle_rad) + 90.0) % 180.0 - 90.0) for one in sound])
+    ways = [way for way, tells in ((False, np.any(off < NEAR_DEG)), (True, np.any(off > 90.0 - NEAR_DEG))) if tells]
+    return ways or [False]
+
+
+def _found(sound: Sequence[Told], bounds: Sequence[Told], context: Context) -> Joint:
+    """Fit every form and draw from those that the data leave open."""
+    elliptical = len(_directions(sound)) == 2
+    known = Known.of(context)
+    wide = _wide(sound, context)
+    forms = [JointForm(core=core, blurred=blurred, wide=wide, elliptical=elliptical, known=known)
+             for core, blurred in CORES]  # fmt: skip
+    fits = [fitted(Problem(form=form, told=sound, bounds=bounds)) for form in forms]
+    fits.sort(key=lambda fit: -fit.log_evidence)
+    shares = np.exp([fit.log_evidence - fits[0].log_evidence for fit in fits])
+    shares /= shares.sum()
+    kept = shares > LEAST_SHARE
+    fits, shares = [fit for fit, keep in zip(fits, kept, strict=True) if keep], shares[kept] / shares[kept].sum()
+    posteriors = [_posterior(fit, context, context.seed + number) for number, fit in enumerate(fits)]
+    return Joint(fits=fits, shares=shares, posteriors=posteriors, verdict=verdict(fits[0]))
+
+
+def _wide(sound: Sequence[Told], context: Context) -> HaloPrior | None:
+    """A described intensifier has a halo, which counts where a target saw all of it."""
+    if context.sensor is None or all(one.within for one in sound):
+        return None
+    return HaloPrior(size_px=halo_diameters_px(context, transposed=False))
+
+
+def _posterior(fit: Fit, context: Context, seed: int) -> Posterior:
+    """Draw from one form's posterior, by importance before a Markov chain.
+
+    Two blurs in a row can be traded for each other along a bent ridge, of which the curvature knows the middle only,
+    and along which a Markov chain is slow.
+    """
+    form = fit.problem.form
+    asked = {
+        "names": tuple(form.parameters),
+        "units": tuple(unit for unit, _ in form.parameters.values()),
+        "start": fit.point,
+        "covariance": fit.covariance,
+        "seed": seed,
+        "bounds": form.bounds,
+        "draws": DRAWS,
+    }
+    found = weighed(fit.problem.log_probability, **asked)
+    if context.quick or found.effective_sample_size[0] > LEAST_EFFECTIVE:
+        return found
+    return sample(fit.problem.log_probability, **asked, max_steps=MAX_STEPS)
+
+
+def _flags(found: Joint) -> tuple[str, ...]:
+    """What is distrusted; a bound that nature sets, no halo or electrons all elastic, is one to lean on."""
+    from charact.posterior.diagnostics import leans_on_bound
+
+    flags = {flag for posterior in found.posteriors for flag in posterior.flags if flag != "prior-bound"}
+    for fit, posterior in zip(found.fits, found.posteriors, strict=True):
+        chosen = np.array([name not in NATURAL_BOUNDS for name in posterior.names])
+        if leans_on_bound(posterior.draws, fit.problem.form.bounds)[chosen].any():
+            flags.add("prior-bound")
+    if found.verdict.probability < MISFIT or min(found.verdict.apart_probability) < MISFIT / len(found.verdict.targets):
+        flags.add("model-misfit")
+    return tuple(flags)
+
+
+def _notes(found: Joint) -> tuple[str, ...]:
+    test = found.verdict
+    notes = [f"Fitted to what {', '.join(dict.fromkeys(test.targets))} told; form of the spread: {_forms(found)}."]
+    if test.probability < OUTSIDE:
+        notes.append(
+            f"The targets lie outside their joint 95 % region (chi squared {test.chi2:.1f} for {test.freedom:.1f} "
+            f"degrees of freedom, chance {test.probability:.2g}); {test.most_apart} differs most from the others."
+        )
+    return tuple(notes)
+
+
+def _forms(found: Joint) -> str:
+    named = zip(found.fits, found.shares, strict=True)
+    return ", ".join(f"{fit.problem.form.name} {100 * share:.0f} %" for fit, share in named)
+
+
+def _level(quantity: str, level: float, fine: Array, found: Joint, common: dict) -> Measurement:
+    """Return the frequency at which the MTF falls to a level; refused where it does not below the last one."""
+    draws = falls_to(FINE, fine, level)
+    known = np.isfinite(draws)
+    if np.mean(~known) > 0.02:
+        lost = 100 * np.mean(~known)
+        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {lost:.0f} % of its draws do not"
+        return refused(quantity, "cy/px", reason, **common)
+    return from_draws(quantity, "cy/px", draws[known], posterior=found.posteriors[0], **common)
+
+
+def _evidence(found: Joint, sound: Sequence[Told]) -> dict:
+    test = found.verdict
+    kinds = {one.target: one.kind for one in sound}
+    return {
+        "figure": "joint-mtf",
+        "target": list(test.targets),
+        "kind": [kinds.get(target, "noise spectrum") for target in test.targets],
+        "values": list(test.values),
+        "residuals_sd": [list(one) for one in test.residuals],
+        "apart_chi_squared": list(test.apart_chi2),
+        "apart_probability": list(test.apart_probability),
+        "chi_squared": test.chi2,
+        "degrees_of_freedom": test.freedom,
+        "probability": test.probability,
+        "inside_joint_95_percent_region": bool(test.probability >= OUTSIDE),
+        "differs_most": test.most_apart,
+        "forms": {fit.problem.form.name: float(share) for fit, share in zip(found.fits, found.shares, strict=True)},
+    }

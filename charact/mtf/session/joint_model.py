@@ -1,0 +1,153 @@
+"""One transfer of the camera in every direction: an elliptical core, a halo shared by all, aperture and video."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.forms import transfer as forms
+from charact.mtf.forms.families import Core, Family, Wide
+
+Array = NDArray[np.float64]
+
+# ln of the vertical half frequency over the horizontal one, both in column pitches: its bounds, and its prior's width.
+STRETCH = (-1.0, 1.0)
+STRETCH_SD = 0.2
+# Variance of a Gaussian blur besides the core's, px^2: a lens before a tube, a screen and a taper behind it.
+BLUR_PX2 = (0.0, 3.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Known:
+    """What is known of the camera: aperture in column pitches, and the video filter along rows or None."""
+
+    height_px: float = 1.0
+    video: tuple[float, float, int] | None = None
+
+    @classmethod
+    def of(cls, context: Context) -> "Known":
+        """Return what a context says."""
+        rows = 2.0 if context.interlaced else 1.0
+        video = None if context.sensor is None else context.sensor.video.low_pass
+        return cls(height_px=rows * context.pitch_ratio, video=video)
+
+    def __call__(self, fx: Array, fy: Array) -> Array:
+        """Return the modulus at frequencies along rows and columns, cycles per column pitch."""
+        filtered = 1.0 if self.video is None else np.abs(forms.video(fx, *self.video))
+        return np.abs(np.sinc(fx) * np.sinc(fy * self.height_px)) * filtered
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointForm:
+    """A form of the camera's transfer in all directions.
+
+    Parameters
+    ----------
+    core
+        Form of the core, as in `charact.mtf.forms.families`.
+    blurred
+        Whether a Gaussian blur comes on top of it, as where a tube of one form stands before a screen of another.
+    wide
+        Halo, or None.
+    elliptical
+        Whether the core's vertical half frequency is one of its own: where targets tell of it.
+    known
+        Aperture and video filter.
+
+    Notes
+    -----
+    M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy e^-s)^2 the frequency in
+    an ellipse's measure, f2 the core's half frequency, b the variance of the further blur, q the halo's share and
+    f^2 = fx^2 + fy^2.
+    """
+
+    core: Core
+    blurred: bool
+    wide: Wide | None
+    elliptical: bool
+    known: Known
+
+    @property
+    def family(self) -> Family:
+        """Core alone, along one direction."""
+        return Family(core=self.core)
+
+    @property
+    def name(self) -> str:
+        """Name for people."""
+        core = f"{self.core} x gaussian" if self.blurred else self.core
+        return core if self.wide is None else f"{core} + {self.wide.name}"
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        stretch = {"ln_vertical_stretch": ("1", STRETCH)} if self.elliptical else {}
+        blur = {"blur_px2": ("px2", BLUR_PX2)} if self.blurred else {}
+        return {**self.family.parameters, **blur, **stretch, **(self.wide.parameters if self.wide else {})}
+
+    @property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([bound for _, bound in self.parameters.values()])
+
+    @property
+    def start(self) -> Array:
+        """A point from which to climb, half frequency aside."""
+        stretch = [0.0] if self.elliptical else []
+        blur = [0.3] if self.blurred else []
+        wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
+        return np.array([*self.family.start(0.2), *blur, *stretch, *wide])
+
+    def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
+        """Return the MTF at cycles per column pitch along rows and columns, (n, parameter) and (f,) -> (n, f)."""
+        return self.known(fx, fy) * self.unknown(theta, fx, fy)
+
+    def unknown(self, theta: Array, fx: Array, fy: Array, *, within: NDArray[np.bool_] | bool = False) -> Array:
+        """Return the MTF without aperture and video, shape (n, parameter) and (f,) -> (n, f).
+
+        Parameters
+        ----------
+        fx, fy
+            Cycles per column pitch along rows and along columns.
+        within
+            Where it is normalised to the light in a window narrower than the halo, whose light is then left out.
+        """
+        size, place = self.family.core_parameters, self._place_of_stretch
+        stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0
+        radius = np.maximum(np.hypot(fx, fy / stretch), 1e-7)
+        core = self.family.modulus(theta[:, :size], radius)
+        if self.blurred:
+            core = core * np.exp(-2.0 * (np.pi * radius) ** 2 * theta[:, size : size + 1])
+        if self.wide is None:
+            return core
+        tail = theta[:, place + self.elliptical :]
+        far = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
+        return core * np.where(within, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * far)
+
+    def log_prior(self, theta: Array) -> Array:
+        """Return ln of the prior density, -inf outside the bounds."""
+        bounds = self.bounds
+        size = self.family.core_parameters
+        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        flat = -np.sum(np.log(bounds[size:, 1] - bounds[size:, 0]))
+        density = self.family.log_prior(theta[:, :size]) + flat
+        if self.elliptical:
+            low, high = STRETCH
+            density += np.log((high - low) / (STRETCH_SD * np.sqrt(2.0 * np.pi)))
+            density -= 0.5 * (theta[:, self._place_of_stretch] / STRETCH_SD) ** 2
+        return np.where(inside, density, -np.inf)
+
+    @property
+    def prior_precision(self) -> Array:
+        """Inverse variance of the prior of each parameter, flat ones as wide as their bounds, shape (parameter,)."""
+        bounds = self.bounds
+        precision = 12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2
+        precision[: self.family.core_parameters] += self.family.prior_precision()[1]
+        if self.elliptical:
+            precision[self._place_of_stretch] += STRETCH_SD**-2
+        return precision
+
+    @property
+    def _place_of_stretch(self) -> int:
+        return self.family.core_parameters + self.blurred

@@ -1,0 +1,176 @@
+"""Light beyond the core of an edge: as likely as before where the edge cannot tell it, and told where it can."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.special import ndtri
+from scipy.stats import lognorm
+
+from charact.method import Context
+from charact.mtf.edge import result as edge_result
+from charact.mtf.edge.fit import beyond as edge_beyond
+from charact.mtf.edge.fit import forms as edge_forms
+from charact.mtf.edge.fit.family_fit import FamilyFitter
+from charact.mtf.edge.parametric import edge_parametric
+from charact.mtf.edge.pixels.find import find_edge
+from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
+from charact.mtf.forms.families import DiscPrior, Family, GlarePrior, VeilPrior
+from charact.mtf.optics import known_of
+from charact.study.edge import Blur, EdgeScene
+from charact.study.edge_map import case_of, cell_of
+
+QUICK = Context(quick=True)
+PLAIN = EdgeScene(
+    blur=Blur(sigma_px=0.9), rows=120, cols=120, angle_deg=8.0, dark_dn=1500.0, bright_dn=3000.0, shot_share=0.0,
+    black_dn=200.0, full_scale_dn=65535.0,
+)  # fmt: skip
+
+
+def odds_of(scene, seed):
+    """Odds of a disc beyond a Gaussian fitted to a frame of a scene."""
+    edge = find_edge(scene.frames_drawn(np.random.default_rng(seed)), None, QUICK)
+    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
+    fit = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    (promise,) = edge_beyond.promises(fitter, fit, (DiscPrior(size_px=(6.0, 100.0)),))
+    return promise.odds
+
+
+@pytest.mark.parametrize(("amplitude", "precision"), [(0.0, 1e-6), (0.0, 4e4), (0.1, 9e3), (-0.05, 2e3), (0.6, 50.0)])
+@pytest.mark.parametrize(
+    "wide", [DiscPrior(size_px=(6.0, 60.0)), VeilPrior(size_px=(30.0, 240.0))], ids=["disc", "veil"]
+)
+def test_odds_are_the_mean_likelihood_over_shares(wide, amplitude, precision):
+    """By quadrature, at one size: the mean of the likelihood ratio over all shares that the light may have."""
+    size = np.array([[40.0]])
+    unit = float(wide.share_unit(size)[0, 0])
+    ratio = lambda q: np.exp(precision * (amplitude * unit * q - 0.5 * (unit * q) ** 2))  # noqa: E731
+    low, high = wide.fraction
+    expected = quad(ratio, low, high, points=[np.clip(amplitude / unit, low, high)], limit=200)[0] / (high - low)
+    found = edge_beyond._odds(wide, size, np.array([amplitude]), np.array([precision]))
+    assert found == pytest.approx(expected, rel=0.02)
+
+
+def test_an_edge_in_noise_leaves_the_odds_where_they_were_and_a_clear_one_does_not():
+    """Medians over six drawings: at a step of one standard deviation, and at 200 of them."""
+    noisy, clear = (np.median([odds_of(replace(PLAIN, snr=snr), s) for s in range(6)]) for snr in (1.0, 200.0))
+    assert 0.2 < noisy < 2.0
+    assert clear < 0.05
+
+
+def test_a_clear_halo_is_beyond_doubt(seed):
+    halo = replace(PLAIN, blur=Blur(sigma_px=0.9, halo_share=0.15, halo_px=25.0), snr=50.0)
+    assert odds_of(halo, seed) > 1e6
+
+
+def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
+    """A disc of a fifth of the light at seven standard deviations, in a drawing that shows next to nothing of it.
+
+    Without it MTF50 seems known to 6 %, and is a quarter too low; with it the interval reaches further up.
+    """
+    cell = cell_of(3332)
+    stack = case_of(cell, cell.scene.truth_mtf50, 14).drawn()
+    reach = {}
+    for odds in (edge_forms.WORTH_ODDS, np.inf):
+        monkeypatch.setattr(edge_forms, "WORTH_ODDS", odds)
+        found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
+        beyond = sum(share for name, share in found.provenance.settings["forms"].items() if "+" in name)
+        reach[odds] = found.interval95[1] - found.value
+        assert beyond == pytest.approx(0.21 if np.isfinite(odds) else 0.03, abs=0.05)
+    told, untold = reach.values()
+    assert told > 1.1 * untold
+
+
+def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
+    """A disc of a fifth of the light, 15 px wide, at 18 standard deviations: most of the evidence is for a tube's form.
+
+    By the full power of the evidence the truth lies more than twice the interval away, unless black is known: the light
+    slopes, and that much of it on both sides is no tube's wing.
+    """
+    cell = cell_of(3063)
+    truth = cell.scene.truth_mtf50
+    stack = case_of(cell, truth, 16).drawn()
+
+    def away(power, black_dn):
+        monkeypatch.setattr(edge_forms, "TEMPERED", power)
+        found = edge_parametric(replace(stack, black_level_dn=black_dn), context=QUICK).find("mtf50")[0]
+        return (truth - found.value) / (found.interval95[1] - found.value)
+
+    tempered = edge_forms.TEMPERED
+    assert 0 < away(tempered, None) < 1.5 < 2.0 < away(1.0, None)
+    assert 0 < away(tempered, 200.0) < away(1.0, 200.0) < 1.5
+
+
+def test_forms_are_weighed_by_their_evidence_to_a_power():
+    """Odds of e^3 and e in evidence count as those to the power given; what is less than a fiftieth counts nothing."""
+    edge = find_edge(replace(PLAIN, snr=20.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
+    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
+    core = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    fits = [replace(core, log_evidence=core.log_evidence - less) for less in (3.0, 0.0, 1.0, 9.0)]
+    best, second, third = edge_forms._weighed(fits)
+    assert best.fit is fits[1]
+    assert best.share / second.share == pytest.approx(np.exp(edge_forms.TEMPERED))
+    assert best.share / third.share == pytest.approx(np.exp(3.0 * edge_forms.TEMPERED))
+
+
+def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
+    """The likeliest of three kinds is fitted, with the odds of all three; one that the edge tells is fitted besides."""
+    edge = find_edge(replace(PLAIN, snr=3.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
+    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
+    core = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    kinds = (DiscPrior(size_px=(6.0, 60.0)), VeilPrior(size_px=(30.0, 240.0)), GlarePrior(size_px=(2.0, 15.0)))
+    promised = [
+        replace(one, odds=odds, gains=np.array([gain]))
+        for one, odds, gain in zip(
+            edge_beyond.promises(fitter, core, kinds), (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True
+        )
+    ]
+    worth = edge_forms._worth(promised)
+    assert [one.wide for one in worth] == [kinds[2], kinds[1]]
+    assert np.exp([one.ln_weight for one in worth]) == pytest.approx([1 / 3, 1.5 / 0.9 / 3])
+    fit = edge_beyond.fit_wide(fitter, worth[1], np.inf)
+    assert fit.ln_weight == worth[1].ln_weight
+    weighed, plain = (fitter.fit(fit.family, fit.point, EVEN_PER_PX, weight) for weight in (fit.ln_weight, 0.0))
+    assert weighed.log_evidence - plain.log_evidence == pytest.approx(fit.ln_weight)
+
+
+def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_not(seed):
+    result = edge_parametric(replace(PLAIN, snr=20.0).frames_drawn(np.random.default_rng(seed)), context=QUICK)
+    curve = result.curves["mtf"]
+    column = int(np.argmin(np.abs(curve.value - 0.5)))
+    low, half_low, middle, half_high, high = np.quantile(curve.draws[:, column], [0.025, 0.16, 0.5, 0.84, 0.975])
+    assert curve.interval68[:, column] == pytest.approx([half_low, half_high])
+    stretch = edge_result.MARGIN + edge_result.MORE_EVENLY[0] * 0.5 * (half_high - half_low) / middle
+    assert 1.05 < stretch < 1.2
+    wide = [middle + stretch * (low - middle), middle + stretch * (high - middle)]
+    assert curve.interval95[:, column] == pytest.approx(wide)
+
+
+@pytest.mark.parametrize("deviation", [0.01, 0.05, 0.13])
+def test_the_value_is_the_most_probable_frequency(deviation):
+    """Reference: where the density of draws that are normal in ln f is highest; the 68 % interval stays theirs."""
+    draws = 0.2 * np.exp(deviation * ndtri((np.arange(4001) + 0.5) / 4001))
+    found = edge_result._level("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    grid = np.linspace(0.1, 0.3, 20001)
+    density = lognorm.pdf(grid, deviation, scale=0.2)
+    assert found.value == pytest.approx(grid[np.argmax(density)], rel=0.03 * deviation**2 + 1e-4)
+    assert found.interval68 == pytest.approx(tuple(np.quantile(draws, [0.16, 0.84])), rel=1e-3)
+
+
+def test_a_value_stays_inside_its_68_percent_interval():
+    draws = np.random.default_rng(0).uniform(0.01, 0.5, 4000)
+    found = edge_result._level("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    assert found.interval68[0] <= found.value <= found.interval68[1]
+    assert "low-signal" in found.flags
+
+
+def test_a_frequency_known_to_a_tenth_may_lie_further_up_than_down_and_a_modulus_either_way():
+    """By 4 % and its relative error down, three times that up; a modulus by twice its relative error."""
+    draws = 0.2 * (1.0 + 0.1 * ndtri((np.arange(2001) + 0.5) / 2001))
+    common = {"method": "edge-parametric"}
+    reach = 1.959964 * 0.02
+    frequency = edge_result._level("mtf50", 0.5, draws, None, common)
+    assert frequency.interval95 == pytest.approx((0.2 - 1.139 * reach, 0.2 + 1.338 * reach), rel=2e-3)
+    modulus = edge_result._pinned(0.1, draws, common)
+    assert modulus.interval95 == pytest.approx((0.2 - 1.239 * reach, 0.2 + 1.239 * reach), rel=2e-3)

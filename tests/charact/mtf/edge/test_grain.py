@@ -1,0 +1,82 @@
+"""The noise along an edge: its correlation against sums done plainly, its variances, and the codes that pile up."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, uniform_filter
+from scipy.signal import correlate
+
+from charact.mtf import codes
+from charact.mtf.edge.pixels.bins import _columns
+from charact.mtf.edge.pixels.grain import REACH, _autocorrelation, _smoothed, _variances, correlation_of
+
+
+@pytest.fixture
+def rng(seed) -> np.random.Generator:
+    return np.random.default_rng([seed, 23])
+
+
+def test_sums_of_products_at_all_lags(rng):
+    field = rng.standard_normal((37, 52)) * (rng.random((37, 52)) < 0.9)
+    found = _autocorrelation(field, (37 + 5, 52 + 5))
+    plain = correlate(field, field, "full")[36:42, 51:57]
+    assert found[:6, :6] == pytest.approx(plain, abs=1e-5 * plain[0, 0])
+
+
+def test_a_running_mean_with_nothing_beyond_the_borders(rng):
+    field = rng.standard_normal((9, 13))
+    assert _smoothed(field) == pytest.approx(uniform_filter(field, 3, mode="constant"))
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.6, 1.2])
+def test_noise_blurred_behind_the_gain_has_the_correlation_of_its_blur(rng, sigma):
+    """That of the kernel with itself: within four errors at near lags, its sum within 15 % (mean of 16 fields)."""
+    lag = np.arange(-REACH, REACH + 1)
+    square = np.add.outer(lag**2, lag**2)
+    kernel = gaussian_filter((square == 0) * 1.0, sigma)
+    truth = correlate(kernel, kernel, "same") / np.sum(kernel**2)
+    fields = [correlate(rng.standard_normal((160 + 2 * REACH, 160 + 2 * REACH)), kernel, "valid") for _ in range(16)]
+    used = np.ones(fields[0].shape, bool)
+    found = np.mean([correlation_of(noise / noise.std(), used, (1.0, 0.1)) for noise in fields], axis=0)
+    error = np.sqrt(np.sum(truth**2)) / 160.0 / np.sqrt(len(fields))
+    near = square <= 9
+    assert found[near] == pytest.approx(truth[near], abs=4.0 * error + 0.025)
+    assert found.sum() == pytest.approx(truth.sum(), rel=0.15)
+
+
+def test_variances_of_both_sides_are_those_of_the_noise(rng):
+    level = np.repeat([0.0, 1.0], 80) * np.ones((150, 1))
+    residual = rng.standard_normal(level.shape) * np.where(level > 0, 3.0, 1.0)
+    used = rng.random(level.shape) < 0.8
+    dark, bright = _variances(residual, level, used, 1e-6)
+    count = used.sum() / 2
+    assert dark == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / count))
+    assert bright == pytest.approx(9.0, abs=36.0 * np.sqrt(2.0 / count))
+
+
+def test_one_wild_pixel_hardly_moves_the_variances(rng):
+    level = np.repeat([0.0, 1.0], 80) * np.ones((150, 1))
+    residual = rng.standard_normal(level.shape)
+    used = np.ones(level.shape, bool)
+    before = _variances(residual, level, used, 1e-6)
+    residual[3, 4] = 300.0
+    assert _variances(residual, level, used, 1e-6) == pytest.approx(before, rel=0.06)
+
+
+def test_pixels_at_each_whole_distance(rng):
+    distance = rng.uniform(-31.0, 47.0, (60, 40))
+    dark, bright = _columns(distance)
+    assert dark.tolist() == np.bincount((-distance[distance < 0]).astype(int)).tolist()
+    assert bright.tolist() == np.bincount(distance[distance >= 0].astype(int)).tolist()
+
+
+@pytest.mark.parametrize("kind", [np.uint16, np.float64])
+@pytest.mark.parametrize("ceiling", [np.inf, 130.0, 110.0, 101.0])
+def test_the_quick_look_for_a_pile_up_overlooks_none(monkeypatch, rng, kind, ceiling):
+    """What is said of frames clipped a little, much and not at all is the same when every value is counted."""
+    for full_scale in (None, 110.0, 4095.0):
+        data = np.minimum(np.rint(rng.normal(100.0, 12.0, (1, 60, 60))), ceiling).astype(kind)
+        quick = codes.code_flags(data, full_scale)
+        with monkeypatch.context() as patch:
+            patch.setattr(codes, "_piled", lambda _: True)
+            assert quick == codes.code_flags(data, full_scale)
+    assert ("clipped" in codes.code_flags(data, min(ceiling, 4095.0))) == np.isfinite(ceiling)

@@ -1,0 +1,81 @@
+"""What the noise of an edge's two sides says of the response."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from charact.method import Context
+from charact.mtf.edge.noise import BENDING, MOST_LN_ODDS, READ_OUT, Growth, curved_ln_odds, growth_of, noise_flags
+from charact.mtf.edge.pixels.find import find_edge
+from charact.study.edge import Blur, EdgeScene
+
+STRAIGHT = EdgeScene(
+    blur=Blur(sigma_px=1.0), rows=110, cols=110, angle_deg=8.0, dark_dn=1300.0, bright_dn=2800.0, snr=20.0,
+    shot_share=1.0, black_dn=200.0, full_scale_dn=3080.0,
+)  # fmt: skip
+
+
+def profiles(scene, seed, count=20):
+    """Profiles of drawings of a scene."""
+    drawn = (scene.frames_drawn(np.random.default_rng([seed, n])) for n in range(count))
+    return [find_edge(stack, None, Context(quick=True)).profile for stack in drawn]
+
+
+@pytest.mark.parametrize(
+    ("gamma", "shot_share", "told"), [(1.0, 1.0, 0), (1.3, 1.0, 20), (1.8, 0.8, 20)], ids=["straight", "1.3", "1.8"]
+)
+def test_noise_that_rises_faster_than_light_is_a_curved_response(gamma, shot_share, told, seed):
+    """Photons' variance grows as the level over black; of 20 frames at most two are told wrongly."""
+    found = profiles(replace(STRAIGHT, gamma=gamma, shot_share=shot_share), seed)
+    flagged = sum(noise_flags(profile) == ("gamma",) for profile in found)
+    assert abs(flagged - told) <= 2
+
+
+@pytest.mark.parametrize("shot_share", [1.0, 0.8, 0.0])
+def test_growth_is_that_of_the_light(shot_share, seed):
+    """Photons' share of the variance grows as 2600 to 1100 DN over black, read noise not at all."""
+    found = [growth_of(profile) for profile in profiles(replace(STRAIGHT, shot_share=shot_share), seed)]
+    bright, dark = (shot_share * level / 1850.0 + 1.0 - shot_share for level in (2600.0, 1100.0))
+    ratios = np.array([growth.ratio for growth in found])
+    scatter = np.mean([growth.scatter for growth in found])
+    assert found[0].photons == pytest.approx(2600.0 / 1100.0, rel=0.02)
+    assert np.log(ratios).mean() == pytest.approx(np.log(bright / dark), abs=4 * scatter / np.sqrt(len(found)))
+    # The root of twice the degrees of freedom is the relative error of a standard deviation.
+    assert np.log(ratios).std(ddof=1) == pytest.approx(scatter, rel=4 / np.sqrt(2 * (len(found) - 1)))
+
+
+@pytest.mark.parametrize(("photons", "scatter"), [(2.4, 0.08), (1.5, 0.04), (1.5, 0.3)])
+@pytest.mark.parametrize("share", [-0.5, 0.0, 0.4, 1.0, 1.6])
+def test_odds_are_those_of_noise_drawn_as_was_said(photons, scatter, share, seed):
+    """Read-out's noise or photons' in any share, behind a power law or not: counted close to what was found."""
+    rng, count, most = np.random.default_rng(seed), 4_000_000, np.log(photons)
+    at = share * most
+    kept = rng.random(count) < READ_OUT
+    grown = np.where(kept, 0.0, rng.uniform(0.0, most, count)) + scatter * rng.standard_normal(count)
+    moved = grown + np.where(kept, 0.0, 2.0 * BENDING * most * rng.standard_normal(count))
+    near = 0.1 * scatter
+    straight, curved = (np.count_nonzero(np.abs(drawn - at) < near) for drawn in (grown, moved))
+    growth = Growth(ratio=float(np.exp(at)), scatter=scatter, photons=photons)
+    if curved > 10.0 * straight:
+        assert curved_ln_odds(growth) == pytest.approx(MOST_LN_ODDS, abs=0.1)
+        return
+    error = np.sqrt(1.0 / curved + 1.0 / straight)
+    assert curved_ln_odds(growth) == pytest.approx(np.log(curved / straight), abs=4 * error + 0.01)
+
+
+def test_noise_that_grows_as_photons_do_speaks_for_a_straight_response(seed):
+    odds = [curved_ln_odds(growth_of(profile)) for profile in profiles(replace(STRAIGHT, shot_share=0.8), seed)]
+    assert np.mean(odds) < -0.5
+    assert max(odds) < 1.0
+
+
+@pytest.mark.parametrize("unknown", ["black", "frames", "quiet"])
+def test_noise_says_nothing_where_it_may_be_something_else(unknown, seed):
+    """No black, averaged frames whose fixed pattern stays, pixels so quiet that unequal gain is seen."""
+    scene = replace(STRAIGHT, snr=70.0) if unknown == "quiet" else STRAIGHT
+    profile = profiles(scene, seed, count=1)[0]
+    changed = {"black": {"black": None}, "frames": {"frames": 4}, "quiet": {}}[unknown]
+    growth = growth_of(replace(profile, **changed))
+    assert growth.photons is None
+    assert curved_ln_odds(growth) == 0.0

@@ -1,0 +1,82 @@
+"""Light that slopes: one share of what both sides get where black is known, each side by itself where it is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from charact.method import Context
+from charact.mtf.edge.parametric import edge_parametric
+from charact.mtf.edge.pixels.uneven_light import APART, EVEN_PER_PX, UNEVEN_PER_PX, believed_black, uneven_light
+from charact.study.edge import Blur, EdgeScene
+
+DISTANCE = np.linspace(-30.0, 40.0, 141)
+DARK, BRIGHT, BLACK = 900.0, 2400.0, 200.0
+
+
+@pytest.mark.parametrize("share_per_px", [-3e-3, 2e-4])
+def test_one_light_on_both_sides_slopes_in_the_first_way_alone(share_per_px):
+    """Light that gains a share per pixel makes ramps of that share of either level over black."""
+    light = uneven_light(DARK, BRIGHT, BLACK)
+    ramp = share_per_px * np.where(DISTANCE > 0, (BRIGHT - BLACK) * DISTANCE, (DARK - BLACK) * DISTANCE)
+    level, together, apart = np.linalg.lstsq(light.levels(DISTANCE), 500.0 + ramp, rcond=None)[0]
+    assert level == pytest.approx(500.0, rel=1e-12)
+    assert apart == pytest.approx(0.0, abs=1e-9 * abs(together))
+    sides = light.by_side(np.array([1.0, level, together, apart]))[-2:]
+    assert sides == pytest.approx(share_per_px * np.array([BRIGHT - BLACK, DARK - BLACK]), rel=1e-9)
+
+
+def test_the_bright_side_slopes_as_much_as_asked_and_the_dark_one_with_it():
+    """Under the prior: the sides' deviations, and a correlation that leaves stray light some room."""
+    light = uneven_light(DARK, BRIGHT, BLACK)
+    variance = light.slopes_sd(UNEVEN_PER_PX) ** 2
+    covariance = light.ways.T @ np.diag(variance) @ light.ways
+    ratio = (DARK - BLACK) / (BRIGHT - BLACK)
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(UNEVEN_PER_PX, rel=APART**2)
+    assert covariance[0, 1] / covariance[0, 0] == pytest.approx(ratio, rel=2 * APART**2)
+    correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
+    assert 0.7 < correlation < 0.99
+
+
+@pytest.mark.parametrize("black_dn", [None, 2500.0])
+def test_without_a_black_each_side_slopes_by_itself(black_dn):
+    """No black, or one above the light: no share of what a side gets can be told."""
+    light = uneven_light(DARK, BRIGHT, black_dn)
+    assert np.array_equal(light.ways, np.eye(2))
+    assert np.array_equal(light.slopes_sd(UNEVEN_PER_PX), [UNEVEN_PER_PX, UNEVEN_PER_PX])
+
+
+@pytest.mark.parametrize(
+    ("black_dn", "believed"), [(None, None), (BLACK, BLACK), (DARK + 100.0, DARK + 100.0), (DARK + 200.0, None)]
+)
+def test_a_black_well_above_the_dark_side_is_none(black_dn, believed):
+    """A tenth of the step, 150 DN, is what noise and another day's dark may make of it."""
+    assert believed_black(black_dn, DARK, BRIGHT) == believed
+
+
+def test_a_dark_side_without_light_hardly_slopes():
+    light = uneven_light(BLACK - 1.0, BRIGHT, BLACK)
+    assert np.array_equal(light.ways, np.eye(2))
+    assert light.slopes_sd(UNEVEN_PER_PX)[1] == pytest.approx(APART * UNEVEN_PER_PX)
+    assert light.slopes_sd(EVEN_PER_PX) == pytest.approx([EVEN_PER_PX, EVEN_PER_PX])
+
+
+def test_known_black_tells_a_halo_from_light_that_slopes(seed):
+    """Both raise what is near the edge: errors of the same frames are smaller where black is known."""
+    blur = Blur(form="gaussian", sigma_px=0.94, halo_share=0.16, halo_px=38.0)
+    scene = EdgeScene(
+        blur=blur, rows=134, cols=73, angle_deg=203.7, dark_dn=2000.0, bright_dn=3500.0, snr=54.0, gradient=0.05,
+        noise_blur_px=0.9, black_dn=BLACK, full_scale_dn=65535.0,
+    )  # fmt: skip
+    context = Context(quick=True, seed=seed)
+    errors = []
+    for number in range(20):
+        stack = scene.frames_drawn(np.random.default_rng([seed, number]))
+        found = [
+            edge_parametric(replace(stack, black_level_dn=black), context=context).find("mtf50")[0]
+            for black in (BLACK, None)
+        ]
+        errors.append([abs(one.value / scene.truth_mtf50 - 1.0) for one in found])
+    known, unknown = np.mean(errors, axis=0)
+    print(known, unknown)
+    assert known < unknown

@@ -1,0 +1,166 @@
+"""Laws of points fitted by forms: no bias without noise, honest intervals with it, also of cores cut at full scale."""
+
+import numpy as np
+import pytest
+from scipy.special import erf, log_ndtr
+
+from charact.method import Context
+from charact.mtf.point.censored import Censored
+from charact.mtf.point.forms import PointForm
+from charact.mtf.point.parametric import point_parametric
+from charact.mtf.point.pulses import dark_of, pulse_covariance
+from charact.mtf.point.table import Aperture, cosines, pixel_matrix, radial
+from charact.study.point_spots import Spot, SpotCamera
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+QUICK = Context(quick=True)
+
+
+def level(result, quantity="mtf50", angle=0.0):
+    (found,) = result.find(quantity, orientation_deg=angle)
+    return found
+
+
+def standard_errors(measurement, truth):
+    return (measurement.value - truth) / ((measurement.interval95[1] - measurement.interval95[0]) / 3.92)
+
+
+@pytest.mark.parametrize("sigma", [0.6, 1.0, 2.0])
+def test_matrix_of_pixels_is_that_of_integrated_gaussians(sigma):
+    x, y = np.linspace(-7.3, 6.7, 15), np.linspace(-5.8, 6.2, 13)
+    half = np.sqrt(np.log(2) / 2) / np.pi / sigma
+    transfer = PointForm(core="gaussian").transfer(np.array([[np.log(half), 0.2]]), radial(2.0)[1], cosines())
+    pixels = pixel_matrix(Aperture(), x, y) @ transfer.ravel()
+    narrow, high = sigma * np.exp(-0.1), sigma * np.exp(0.1)
+    lines = [
+        0.5 * (erf((at + 0.5) / s / np.sqrt(2)) - erf((at - 0.5) / s / np.sqrt(2)))
+        for at, s in ((x, narrow), (y, high))
+    ]
+    true = np.outer(lines[1], lines[0]).ravel()
+    assert np.abs(pixels - true).max() < 1e-4 * true.max()
+
+
+@pytest.mark.parametrize(
+    "spot",
+    [
+        Spot(width=0.6),
+        Spot(width=1.2, stretch=0.2),
+        Spot(form="exponential", width=0.25, exponent=1.3),
+        Spot(form="moffat", width=2.0, exponent=2.5),
+    ],
+)
+def test_a_spot_without_noise_is_measured_within_a_thousandth_in_both_directions(spot):
+    stack = SpotCamera(snr=np.inf).taken(spot, np.random.default_rng(0))
+    result = point_parametric(stack, context=QUICK)
+    for angle in (0.0, 90.0):
+        assert level(result, angle=angle).value == pytest.approx(spot.level(0.5, vertical=angle > 0), rel=1e-3)
+
+
+@pytest.mark.parametrize("full_scale_dn", [np.inf, 110.0])
+def test_intervals_hold_the_truth_also_of_cores_beyond_full_scale(seed, full_scale_dn):
+    rng = np.random.default_rng(seed)
+    errors = []
+    for _ in range(10):
+        spot = Spot(width=float(rng.uniform(0.8, 1.4)), row_px=rng.uniform(-0.5, 0.5), col_px=rng.uniform(-0.5, 0.5))
+        camera = SpotCamera(snr=40.0, full_scale_dn=full_scale_dn)
+        found = level(point_parametric(camera.taken(spot, rng), context=QUICK))
+        errors.append(standard_errors(found, spot.level(0.5)))
+    assert np.abs(errors).max() < 4.5
+    assert abs(np.mean(errors)) < 4.5 / np.sqrt(10)
+
+
+def test_a_core_at_full_scale_is_counted_and_told(seed):
+    stack = SpotCamera(full_scale_dn=110.0).taken(Spot(width=1.2), np.random.default_rng(seed))
+    cut = np.count_nonzero((stack.data >= 0.97 * 110.0).any(axis=0))
+    assert f"{cut} pixels at full scale count as at least that." in level(point_parametric(stack, context=QUICK)).notes
+
+
+def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it():
+    heights = np.array([80.0, 100.0, 125.0])
+    one = np.ones(3)
+    cut = Censored(matrix=np.empty((3, 1)), limit=100 * one, sd=10 * one, cut=4 * one, left=0 * one, mean=0 * one)
+    slope, curvature, value = cut.terms(heights)
+    step = 1e-3
+    by_hand = [4 * log_ndtr((heights + k * step - 100.0) / 10.0) for k in (-1, 0, 1)]
+    assert value == pytest.approx(by_hand[1].sum())
+    assert slope == pytest.approx((by_hand[2] - by_hand[0]) / (2 * step), rel=1e-4)
+    assert curvature == pytest.approx(-(by_hand[2] - 2 * by_hand[1] + by_hand[0]) / step**2, rel=1e-2)
+
+
+def test_an_unknown_pinhole_widens_the_interval_to_hold_the_camera_alone(seed):
+    rng = np.random.default_rng(seed)
+    spot = Spot(width=0.9, pinhole_px=2.0)
+    stack = SpotCamera(snr=60.0).taken(spot, rng)
+    told, bounded, point = (
+        level(point_parametric(stack, pinhole_px=size, context=QUICK)) for size in (2.0, (0.0, 3.0), None)
+    )
+    assert abs(standard_errors(told, spot.level(0.5))) < 4.5
+    assert bounded.interval95[0] < spot.level(0.5) < bounded.interval95[1]
+    assert point.value < told.value
+    assert np.diff(bounded.interval95) > np.diff(told.interval95)
+
+
+def test_several_pinholes_fitted_together_say_more_than_one(seed):
+    rng = np.random.default_rng(seed)
+    spots = [Spot(row_px=rng.uniform(-0.5, 0.5), col_px=rng.uniform(-0.5, 0.5)) for _ in range(4)]
+    frames = np.concatenate([SpotCamera(snr=20.0, frames=4).taken(spot, rng).data for spot in spots], axis=2)
+    regions = tuple((0, 72 * number, 72, 72) for number in range(4))
+    together = level(point_parametric(FrameStack(data=frames), regions=regions, context=QUICK))
+    alone = level(point_parametric(FrameStack(data=frames), region=regions[0], context=QUICK))
+    assert abs(standard_errors(together, spots[0].level(0.5))) < 4.5
+    assert np.diff(together.interval68) < 0.75 * np.diff(alone.interval68)
+
+
+def test_chain_and_curvature_agree_on_a_clear_spot(seed):
+    stack = SpotCamera(snr=100.0).taken(Spot(), np.random.default_rng(seed))
+    chain, quick = (level(point_parametric(stack, context=Context(quick=q, seed=1))) for q in (False, True))
+    assert chain.posterior.sampler == "emcee"
+    assert abs(standard_errors(chain, quick.value)) < 0.7
+
+
+@pytest.mark.parametrize("blur_px", [0.0, 0.7])
+def test_noise_of_the_surroundings_is_known_with_its_correlation(seed, blur_px):
+    stack = SpotCamera(snr=30.0, shot_share=0.0, noise_blur_px=blur_px, frames=8).taken(
+        Spot(), np.random.default_rng(seed)
+    )
+    dark = dark_of(stack.data, 36, 36)
+    assert dark.variance == pytest.approx(25.0, rel=0.06)
+    neighbour = dark.covariance(np.arange(2.0), np.arange(1.0))[0, 1] / dark.variance
+    assert neighbour == pytest.approx(np.exp(-0.25 / blur_px**2) if blur_px else 0.0, abs=0.05)
+
+
+def test_pulses_that_spread_over_neighbours_are_a_covariance_of_the_same_size():
+    f = radial(2.0)[1]
+    x, y = np.arange(-7.0, 8.0), np.arange(-6.0, 7.0)
+    mean = 100 * np.exp(-0.5 * (x**2 + y[:, None] ** 2)).ravel()
+    for share in (0.0, 0.3, 1.0):
+        unit = pulse_covariance((f, np.exp(-2 * (np.pi * f) ** 2)), share, mean, x, y)
+        assert np.linalg.eigvalsh(unit).min() > -1e-9 * np.trace(unit)
+        assert np.trace(unit) == pytest.approx(mean.sum())
+
+
+def test_a_second_spot_beside_the_first_is_told(seed):
+    rng = np.random.default_rng(seed)
+    camera = SpotCamera(snr=60.0)
+    light = camera.taken(Spot(), rng).data + 0.4 * (camera.taken(Spot(col_px=3.5), rng).data - 20.0)
+    assert "model-misfit" in level(point_parametric(FrameStack(data=light), context=QUICK)).flags
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_noise_holds_no_point(seed, frames):
+    data = np.random.default_rng(seed).normal(60.0, 8.0, (frames, 72, 72))
+    statuses = {m.status for m in point_parametric(FrameStack(data=data), context=QUICK).measurements}
+    assert statuses <= ({"refused"} if frames > 2 else {"refused", "suspect"})
+
+
+@pytest.mark.parametrize("pinhole_px", [-1.0, (2.0, 1.0), (0.0, 90.0)])
+def test_a_pinhole_of_impossible_size_is_bad_input(pinhole_px):
+    with pytest.raises(BadInput, match="pinhole_px"):
+        point_parametric(FrameStack(data=np.zeros((2, 32, 32))), pinhole_px=pinhole_px, context=QUICK)
+
+
+def test_the_same_seed_gives_the_same_numbers(seed):
+    stack = SpotCamera().taken(Spot(), np.random.default_rng(seed))
+    first, second = (point_parametric(stack, context=Context(quick=True, seed=5)) for _ in range(2))
+    assert [m.interval95 for m in first.measurements] == [m.interval95 for m in second.measurements]

@@ -1,0 +1,192 @@
+"""One MTF through all targets of a session holds the truth, and a target that tells of another is found and named."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from charact.method import Context
+from charact.mtf.curve import FINE, REPORTED, curve_of, falls_to
+from charact.mtf.session.constancy import constancy
+from charact.mtf.session.joint import joint
+from charact.mtf.session.joint_fit import Problem
+from charact.mtf.session.joint_model import JointForm, Known
+from charact.mtf.session.joint_told import told
+from labdata.conditions import Conditions
+from labdata.measurement import Curve, Result, from_draws, from_sd
+from labdata.sensors import load_sensor
+
+QUICK = Context(seed=1, quick=True)
+KINDS = {"e": "edge", "b1": "bars", "b2": "bars", "b3": "bars", "p": "point"}
+BARS = {"b1": 0.08, "b2": 0.15, "b3": 0.25}
+
+
+def mtf(frequency, half=0.22, exponent=1.4, height=1.0):
+    """exp(-ln 2 (f/f2)^n) times the pixel."""
+    return np.exp(-np.log(2) * (np.asarray(frequency) / half) ** exponent) * np.sinc(np.asarray(frequency) * height)
+
+
+def target(rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.04, name="mtf", angle=0.0) -> Result:
+    """Curve and MTF50 of one target: draws about an estimate that missed the truth by its own error."""
+    centre = np.array([half, exponent]) + rng.standard_normal(2) * [half_sd, exponent_sd]
+    drawn = centre + rng.standard_normal((400, 2)) * [half_sd, exponent_sd]
+    curve = curve_of(REPORTED, mtf(REPORTED, drawn[:, :1], drawn[:, 1:]))
+    level = from_draws(
+        "mtf50",
+        "cy/px",
+        falls_to(FINE, mtf(FINE, drawn[:, :1], drawn[:, 1:]), 0.5),
+        method="fake",
+        stack=label,
+        orientation_deg=angle,
+    )
+    return Result(measurements=(level,), curves={f"{name}:{label}": curve})
+
+
+def bars(rng, *, half=0.22, sd=0.008) -> Result:
+    return Result(measurements=tuple(
+        from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake", stack=label,
+                frequency_cy_per_px=f, orientation_deg=3.0)
+        for label, f in BARS.items()
+    ))  # fmt: skip
+
+
+def session(rng, **edge) -> Result:
+    return target(rng, "e", **edge) + bars(rng) + target(rng, "p")
+
+
+def evidence(result: Result, kinds=KINDS, context: Context = QUICK) -> dict:
+    return joint(result, kinds, context=context).evidence["joint MTF"]
+
+
+def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_truth(seed: int) -> None:
+    """Kolmogorov-Smirnov of 30 chances once in ten thousand; 95 % intervals hold within 4 standard errors."""
+    rng = np.random.default_rng(seed)
+    chances, held = [], 0
+    frequency = np.linspace(0.01, 0.6, 20000)
+    truth = float(frequency[np.argmax(mtf(frequency) < 0.5)])
+    for _ in range(30):
+        found = joint(session(rng), KINDS, context=QUICK)
+        chances.append(found.evidence["joint MTF"]["probability"])
+        low, high = found.find("mtf50")[0].interval95
+        held += low <= truth <= high
+    assert kstest(chances, "uniform").pvalue > 1e-4
+    assert held >= 30 * 0.95 - 4 * np.sqrt(30 * 0.95 * 0.05)
+
+
+def test_all_targets_together_know_the_mtf_better_than_the_best_of_them(seed: int) -> None:
+    result = session(np.random.default_rng(seed))
+    together = joint(result, KINDS, context=QUICK).find("mtf50")[0]
+    alone = result.find("mtf50", stack="e")[0]
+    assert np.ptp(together.interval68) < 0.85 * np.ptp(alone.interval68)
+
+
+@pytest.mark.parametrize("half", [0.19, 0.25])
+def test_an_edge_out_of_focus_is_found_and_named_and_the_joint_number_is_suspect(half: float, seed: int) -> None:
+    found = joint(session(np.random.default_rng(seed), half=half), KINDS, context=QUICK)
+    test = found.evidence["joint MTF"]
+    assert not test["inside_joint_95_percent_region"]
+    assert test["differs_most"] == "e"
+    assert all("model-misfit" in m.flags for m in found.measurements)
+    assert any("e differs most" in note for note in found.measurements[0].notes)
+
+
+def test_what_a_target_does_not_vouch_for_takes_no_part(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    result = session(rng, half=0.3)
+    doubted = Result(
+        measurements=tuple(m.with_(flags=("gamma",)) if m.stack == "e" else m for m in result.measurements),
+        curves=result.curves,
+    )
+    assert "e" not in evidence(doubted)["target"]
+    assert joint(target(rng, "e"), KINDS, context=QUICK) == Result()
+
+
+def test_rows_and_columns_have_cores_of_their_own(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    result = session(rng) + target(rng, "v", half=0.15, angle=88.0)
+    found = joint(result, {**KINDS, "v": "edge"}, context=QUICK)
+    across, down = (found.find("mtf50", orientation_deg=angle)[0] for angle in (0.0, 90.0))
+    assert found.evidence["joint MTF"]["probability"] > 1e-3
+    assert down.value < 0.8 * across.value
+    assert set(found.curves) == {"mtf_joint", "mtf_joint_vertical"}
+
+
+def test_an_edge_along_rows_counts_row_pitches_and_a_point_column_pitches(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    context = Context(seed=1, quick=True, sensor=load_sensor("pulnix-ag5745ef3"))
+    edge = target(rng, "e", half=0.22 * context.pitch_ratio, angle=90.0)
+    point = target(rng, "p", name="mtf_vertical")
+    sound, _ = told(edge + point, KINDS, context)
+    along_rows, vertical = sound
+    assert along_rows.frequency[0] * context.pitch_ratio == pytest.approx(vertical.frequency[0], rel=1e-12)
+    assert np.allclose(vertical.angle_rad, np.pi / 2)
+    assert context.pitch_ratio > 1.1
+
+
+def test_the_noise_of_flats_bounds_the_whole_mtf_from_above(seed: int) -> None:
+    """A transfer behind the gain above the whole MTF says nothing; one below it cannot be."""
+    rng = np.random.default_rng(seed)
+    plain = session(rng)
+
+    def with_flats(half: float) -> Result:
+        value = mtf(REPORTED, half, 2.0)
+        band = np.stack([value - 0.004, value + 0.004])
+        return plain + Result(
+            curves={"mtf_post_gain": Curve(frequency_cy_per_px=REPORTED, value=value, interval68=band)}
+        )
+
+    high, low = evidence(with_flats(0.4)), evidence(with_flats(0.18))
+    assert high["chi_squared"] == pytest.approx(evidence(plain)["chi_squared"], rel=0.01)
+    assert low["differs_most"] == "flats"
+    assert not low["inside_joint_95_percent_region"]
+
+
+def test_draws_are_those_of_the_posterior(seed: int) -> None:
+    """Mean and spread of MTF50 agree with a sum over a grid of both parameters of the form that explains most."""
+    posterior = joint(session(np.random.default_rng(seed)), KINDS, context=QUICK).find("mtf50")[0].posterior
+    sound, _ = told(session(np.random.default_rng(seed)), KINDS, QUICK)
+    form = JointForm(core="exponential", blurred=False, wide=None, elliptical=False, known=Known())
+    if posterior.names != tuple(form.parameters):
+        pytest.skip("another form explains this session better")
+    grid = np.stack(np.meshgrid(np.linspace(-1.75, -1.25, 300), np.linspace(1.0, 2.0, 300)), axis=-1).reshape(-1, 2)
+    density = Problem(form=form, told=sound).log_probability(grid)
+    weight = np.exp(density - density.max())
+    mean = weight @ grid / weight.sum()
+    sd = np.sqrt(weight @ (grid - mean) ** 2 / weight.sum())
+    assert np.all(np.abs(posterior.draws.mean(axis=0) - mean) < 0.2 * sd)
+    assert np.allclose(posterior.draws.std(axis=0), sd, rtol=0.15)
+
+
+def test_evidence_is_of_plain_numbers(seed: int) -> None:
+    assert json.loads(json.dumps(evidence(session(np.random.default_rng(seed)))))
+
+
+def edges(rng, slope: float) -> tuple[Result, dict[str, str], dict[str, Conditions]]:
+    """Six edges over the columns of a frame; half frequency changes by a slope per pixel."""
+    result, columns = Result(), (50, 150, 250, 350, 450, 550)
+    for col in columns:
+        one = target(rng, f"e{col}", half=0.22 + slope * (col - 300), half_sd=0.004)
+        result += Result(
+            measurements=tuple(m.with_(region=(100, col - 30, 80, 60)) for m in one.measurements), curves=one.curves
+        )
+    labels = [f"e{col}" for col in columns]
+    return result, dict.fromkeys(labels, "edge"), dict.fromkeys(labels, Conditions(mcp_v=800.0))
+
+
+def test_an_mtf_that_changes_over_the_field_is_told_from_one_that_does_not(seed: int) -> None:
+    """Constant: 60 sessions stay so in 95 %, within 4 standard errors; a slope of 1e-4 is found with its size."""
+    rng = np.random.default_rng(seed)
+    name = "MTF50 over the field and settings"
+
+    def table(slope: float) -> dict:
+        return constancy(*edges(rng, slope), context=QUICK).evidence[name]
+
+    kept = sum(table(0.0)["constant_at_5_percent"] for _ in range(60))
+    assert abs(kept - 57) < 4 * np.sqrt(60 * 0.95 * 0.05)
+    tilted = table(1e-4)
+    slope, sd = tilted["slopes"]["col_px"]
+    assert not tilted["constant_at_5_percent"]
+    assert 0.6e-4 < slope < 1.2e-4
+    assert slope > 5 * sd
+    assert set(tilted["slopes"]) == {"col_px"}
