@@ -69,49 +69,49 @@ study: $(READY)
 # How often the intervals of edge methods hold, whether auto keeps its word on cases that no chart saw, and how often all
 # targets of a session agree; half an hour on two cores.
 mtf-study: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_coverage
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge.coverage
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_back
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.agreement_table --keep --simulated 100 --workers 2
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.session.agreement_table --keep --simulated 100 --workers 2
 
 # Bias of the four-bar method and cover of its intervals, 153 cells of blur, frequency, tilt, noise and phase: table and
 # chart; ten minutes on two cores.
 bar-study: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bar_bias
-	$(BIN)/python -m charact.study.bar_bias_figure
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bars.bias
+	$(BIN)/python -m charact.study.bars.bias_figure
 
 # Covariance gains of stacks put together from single photoelectrons, 54 cells drawn 40 times each, beside the least error
 # there can be; ten minutes on one core.
 gain-grid: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.gain_grid
-	$(BIN)/python -m charact.study.gain_grid_figure
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.flats.gain_grid
+	$(BIN)/python -m charact.study.flats.gain_grid_figure
 
 # Single photoelectrons: how often intervals hold over 200 stacks of known darks, and where the law is lost; table kept.
 events-study: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.dark_events_coverage
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.flats.dark_events_coverage
 
 # Where edges break: 5,000 cells drawn 20 times each; forty minutes on two cores.
 edge-map: $(READY)
-	$(BIN)/python -m charact.study.edge_map
-	$(BIN)/python -m charact.study.edge_map_figure
+	$(BIN)/python -m charact.study.edge.map
+	$(BIN)/python -m charact.study.edge.map_figure
 
 # Where gains break: 3,000 simulated cameras; half an hour on two cores.
 gain-map: $(READY)
-	$(BIN)/python -m charact.study.gain_map
-	$(BIN)/python -m charact.study.gain_map_figure
+	$(BIN)/python -m charact.study.flats.gain_map
+	$(BIN)/python -m charact.study.flats.gain_map_figure
 
 # How well bloom methods measure halo and blooms, and how often their intervals hold, over 400 series of known truth, 300
 # without a halo and 100 whose halo is hidden; half an hour on one core.
 bloom-study: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bloom_coverage
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bloom.coverage
 
 # Where halo and bloom diameters break: 2,000 series of known truth; half an hour on two cores.
 bloom-map: $(READY)
-	$(BIN)/python -m charact.study.bloom_map
-	$(BIN)/python -m charact.study.bloom_map_figure
+	$(BIN)/python -m charact.study.bloom.map
+	$(BIN)/python -m charact.study.bloom.map_figure
 
 # Edge methods beside other programs and the Cramer-Rao bound, on the edge that those were measured on: table and chart.
 mtf-peers: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge_peers
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge.peers
 
 # The tree of files, and every picture by simulation.
 docs: $(READY)
@@ -130,8 +130,8 @@ night-light: $(READY)
 # Plans of light beside the exact mode, 100 random scenes before random cameras: table and figure; goes on where it was
 # interrupted; fifteen minutes on one core.
 radiance-economy: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light_economy
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light_economy_figure
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light.economy
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light.economy_figure
 
 # Pictures of docs/night-scenes.md: the shipped scenes and what the default camera makes of them; some minutes.
 night-scenes: $(READY)

@@ -15,9 +15,9 @@ from charact.method import Context
 from charact.report.evidence import DRAWN
 from charact.report.extents import completed
 from charact.report.style import on_paper
-from charact.study.bloom_scene import BloomScene, session, truth
-from charact.study.bloom_source import GLARE_SIDE_PX, radial_light
-from charact.study.flats import HeldStack
+from charact.study.bloom.scene import BloomScene, session, truth
+from charact.study.bloom.source import GLARE_SIDE_PX, radial_light
+from charact.study.flats.stacks import HeldStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Result

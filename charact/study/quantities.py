@@ -6,8 +6,13 @@ from dataclasses import dataclass
 
 from charact.method import Method
 from charact.method.registry import of_kind
-from charact.study import bar_cases, bloom_cases, edge_cases, flats, noise_spectrum_cases, point_cases, white_flats
+from charact.study.bars import cases as bar_cases
+from charact.study.bloom import cases as bloom_cases
+from charact.study.edge import cases as edge_cases
+from charact.study.flats import noise_spectrum_cases, white_flats
+from charact.study.flats import stacks as flats
 from charact.study.harness import Case
+from charact.study.point import cases as point_cases
 from labdata.errors import BadInput
 
 

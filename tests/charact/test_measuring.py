@@ -7,7 +7,7 @@ import pytest
 
 from charact.measuring import _knowing_halo, measure
 from charact.method import Context
-from charact.study.edge import EdgeScene
+from charact.study.edge.scene import EdgeScene
 from labdata.measurement import Result, from_sd, refused
 from labdata.sensors import load_sensor
 

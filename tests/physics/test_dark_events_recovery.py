@@ -5,7 +5,7 @@ from pathlib import Path
 
 from charact.method import Context
 from charact.noise.events.events import measure_events
-from charact.study.flats import HeldStack
+from charact.study.flats.stacks import HeldStack
 from labdata.conditions import Conditions
 from labdata.parameter import Parameter
 from labdata.sensors import load_sensor

@@ -5,8 +5,8 @@ import pytest
 
 from charact.bloom.bloom_map import NEAR_PX, bloom_map, pixel_noise
 from charact.bloom.spread import Spread, spread_of
-from charact.study.bloom_scene import BloomScene, expected, stack
-from charact.study.bloom_source import GLARE_SIDE_PX, radial_light
+from charact.study.bloom.scene import BloomScene, expected, stack
+from charact.study.bloom.source import GLARE_SIDE_PX, radial_light
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 

@@ -8,7 +8,7 @@ import pytest
 from charact.bloom.columns import spoiled
 from charact.bloom.spot import read_spots
 from charact.method import Context
-from charact.study.bloom_scene import BloomScene, session
+from charact.study.bloom.scene import BloomScene, session
 
 QUICK = Context(seed=1, quick=True)
 HALO_OVERLOADS = (0.5, 30.0, 3e3, 1e5)

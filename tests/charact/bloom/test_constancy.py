@@ -9,9 +9,9 @@ import pytest
 from charact.bloom.constancy import constancy
 from charact.bloom.spot import read_spots
 from charact.method import Context
-from charact.study.bloom_camera import expected
-from charact.study.bloom_scene import BloomScene, session
-from charact.study.flats import HeldStack
+from charact.study.bloom.camera import expected
+from charact.study.bloom.scene import BloomScene, session
+from charact.study.flats.stacks import HeldStack
 from labdata.frames import FrameStack
 
 QUICK = Context(seed=1, quick=True)

@@ -9,9 +9,9 @@ from charact import bloom
 from charact.bloom.extended import lit_edge
 from charact.bloom.lit_edge import edge_line
 from charact.method import Context
-from charact.study.bloom_scene import BloomScene
-from charact.study.bloom_source import radial_light
-from charact.study.flats import HeldStack
+from charact.study.bloom.scene import BloomScene
+from charact.study.bloom.source import radial_light
+from charact.study.flats.stacks import HeldStack
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack

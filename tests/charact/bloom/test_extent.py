@@ -9,10 +9,10 @@ from charact.bloom.extent import extent_at
 from charact.bloom.spot import read_spots
 from charact.bloom.view import view_of
 from charact.method import Context
-from charact.study.bloom_camera import stack
-from charact.study.bloom_scene import session
-from charact.study.bloom_source import BloomScene
-from charact.study.bloom_truth import truth
+from charact.study.bloom.camera import stack
+from charact.study.bloom.scene import session
+from charact.study.bloom.source import BloomScene
+from charact.study.bloom.truth import truth
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement
 from labdata.sensors import load_sensor

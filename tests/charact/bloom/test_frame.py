@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 from charact.bloom.frame import BEYOND_ONE_FRAME, bare_session, measure_frame
 from charact.cli.application import app
 from charact.method import Context
-from charact.study.bloom_camera import stack
-from charact.study.bloom_scene import session
-from charact.study.bloom_source import BloomScene
-from charact.study.bloom_truth import truth
+from charact.study.bloom.camera import stack
+from charact.study.bloom.scene import session
+from charact.study.bloom.source import BloomScene
+from charact.study.bloom.truth import truth
 from labdata.errors import BadInput
 from labdata.measurement import Measurement
 

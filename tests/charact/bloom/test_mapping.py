@@ -6,7 +6,7 @@ import pytest
 from charact.bloom.mapping import map_of, spread_from
 from charact.cli.bloom_map import mapped
 from charact.method import Context
-from charact.study.bloom_scene import BloomScene, session
+from charact.study.bloom.scene import BloomScene, session
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result, from_draws, from_sd, refused
 

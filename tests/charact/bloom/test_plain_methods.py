@@ -5,8 +5,8 @@ import pytest
 
 from charact import bloom
 from charact.method import Context
-from charact.study.bloom_scene import session
-from charact.study.bloom_source import BloomScene
+from charact.study.bloom.scene import session
+from charact.study.bloom.source import BloomScene
 
 QUICK = Context(seed=1, quick=True)
 SERIES = (0.3, 30.0, 3e3, 1e5)

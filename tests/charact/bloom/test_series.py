@@ -14,7 +14,7 @@ from charact.bloom.series.likelihood import Problem, series_of
 from charact.bloom.series.rings import geometry_of
 from charact.method import Context
 from charact.method.registry import of_kind
-from charact.study.bloom_scene import BloomScene, session
+from charact.study.bloom.scene import BloomScene, session
 
 QUICK = Context(seed=1, quick=True)
 TWO_DECADES = tuple(np.geomspace(0.5, 5e4, 7))

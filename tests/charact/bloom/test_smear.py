@@ -9,7 +9,7 @@ import pytest
 from charact.bloom.smear import smear_measurement
 from charact.bloom.spot import read_spots
 from charact.method import Context
-from charact.study.bloom_scene import BloomScene, session
+from charact.study.bloom.scene import BloomScene, session
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = (0.5, 30.0, 300.0, 3e3)

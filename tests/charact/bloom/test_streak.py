@@ -9,7 +9,7 @@ import pytest
 from charact.bloom.spot import read_spots
 from charact.bloom.streak import streak_measurements, streak_of
 from charact.method import Context
-from charact.study.bloom_scene import BloomScene, expected, session
+from charact.study.bloom.scene import BloomScene, expected, session
 
 QUICK = Context(seed=1, quick=True)
 

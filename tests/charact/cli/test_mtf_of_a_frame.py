@@ -12,7 +12,7 @@ from charact.cli.annotate import COLOURS, drawn
 from charact.cli.application import app
 from charact.cli.captions import placed
 from charact.cli.units import FrequencyUnit
-from charact.study.edge import Blur, EdgeScene
+from charact.study.edge.scene import Blur, EdgeScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured

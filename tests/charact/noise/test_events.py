@@ -13,7 +13,7 @@ from charact.noise.events.filters import Filter, boxes
 from charact.noise.events.law import Glow, Pulses, height_transform
 from charact.noise.events.scatter import blended
 from charact.noise.gain.series import read_levels
-from charact.study.dark_events import DarkScene
+from charact.study.flats.dark_events import DarkScene
 from labdata.conditions import Conditions
 
 QUICK = Context(seed=1, quick=True)

@@ -9,7 +9,7 @@ from charact import noise
 from charact.method import Context
 from charact.noise.gain.lag_window import binned, windowed
 from charact.noise.gain.reach import settled
-from charact.study.flats import FlatScene
+from charact.study.flats.stacks import FlatScene
 
 METHODS = ("covariance-window", "binning", "spectrum-plateau", "spectrum-parabola")
 

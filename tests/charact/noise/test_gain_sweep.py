@@ -11,7 +11,7 @@ from charact.method import Context
 from charact.noise.sweep.knob import KNOBS
 from charact.noise.sweep.settings import Sweep
 from charact.noise.sweep.sweep import of_sweep
-from charact.study.gain_sweeps import SweepScene, covered
+from charact.study.flats.gain_sweeps import SweepScene, covered
 from labdata.conditions import Conditions
 
 QUICK = Context(seed=1, quick=True)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from charact.study.flats import HeldStack
+from charact.study.flats.stacks import HeldStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Posterior, Provenance, Result, from_draws, from_sd, refused

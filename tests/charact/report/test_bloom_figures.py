@@ -9,7 +9,7 @@ from charact.report.corner import varying
 from charact.report.evidence import figure_of
 from charact.report.extents import completed
 from charact.report.style import on_paper
-from charact.study.bloom_scene import BloomScene, session, truth
+from charact.study.bloom.scene import BloomScene, session, truth
 from labdata.measurement import Posterior, Result, from_draws, from_sd
 
 SCENE = BloomScene(frames=2)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from charact.study.agreement import Chain, SessionScene
-from charact.study.agreement_table import judged, row
-from charact.study.edge import Blur
+from charact.study.edge.scene import Blur
+from charact.study.session.agreement import Chain, SessionScene
+from charact.study.session.agreement_table import judged, row
 
 
 def test_two_gaussian_blurs_add_in_squares_and_defocus_widens_both() -> None:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from charact.study.bar_bias import CELLS, FIRST, LEAST_PAIRS, measured_cell
-from charact.study.bar_bias_figure import draw_bias
-from charact.study.bar_tally import Outcome, read, tally
+from charact.study.bars.bias import CELLS, FIRST, LEAST_PAIRS, measured_cell
+from charact.study.bars.bias_figure import draw_bias
+from charact.study.bars.tally import Outcome, read, tally
 
 TABLE = read()
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from charact.study.bars import BarScene
-from charact.study.edge import Blur
-from charact.study.point import PointScene, landing_places
+from charact.study.bars.scene import BarScene
+from charact.study.edge.scene import Blur
+from charact.study.point.scene import PointScene, landing_places
 
 
 def _supersampled(scene: BarScene, fine: int = 6) -> np.ndarray:

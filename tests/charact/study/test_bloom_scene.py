@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.study.bloom_camera import overflowed
-from charact.study.bloom_light import gaussian, halo_rings, moffat, moffat_as_gaussians, rings_blurred
-from charact.study.bloom_scene import BloomScene, expected, session, stack, truth
-from charact.study.bloom_source import radial_light
+from charact.study.bloom.camera import overflowed
+from charact.study.bloom.light import gaussian, halo_rings, moffat, moffat_as_gaussians, rings_blurred
+from charact.study.bloom.scene import BloomScene, expected, session, stack, truth
+from charact.study.bloom.source import radial_light
 from labdata.errors import BadInput
 
 # Densities of electrons that land at r/d = 0.1, 0.3 .. 1.9, in units of 1/d^2, by Monte Carlo of the cosine law.

@@ -8,10 +8,10 @@ import pytest
 import charact.bloom  # noqa: F401  # registers the methods
 from charact.method import choose
 from charact.method.registry import chart_table, of_kind
-from charact.study.bloom_coverage import Trial, is_silent, quantity_told, series_of, told
-from charact.study.bloom_map import BREAKING, bloom_told, cell_of, measured_cell
-from charact.study.bloom_scene import BloomScene, truth
-from charact.study.bloom_series import BloomSeries, halo_overload, measured
+from charact.study.bloom.coverage import Trial, is_silent, quantity_told, series_of, told
+from charact.study.bloom.map import BREAKING, bloom_told, cell_of, measured_cell
+from charact.study.bloom.scene import BloomScene, truth
+from charact.study.bloom.series import BloomSeries, halo_overload, measured
 from labdata.measurement import Provenance, from_sd, refused
 
 PROVENANCE = Provenance(version="", seed=0, settings={})

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from charact.study import bloom_coverage, bloom_map
+from charact.study.bloom import coverage as bloom_coverage
+from charact.study.bloom import map as bloom_map
 
 METHOD = "series-forward"
 # What 95 % intervals of 400 series must hold, %.

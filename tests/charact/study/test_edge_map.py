@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from charact.study.cell_map import told, worst
-from charact.study.edge_bound import least_relative_sd
-from charact.study.edge_map import BREAKING, TABLE, cell_of, measured_cell
+from charact.study.edge.bound import least_relative_sd
+from charact.study.edge.map import BREAKING, TABLE, cell_of, measured_cell
 
 
 @pytest.fixture(scope="module")

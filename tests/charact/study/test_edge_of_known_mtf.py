@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from charact.study.edge import Blur, EdgeScene, edge_spread
+from charact.study.edge.scene import Blur, EdgeScene, edge_spread
 
 
 def test_mtf50_of_a_pixel_behind_a_unit_gaussian_is_the_published_one():

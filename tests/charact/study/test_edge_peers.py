@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from charact.method.registry import of_kind
-from charact.study.edge_bound import least_relative_sd
-from charact.study.edge_peers import PEERS, TABLE, answers, bound, row, scene_of, study, without_noise
-from charact.study.edge_peers_figure import draw_peers
+from charact.study.edge.bound import least_relative_sd
+from charact.study.edge.peers import PEERS, TABLE, answers, bound, row, scene_of, study, without_noise
+from charact.study.edge.peers_figure import draw_peers
 
 
 def test_every_edge_method_stands_in_the_table_with_enough_frames():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from charact.study.gain_bound import heights_variance, least_relative_sd
-from charact.study.gain_grid import CELLS, EXPECTED, FIRST, TABLE, measured_once, read, scene_of, told
-from charact.study.pulse_frames import CELLS as CELLS_PER_PX
-from charact.study.pulse_frames import PulseScene, _place, integrals
+from charact.study.flats.gain_bound import heights_variance, least_relative_sd
+from charact.study.flats.gain_grid import CELLS, EXPECTED, FIRST, TABLE, measured_once, read, scene_of, told
+from charact.study.flats.pulse_frames import CELLS as CELLS_PER_PX
+from charact.study.flats.pulse_frames import PulseScene, _place, integrals
 
 
 def pixel_share(place, length, sigma):
@@ -78,7 +78,7 @@ def test_the_bound_falls_with_the_root_of_the_frames_and_rises_with_blur_and_noi
 def test_the_bound_of_white_noise_of_known_form_is_that_of_its_modes():
     """Where only the power is free its relative variance is one over the number of modes."""
     from charact.noise.stack.spectrum import bins_of
-    from charact.study.gain_bound import _information
+    from charact.study.flats.gain_bound import _information
 
     bins = bins_of(128, 128, 1.0)
     known = bins.modes * bins.efficiency

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from charact.study.gain_map import BREAKING, TABLE, cell_of, measured_cell
+from charact.study.flats.gain_map import BREAKING, TABLE, cell_of, measured_cell
 
 
 @pytest.fixture(scope="module")

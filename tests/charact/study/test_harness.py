@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 
 from charact.method import Context, Method, registry
-from charact.study import STUDIES, bar_cases, bloom_cases, chart, edge_cases, point_cases, run, stability, summary
-from charact.study.edge import Blur, EdgeScene
-from charact.study.edge_cases import chart_cases, stability_cases
+from charact.study import STUDIES, chart, run, stability, summary
+from charact.study.bars import cases as bar_cases
+from charact.study.bloom import cases as bloom_cases
+from charact.study.edge import cases as edge_cases
+from charact.study.edge.cases import chart_cases, stability_cases
+from charact.study.edge.scene import Blur, EdgeScene
 from charact.study.harness import Case
+from charact.study.point import cases as point_cases
 from charact.study.quantities import methods_of
 from labdata.errors import BadInput
 from labdata.measurement import Result, from_sd, measured, refused

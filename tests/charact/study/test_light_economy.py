@@ -6,8 +6,8 @@ from itertools import count
 import numpy as np
 import pytest
 
-from charact.study.light_economy import DRAWN_MOST, kept, measured, read, temporal_noise, told, written
-from charact.study.light_scenes import case_of
+from charact.study.light.economy import DRAWN_MOST, kept, measured, read, temporal_noise, told, written
+from charact.study.light.scenes import case_of
 
 OUTCOMES = read()
 

@@ -8,8 +8,8 @@ from scipy.special import erf
 
 from charact.method import Context
 from charact.mtf import measure
-from charact.study.bars import BarScene
-from charact.study.edge import Blur
+from charact.study.bars.scene import BarScene
+from charact.study.edge.scene import Blur
 from labdata.frames import FrameStack
 
 SHAPE = (120, 140)

@@ -18,8 +18,8 @@ from charact.mtf.edge.pixels.find import find_edge
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
 from charact.mtf.forms.families import DiscPrior, Family, GlarePrior, VeilPrior
 from charact.mtf.optics import known_of
-from charact.study.edge import Blur, EdgeScene
-from charact.study.edge_map import case_of, cell_of
+from charact.study.edge.map import case_of, cell_of
+from charact.study.edge.scene import Blur, EdgeScene
 
 QUICK = Context(quick=True)
 PLAIN = EdgeScene(

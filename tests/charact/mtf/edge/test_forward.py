@@ -8,7 +8,7 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.study.edge_cases import chart_cases
+from charact.study.edge.cases import chart_cases
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 

@@ -7,8 +7,8 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge import gradient as edge_gradient
-from charact.study.edge_coverage import covered
-from charact.study.edge_peers import answers
+from charact.study.edge.coverage import covered
+from charact.study.edge.peers import answers
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)

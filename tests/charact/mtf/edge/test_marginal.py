@@ -12,7 +12,7 @@ from charact.mtf.edge.fit.phases import turned
 from charact.mtf.edge.pixels.find import FoundEdge, find_edge
 from charact.mtf.forms.families import Family
 from charact.mtf.optics import known_of
-from charact.study.edge import EdgeScene
+from charact.study.edge.scene import EdgeScene
 
 GRID = np.concatenate([[1e-5, 1e-3], np.linspace(0.01, 4.3, 40)])
 STEP_DN = 500.0

@@ -7,9 +7,9 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge import parametric as edge_parametric
-from charact.study.edge_bound import least_relative_sd
-from charact.study.edge_coverage import covered
-from charact.study.edge_peers import answers, row, scene_of
+from charact.study.edge.bound import least_relative_sd
+from charact.study.edge.coverage import covered
+from charact.study.edge.peers import answers, row, scene_of
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)

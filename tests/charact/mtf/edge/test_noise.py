@@ -8,7 +8,7 @@ import pytest
 from charact.method import Context
 from charact.mtf.edge.noise import BENDING, MOST_LN_ODDS, READ_OUT, Growth, curved_ln_odds, growth_of, noise_flags
 from charact.mtf.edge.pixels.find import find_edge
-from charact.study.edge import Blur, EdgeScene
+from charact.study.edge.scene import Blur, EdgeScene
 
 STRAIGHT = EdgeScene(
     blur=Blur(sigma_px=1.0), rows=110, cols=110, angle_deg=8.0, dark_dn=1300.0, bright_dn=2800.0, snr=20.0,

@@ -9,8 +9,8 @@ from charact.method import Context
 from charact.mtf.edge import response as edge_response
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.response import CURVED, CURVED_SD, EITHER_WAY, FLATTENING, STEEPENING, bent
-from charact.study.edge import Blur, EdgeScene
-from charact.study.edge_map import case_of, cell_of
+from charact.study.edge.map import case_of, cell_of
+from charact.study.edge.scene import Blur, EdgeScene
 from labdata.measurement import Posterior
 
 DRAWS = 40_000

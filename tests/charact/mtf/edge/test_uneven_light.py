@@ -8,7 +8,7 @@ import pytest
 from charact.method import Context
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels.uneven_light import APART, EVEN_PER_PX, UNEVEN_PER_PX, believed_black, uneven_light
-from charact.study.edge import Blur, EdgeScene
+from charact.study.edge.scene import Blur, EdgeScene
 
 DISTANCE = np.linspace(-30.0, 40.0, 141)
 DARK, BRIGHT, BLACK = 900.0, 2400.0, 200.0

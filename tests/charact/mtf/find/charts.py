@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge import Blur, edge_spread
+from charact.study.edge.scene import Blur, edge_spread
 from charact.study.noise import correlated
 
 

@@ -7,7 +7,7 @@ from charts import BarChart, Bars, noisy
 from charact import mtf
 from charact.method import Context
 from charact.mtf.find import find_bar_groups, find_pinholes
-from charact.study.edge import Blur, edge_spread
+from charact.study.edge.scene import Blur, edge_spread
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 

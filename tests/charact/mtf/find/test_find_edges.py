@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from charact import mtf
 from charact.method import Context
 from charact.mtf.find import FoundEdge, find_edges
-from charact.study.edge import Blur, EdgeScene
+from charact.study.edge.scene import Blur, EdgeScene
 from labdata.frames import FrameStack
 
 CHART = TiltedSquares()

@@ -7,7 +7,7 @@ from charact import mtf
 from charact.method import Context
 from charact.mtf.forms.families import Family
 from charact.mtf.noise_spectrum.folding import Known, folding
-from charact.study.noise_spectrum_cases import ScintillatingFlats
+from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
 from labdata.errors import BadInput
 
 
@@ -117,7 +117,7 @@ def test_images_too_small_for_a_spectrum_are_bad_input(seed):
 
 def test_intervals_hold_what_they_promise(seed):
     """Eight cameras: squared errors over variance, with room for the pair of families that both fit."""
-    from charact.study.noise_spectrum_cases import chart_cases
+    from charact.study.flats.noise_spectrum_cases import chart_cases
 
     off = []
     for case in chart_cases(seed, 8):

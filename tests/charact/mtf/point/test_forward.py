@@ -10,8 +10,8 @@ from charact.mtf.point.forward import point_forward
 from charact.mtf.point.forward_model import Optics, PointModel
 from charact.mtf.point.forward_prior import priors_of
 from charact.mtf.point.spread import point_spread
-from charact.study.edge import Blur
-from charact.study.point import PointScene
+from charact.study.edge.scene import Blur
+from charact.study.point.scene import PointScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.sensors import load_sensor

@@ -10,7 +10,7 @@ from charact.mtf.point.forms import PointForm
 from charact.mtf.point.parametric import point_parametric
 from charact.mtf.point.pulses import dark_of, pulse_covariance
 from charact.mtf.point.table import Aperture, cosines, pixel_matrix, radial
-from charact.study.point_spots import Spot, SpotCamera
+from charact.study.point.spots import Spot, SpotCamera
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 

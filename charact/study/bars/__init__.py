@@ -1,0 +1,1 @@
+"""Bars of known MTF: scenes, cases and what methods make of them."""

@@ -1,0 +1,173 @@
+"""Bar targets of exactly known MTF: the finite target's own spectrum through the transfer, sampled with its aliases."""
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.study.edge.scene import Blur
+from charact.study.noise import correlated
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+# The pattern repeats after this many pixels, and spectra this many sampling frequencies away still fold back.
+PERIOD_PX = 320
+ALIASES = 3
+
+
+@lru_cache(maxsize=16)
+def _bars_image(
+    blur: Blur, bars: int, frequency_cy_per_px: float, angle_deg: float, row_px: float, col_px: float
+) -> NDArray[np.floating]:
+    """Blurred bars sampled at whole pixels, 1 on a wide bar, shape (PERIOD_PX, PERIOD_PX), centred on its middle.
+
+    Notes
+    -----
+    Spectrum of N bars of width w = 1/(2f) and length 7 w: w sinc(u w) sin(pi N u / f) / sin(pi u / f) across them times
+    7 w sinc(7 w v) along. A sampled picture's spectrum is the sum of its copies at whole cycles a pixel.
+    """
+    from scipy.fft import irfft2
+
+    rows, cols = np.fft.fftfreq(PERIOD_PX)[:, None], np.fft.rfftfreq(PERIOD_PX)[None, :]
+    spectrum = np.zeros((rows.size, cols.size), complex)
+    for up in range(-ALIASES, ALIASES + 1):
+        for right in range(-ALIASES, ALIASES + 1):
+            fy, fx = rows + up, cols + right
+            shift = np.exp(-2j * np.pi * (fy * row_px + fx * col_px))
+            spectrum += _object(bars, frequency_cy_per_px, angle_deg, fx, fy) * blur.transfer(fx, fy) * shift
+    return np.fft.fftshift(np.asarray(irfft2(spectrum, (PERIOD_PX, PERIOD_PX))))
+
+
+def _object(bars: int, frequency: float, angle_deg: float, fx: NDArray, fy: NDArray) -> NDArray[np.floating]:
+    """Spectrum of the bars themselves, px^2."""
+    angle, width = np.deg2rad(angle_deg), 0.5 / frequency
+    across, along = fx * np.cos(angle) + fy * np.sin(angle), fy * np.cos(angle) - fx * np.sin(angle)
+    places = (np.arange(bars) - (bars - 1) / 2) / frequency
+    comb = sum(np.cos(2 * np.pi * place * across) for place in places)
+    return width * np.sinc(width * across) * comb * 7 * width * np.sinc(7 * width * along)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarScene:
+    """A bar target as a camera would digitise it, with one knob for each way in which bar methods break.
+
+    Parameters
+    ----------
+    blur
+        The blur whose MTF is the truth.
+    bars, frequency_cy_per_px
+        Number of bars, and their frequency across them.
+    rows, cols, frames
+        Size of the stack.
+    angle_deg
+        Direction across the bars from the row direction, degrees.
+    row_px, col_px
+        Where the target's middle stands off the middle of the frame, px.
+    pedestal_dn, level_dn
+        Ground, and what a wide bar adds to it, DN.
+    snr
+        `level_dn` over the standard deviation of one pixel's noise half way up, dimensionless. Infinite: no noise.
+    shot_share, noise_blur_px
+        As for `charact.study.edge.scene.EdgeScene`.
+    gamma
+        Exponent of the response, on a scale from black to full scale.
+    gradient
+        Illumination at the right border over that at the left, minus 1.
+    motion_px
+        Horizontal displacement of odd rows, exposed in the later field, px.
+    clip_share
+        Share of `level_dn` that lies above full scale.
+    hot_share
+        Share of pixels stuck at full scale.
+    neighbour_px
+        Gap between the target and another of three quarters of its frequency along the bars, px; infinite: none.
+    black_dn, full_scale_dn
+        Codes at no light and at the top, DN.
+    """
+
+    blur: Blur = field(default_factory=Blur)
+    bars: int = 4
+    frequency_cy_per_px: float = 0.12
+    rows: int = 160
+    cols: int = 180
+    frames: int = 8
+    angle_deg: float = 4.0
+    row_px: float = 0.0
+    col_px: float = 0.0
+    pedestal_dn: float = 15.0
+    level_dn: float = 150.0
+    snr: float = 20.0
+    shot_share: float = 0.8
+    noise_blur_px: float = 0.0
+    gamma: float = 1.0
+    gradient: float = 0.0
+    motion_px: float = 0.0
+    clip_share: float = 0.0
+    hot_share: float = 0.0
+    neighbour_px: float = np.inf
+    black_dn: float = 10.0
+    full_scale_dn: float = 255.0
+
+    def __post_init__(self) -> None:
+        if not self.snr > 0:
+            raise BadInput(f"snr must be positive, got {self.snr:g}")
+        if max(self.rows, self.cols) > PERIOD_PX:
+            raise BadInput(f"rows and cols must be at most {PERIOD_PX}, got {self.rows} x {self.cols}")
+
+    @property
+    def truth_mtf(self) -> float:
+        """MTF at the bars' frequency across them, pixel included, dimensionless."""
+        return float(self.blur.mtf(self.frequency_cy_per_px, self.angle_deg))
+
+    def _target(self, along_px: float, frequency: float, motion_px: float) -> NDArray[np.floating]:
+        """Light of one target from 0 to about 1, moved along its bars, shape (row, col)."""
+        angle = np.deg2rad(self.angle_deg)
+        row = self.row_px + along_px * np.cos(angle) - 0.5 * ((self.rows + 1) % 2)
+        col = self.col_px - along_px * np.sin(angle) + motion_px - 0.5 * ((self.cols + 1) % 2)
+        image = _bars_image(self.blur, self.bars, frequency, round(self.angle_deg, 9), round(row, 9), round(col, 9))
+        top, left = PERIOD_PX // 2 - (self.rows - self.rows % 2) // 2, PERIOD_PX // 2 - (self.cols - self.cols % 2) // 2
+        return image[top : top + self.rows, left : left + self.cols]
+
+    def _light(self, motion_px: float) -> NDArray[np.floating]:
+        light = self._target(0.0, self.frequency_cy_per_px, motion_px)
+        if np.isfinite(self.neighbour_px):
+            other = 0.75 * self.frequency_cy_per_px
+            apart = self.neighbour_px + 1.75 / self.frequency_cy_per_px + 1.75 / other
+            light = light + self._target(apart, other, motion_px)
+        return light
+
+    def mean(self) -> NDArray[np.floating]:
+        """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
+        return self._response(self.light())
+
+    def light(self) -> NDArray[np.floating]:
+        """Noiseless light signal over black, DN of a straight response, shape (row, col)."""
+        light = self._light(0.0)
+        if self.motion_px:
+            odd = (np.arange(self.rows) % 2 == 1)[:, None]
+            light = np.where(odd, self._light(self.motion_px), light)
+        place = (np.arange(self.cols) + 0.5) / self.cols
+        light = (self.pedestal_dn - self.black_dn + self.level_dn * light) * (1 + self.gradient * place)
+        if self.clip_share > 0:
+            room = self.full_scale_dn - self.black_dn
+            light = light * room / (self.pedestal_dn - self.black_dn + (1 - self.clip_share) * self.level_dn)
+        return light
+
+    def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
+        """What the camera makes of light: DN, black included."""
+        room = self.full_scale_dn - self.black_dn
+        return self.black_dn + room * np.sign(light) * np.abs(light / room) ** self.gamma
+
+    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
+        """Draw the stack: noise of the light correlated after the gain, the response, white read noise, digitised."""
+        light = self.light()
+        sd = self.level_dn / self.snr if np.isfinite(self.snr) else 0.0
+        half_way = self.pedestal_dn + 0.5 * self.level_dn - self.black_dn
+        shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
+        shape = (self.frames, self.rows, self.cols)
+        drawn = self._response(light + correlated(shot * rng.standard_normal(shape), self.noise_blur_px))
+        drawn = drawn + np.sqrt(1 - self.shot_share) * sd * rng.standard_normal(shape)
+        drawn = np.where(rng.random(shape[1:]) < self.hot_share, self.full_scale_dn, drawn)
+        codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint8 if self.full_scale_dn < 256 else "u2")
+        return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)

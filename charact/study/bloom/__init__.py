@@ -1,0 +1,1 @@
+"""Halos and blooms of known size, and what methods make of them."""

@@ -1,0 +1,223 @@
+"""A point source far too bright, as it lies before the camera: core, wing, halo, glare, and all that may be wrong."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.study.bloom.light import gaussian, halo_blurred, halo_rings, moffat_as_gaussians, moffat_blurred
+from labdata.errors import BadInput
+from labdata.frames import read_only
+
+Array = NDArray[np.float64]
+
+# Side of the square that veiling glare fills, px.
+GLARE_SIDE_PX = 600.0
+STEP_PX = 0.2
+# What the wing alone blurs is smooth: rings of the halo there, and the step of its table, px.
+SMOOTH_RINGS, SMOOTH_STEP_PX = 60, 0.5
+# Samples of light along a pixel's side.
+FINE = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class BloomScene:
+    """A point source before an intensified camera, with one knob for each thing that it may do.
+
+    Parameters
+    ----------
+    rows, cols, frames
+        Size of each stack.
+    row_pitch
+        Row pitch over column pitch.
+    row, col
+        Centre of the source, px; None: a little off the middle of the frame.
+    core_sigma_px
+        Standard deviation of the Gaussian core, column pitches; the blur after the gain is a part of it.
+    wing_share, wing_radius_px, wing_exponent
+        Share of the core's light in a Moffat wing (1 + r^2/a^2)^-b before the plate, its a in column pitches and its b.
+    halo_diameter_px, halo_fraction, halo_elastic_share
+        Outer diameter in column pitches, share of all light that bounces, and share of that which keeps its energy.
+    glare_fraction
+        Share of all light spread evenly over 600 px x 600 px.
+    dark_dn, background_dn
+        Level without light, and even light on top of it, DN.
+    full_scale_dn, bits
+        Highest code, DN, and bits of a pixel.
+    photoelectron_dn, excess
+        DN per photoelectron, and F^2 = 1 + relative variance of the pulse heights.
+    post_gain_sigma_px
+        Standard deviation of the Gaussian blur after the gain, column pitches: it ties the noise of neighbours.
+    read_noise_dn
+        White noise, DN.
+    plate_saturation_dn
+        Level s (DN per pixel before any clip) at which the gain of the plate has halved: x/(1 + x/s). None: linear.
+    full_well_dn, drain_ratio
+        What a pixel holds, DN, and the times that a drain takes before charge spills along the column; None: no spill.
+    smear_fraction
+        Share of a column's summed light that is spread evenly over the column.
+    lag
+        Share of a frame's light that returns in the next.
+    motion_px
+        Columns that the source moves from frame to frame.
+    agc
+        Whether an automatic gain holds the mean of the frame, light beyond full scale cut off, at that of the faintest
+        level.
+    wrong_dark_dn
+        By how much the dark stack is off, DN.
+    second_distance_px, second_ratio, second_angle_deg
+        A second source: how far, how bright beside the first, and in which direction from the columns' one.
+    light_sd
+        Standard deviation of the natural logarithm of each level's stated light.
+    """
+
+    rows: int = 160
+    cols: int = 180
+    frames: int = 8
+    row_pitch: float = 1.0
+    row: float | None = None
+    col: float | None = None
+    core_sigma_px: float = 1.3
+    wing_share: float = 0.0
+    wing_radius_px: float = 3.0
+    wing_exponent: float = 2.0
+    halo_diameter_px: float = 46.0
+    halo_fraction: float = 0.1
+    halo_elastic_share: float = 0.3
+    glare_fraction: float = 0.0
+    dark_dn: float = 12.0
+    background_dn: float = 4.0
+    full_scale_dn: float = 255.0
+    bits: int = 8
+    photoelectron_dn: float = 3.0
+    excess: float = 1.6
+    post_gain_sigma_px: float = 0.7
+    read_noise_dn: float = 0.6
+    plate_saturation_dn: float | None = None
+    full_well_dn: float | None = None
+    drain_ratio: float = 1.0
+    smear_fraction: float = 0.0
+    lag: float = 0.0
+    motion_px: float = 0.0
+    agc: bool = False
+    wrong_dark_dn: float = 0.0
+    second_distance_px: float | None = None
+    second_ratio: float = 1.0
+    second_angle_deg: float = 30.0
+    light_sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.core_sigma_px <= self.post_gain_sigma_px:
+            raise BadInput(
+                f"the core must be wider than the blur after the gain of {self.post_gain_sigma_px} px, got "
+                f"{self.core_sigma_px}"
+            )
+        if self.full_scale_dn > 2**self.bits - 1:
+            raise BadInput(f"full scale must fit into {self.bits} bits, got {self.full_scale_dn} DN")
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Row and column of the source, px."""
+        row = (self.rows - 1) / 2 + 0.2 if self.row is None else self.row
+        col = (self.cols - 1) / 2 - 0.3 if self.col is None else self.col
+        return row, col
+
+    @property
+    def span_dn(self) -> float:
+        """Full scale above the dark level, DN."""
+        return self.full_scale_dn - self.dark_dn
+
+    @property
+    def core_peak(self) -> float:
+        """Highest share of the core's light that a pixel can hold, dimensionless."""
+        return self.row_pitch * float(_core(self, np.zeros(1), before_gain=False)[0])
+
+    def source_dn(self, overload: float) -> float:
+        """All light of the source, DN px: at the overload 1 the core's peak just meets full scale."""
+        core_share = 1.0 - self.halo_fraction - self.glare_fraction
+        return overload * self.span_dn / (self.core_peak * core_share)
+
+
+def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = False) -> Array:
+    """Return the light of a source of volume 1 over the radius, per square column pitch, glare left out.
+
+    Parameters
+    ----------
+    radius_px
+        Distances from the source, column pitches.
+    before_gain
+        Whether the blur after the gain is still to come.
+    """
+    light = (1.0 - scene.halo_fraction - scene.glare_fraction) * _core(scene, radius_px, before_gain=before_gain)
+    if scene.halo_fraction <= 0:
+        return light
+    return light + scene.halo_fraction * radial_halo(scene, radius_px, before_gain=before_gain)
+
+
+def radial_halo(scene: BloomScene, radius_px: Array, *, before_gain: bool = False) -> Array:
+    """Return the halo alone, blurred by core and wing, as a density of volume 1."""
+    (sigma, after), wing = _sigmas(scene, before_gain), scene.wing_share
+    rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share)
+    light = halo_blurred(radius_px, rings, [(sigma, 1.0 - wing)])
+    if wing <= 0:
+        return light
+    from scipy.interpolate import CubicSpline
+
+    coarse = np.arange(0.0, radius_px.max() + 1.0, SMOOTH_STEP_PX)
+    rings = halo_rings(scene.halo_diameter_px, scene.halo_elastic_share, SMOOTH_RINGS)
+    gaussians = zip(*moffat_as_gaussians(scene.wing_radius_px, scene.wing_exponent), strict=True)
+    far = halo_blurred(coarse, rings, [(np.hypot(wide, after), wing * weight) for wide, weight in gaussians])
+    return light + np.asarray(CubicSpline(coarse, far)(radius_px))
+
+
+def _core(scene: BloomScene, radius_px: Array, *, before_gain: bool) -> Array:
+    """Core and wing as a density of volume 1."""
+    (sigma, after), wing = _sigmas(scene, before_gain), scene.wing_share
+    light = (1.0 - wing) * gaussian(radius_px, sigma)
+    if wing <= 0:
+        return light
+    return light + wing * moffat_blurred(radius_px, scene.wing_radius_px, scene.wing_exponent, after)
+
+
+def _sigmas(scene: BloomScene, before_gain: bool) -> tuple[float, float]:
+    """Standard deviations of the core and of what blurs the wing, px: the blur after the gain is in both or in none."""
+    after = scene.post_gain_sigma_px
+    return (float(np.sqrt(scene.core_sigma_px**2 - after**2)), 0.0) if before_gain else (scene.core_sigma_px, after)
+
+
+def optics_of(scene: BloomScene) -> BloomScene:
+    """Return the scene with all that its light before the plate does not depend on set alike: a key to keep it by."""
+    return replace(
+        scene, frames=1, background_dn=0.0, photoelectron_dn=1.0, excess=1.0, read_noise_dn=0.0, full_well_dn=None,
+        plate_saturation_dn=None, drain_ratio=1.0, smear_fraction=0.0, lag=0.0, motion_px=0.0, agc=False,
+        wrong_dark_dn=0.0, light_sd=0.0, dark_dn=0.0, full_scale_dn=1.0,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=64)
+def picture_of(optics: BloomScene, move_px: float) -> Array:
+    """Light before the plate of a source of overload 1 and span 1 DN, `FINE` times as finely as pixels, (row, col)."""
+    row, col = optics.centre
+    picture = _source(optics, row, col + move_px)
+    if optics.second_distance_px is not None:
+        angle = np.deg2rad(optics.second_angle_deg)
+        down = optics.second_distance_px * np.sin(angle) / optics.row_pitch
+        along = optics.second_distance_px * np.cos(angle)
+        picture = picture + optics.second_ratio * _source(optics, row + down, col + move_px + along)
+    return read_only(picture)
+
+
+def at_pixels(picture: Array) -> Array:
+    """Return the samples of a fine picture that lie in the middles of pixels."""
+    return picture[..., ::FINE, ::FINE]
+
+
+def _source(optics: BloomScene, row: float, col: float) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    down = (np.arange(FINE * optics.rows) / FINE - row)[:, None] * optics.row_pitch
+    radius = np.hypot(down, (np.arange(FINE * optics.cols) / FINE - col)[None, :])
+    table = np.arange(0.0, radius.max() + 1.0, STEP_PX)
+    light = np.asarray(CubicSpline(table, radial_light(optics, table, before_gain=True))(radius))
+    return optics.row_pitch * optics.source_dn(1.0) * (light + optics.glare_fraction / GLARE_SIDE_PX**2)

@@ -1,0 +1,131 @@
+"""The cases of the edge methods: what they must cope with, and each way they break, past its breaking point."""
+
+from typing import Any
+
+import numpy as np
+
+from charact.study.edge.scene import Blur, EdgeScene
+from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
+
+# Axis: unit, positions, and the first and last position inside the scope that edge methods declare.
+# Bounds of the scope follow the failure table of the slanted edge: biases under a percent or two.
+AXES: Axes = {
+    "edge SNR": ("step / noise", (100, 50, 30, 20, 10, 5, 3, 2, 1), (20, 100)),
+    "edge SNR, 16 frames": ("step / noise", (100, 30, 10, 5, 2, 1, 0.5), (10, 100)),
+    "tilt": ("deg", (0, 0.3, 1, 2, 3, 5, 10, 20, 30, 40, 45), (3, 15)),
+    "blur": ("px, Gaussian sigma", (0.1, 0.3, 0.5, 1, 2, 4, 8), (0.5, 2)),
+    "gamma": ("1", (0.45, 0.6, 0.8, 0.9, 1, 1.1, 1.25, 1.6, 2.2), (1, 1)),
+    "gamma, low contrast": ("1", (0.45, 1, 2.2), (1, 1)),
+    "clipped share of the step": ("%", (0, 1, 3, 5, 10, 20, 40), (0, 0)),
+    "illumination gradient": ("% over the frame", (-60, -30, -10, -3, 0, 3, 10, 30, 60), (0, 0)),
+    "noise blur after the gain": ("px, Gaussian sigma", (0, 0.3, 0.5, 0.8, 1.2, 2), (0, 1.2)),
+    "interlace motion": ("px a field", (0, 0.1, 0.25, 0.5, 1, 2, 4), (0, 0)),
+    "frames": ("1", (1, 2, 4, 16), (1, 16)),
+    "region": ("px square", (200, 100, 60, 40, 24, 16, 10), (60, 200)),
+    "offset of the edge": ("px", (0, 10, 25, 40, 47, 60), (0, 10)),
+    "bow of the edge": ("px", (0, 0.25, 0.5, 1, 2, 5), (0, 0)),
+    "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0)),
+    "contrast": ("DN of step, noise 0.6 DN", (200, 100, 30, 10, 4, 2), (100, 200)),
+}
+
+
+def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
+    """The scene of an axis at a position, all other knobs at harmless values."""
+    knob: dict[str, Any] = {
+        "edge SNR": {"snr": position},
+        "edge SNR, 16 frames": {"snr": position, "frames": 16},
+        "tilt": {"angle_deg": position},
+        "blur": {"blur": Blur(sigma_px=position)},
+        "gamma": {"gamma": position},
+        "gamma, low contrast": {"gamma": position, "dark_dn": 110.0, "bright_dn": 150.0, "snr": 25.0},
+        "clipped share of the step": {"clip_share": position / 100},
+        "illumination gradient": {"gradient": position / 100},
+        "noise blur after the gain": {"noise_blur_px": position, "snr": 25.0},
+        "interlace motion": {"motion_px": position},
+        "frames": {"frames": int(position), "snr": 25.0, "noise_blur_px": 0.7},
+        "region": {"rows": int(position), "cols": int(position)},
+        "offset of the edge": {"offset_px": position},
+        "bow of the edge": {"sagitta_px": position},
+        "stuck pixels": {"hot_share": position / 100},
+        "contrast": {"bright_dn": 40.0 + position, "snr": position / 0.6},
+    }[axis]
+    return EdgeScene(**{**common, **knob})
+
+
+def _case(at: Place, scene: EdgeScene, seeds: np.random.Generator, *, edge: bool = True) -> Case:
+    return at.case(
+        seeds,
+        kind="edge",
+        quantity="mtf50",
+        truth=scene.truth_mtf50 if edge else None,
+        draw=scene.frames_drawn,
+        context={"interlaced": at.axis == "interlace motion", "full_scale_dn": scene.full_scale_dn},
+    )
+
+
+def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
+    """Every axis at every position, drawn several times with another blur, angle and phase, and frames of noise alone.
+
+    Parameters
+    ----------
+    seed
+        Seed of the draws.
+    repeats
+        Draws at each position.
+    axes
+        Names of `AXES`.
+    """
+    seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
+
+    def drawn(at: Place, repeat: int) -> Case:
+        tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+        blur = tube if repeat % 2 else Blur(sigma_px=float(rng.uniform(0.7, 1.3)))
+        common = {"blur": blur, "angle_deg": rng.uniform(4, 8), "offset_px": rng.uniform(-1, 1)}
+        return _case(at, _scene(at.axis, at.position, common), seeds)
+
+    cases = turned(AXES, axes, repeats, drawn)
+    return (*cases, *(_noise_case(kind, seeds) for kind in ("white", "correlated") for _ in range(repeats)))
+
+
+def _noise_case(kind: str, seeds: np.random.Generator) -> Case:
+    """A frame without an edge: nothing to measure."""
+    flat = EdgeScene(dark_dn=100.0, bright_dn=100.0001, snr=1e-5, noise_blur_px=1.0 if kind == "correlated" else 0.0)
+    at = Place(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
+    return _case(at, flat, seeds, edge=False)
+
+
+def _blur(number: int, rng: np.random.Generator) -> Blur:
+    """Return a lens, a tube, wings of a power law or a lens with a halo, in turn."""
+    sigma, cut = float(rng.uniform(0.5, 1.8)), float(rng.uniform(0.15, 0.4))
+    share, diameter = float(rng.uniform(0.05, 0.25)), float(rng.uniform(15.0, 35.0))
+    return (
+        Blur(sigma_px=sigma),
+        Blur(form="exponential", frequency_cy_per_px=cut),
+        Blur(form="moffat", moffat_px=sigma + 0.8, moffat_exponent=float(rng.uniform(1.8, 4.0))),
+        Blur(sigma_px=sigma, halo_share=share, halo_px=diameter),
+    )[number % 4]
+
+
+def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
+    """Cases inside the scope, drawn at random: blur, direction, phase, polarity, size, noise and its correlation."""
+    seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 2])
+
+    def drawn(at: Place, number: int) -> Case:
+        blur = _blur(number, rng)
+        side = int(rng.integers(80, 129))
+        scene = EdgeScene(
+            blur=blur,
+            rows=side,
+            cols=int(rng.integers(80, 129)),
+            frames=int(rng.choice([1, 4, 8])),
+            angle_deg=float(rng.choice([0, 90, 180, 270]) + rng.choice([-1, 1]) * rng.uniform(3, 10)),
+            offset_px=float(rng.uniform(-3, 3)),
+            dark_dn=float(rng.uniform(25, 60)),
+            bright_dn=float(rng.uniform(150, 210)),
+            snr=float(np.exp(rng.uniform(np.log(20), np.log(100)))),
+            noise_blur_px=float(rng.choice([0.0, 0.5, 0.9])),
+        )
+        return _case(at, scene, seeds)
+
+    return in_scope(count, drawn)

@@ -1,0 +1,162 @@
+"""Where edges break: thousands of random cells, each drawn many times, half of them past the declared scope.
+
+`make edge-map` writes the table. A cell is one scene: blur, size, direction, noise and light, and in half of the
+cells one thing that breaks edge methods, from too little to matter to far too much.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import charact.mtf  # noqa: F401  # registers the methods
+from charact.method import Context
+from charact.method.registry import of_kind
+from charact.study import cell_map
+from charact.study.cell_map import Breaking, Cell, Outcome, cell_drawn, outcome_of, seed_of
+from charact.study.edge.bound import least_relative_sd
+from charact.study.edge.scene import Blur, EdgeScene
+from charact.study.harness import Case, attempt
+from labdata.frames import FrameStack
+
+TABLE = Path(__file__).resolve().parents[1] / "tables" / "edge_map.json"
+METHOD = "edge-parametric"
+CELLS, REPEATS = 5000, 20
+# Margins, weights and priors were chosen on cells 0 to 16399: the map is of cells on which nothing was.
+FIRST = 16400
+# Share of the cells of which one drawing is measured by Markov chains too: one drawing in fifty of all.
+CHAINED_CELLS = 0.4
+# What breaks edge methods, from where it hardly matters to where nothing is left, and whether steps are even in ln.
+BREAKING: Breaking = {
+    "snr": (0.2, 3.0, True),
+    "angle_deg": (0.0, 1.0, False),
+    "rows": (8.0, 30.0, False),
+    "gamma": (0.45, 2.2, True),
+    "gradient": (0.1, 0.8, True),
+    "motion_px": (0.05, 3.0, True),
+    "sagitta_px": (0.05, 6.0, True),
+    "clip_share": (0.002, 0.6, True),
+    "hot_share": (1e-4, 0.05, True),
+    "sharpness": (0.05, 0.35, True),
+    "blur_px": (4.0, 40.0, True),
+    "halo_px": (80.0, 400.0, True),
+}
+
+
+def cell_of(number: int) -> Cell[EdgeScene]:
+    """Return a cell from its number."""
+    return cell_drawn(number, BREAKING, _scene_in_scope, _broken)
+
+
+def _scene_in_scope(rng: np.random.Generator) -> EdgeScene:
+    form = str(rng.choice(["gaussian", "exponential", "moffat", "halo"]))
+    blur = Blur(
+        form="gaussian" if form == "halo" else form,  # pyright: ignore[reportArgumentType]
+        sigma_px=float(rng.uniform(0.5, 2.0)),
+        frequency_cy_per_px=float(rng.uniform(0.12, 0.4)),
+        exponent=float(rng.uniform(1.05, 2.2)),
+        moffat_px=float(rng.uniform(1.0, 3.0)),
+        moffat_exponent=float(rng.uniform(1.5, 4.0)),
+        halo_share=float(rng.uniform(0.03, 0.3)) if form == "halo" else 0.0,
+        halo_px=float(rng.uniform(12.0, 40.0)),
+    )
+    dark = float(rng.uniform(1300.0, 3500.0))
+    tilt = float(np.exp(rng.uniform(np.log(1.5), np.log(40.0))))
+    size = 60 if tilt > 3 else 90
+    return EdgeScene(
+        blur=blur,
+        rows=int(rng.integers(size, 141)),
+        cols=int(rng.integers(size, 141)),
+        angle_deg=float(rng.choice([0, 90, 180, 270]) + rng.choice([-1, 1]) * tilt),
+        dark_dn=dark,
+        bright_dn=dark + 1500.0,
+        snr=float(np.exp(rng.uniform(np.log(3), np.log(100)))),
+        shot_share=float(rng.choice([0.0, 0.8])),
+        noise_blur_px=float(rng.choice([0.0, 0.5, 0.9])),
+        gradient=float(rng.uniform(-0.05, 0.05)) if rng.random() < 0.3 else 0.0,
+        black_dn=200.0,
+        full_scale_dn=65535.0,
+    )
+
+
+def _broken(scene: EdgeScene, axis: str, strength: float) -> EdgeScene:
+    """Return a scene with one thing wrong."""
+    if axis == "angle_deg":
+        return replace(scene, angle_deg=round(scene.angle_deg / 90.0) * 90.0 + strength)
+    if axis == "rows":
+        return replace(scene, rows=round(strength), cols=round(strength))
+    if axis == "gamma":
+        # On a scale that the scene fills, as a camera with a gamma would.
+        return replace(scene, gamma=strength, full_scale_dn=1.1 * scene.bright_dn)
+    if axis == "clip_share":
+        return replace(scene, clip_share=strength, full_scale_dn=scene.bright_dn)
+    if axis == "hot_share":
+        return replace(scene, hot_share=strength, full_scale_dn=1.3 * scene.bright_dn)
+    if axis == "sharpness":
+        return replace(scene, blur=Blur(sigma_px=strength))
+    if axis == "blur_px":
+        return replace(scene, blur=Blur(sigma_px=strength))
+    if axis == "halo_px":
+        share = max(scene.blur.halo_share, 0.15)
+        return replace(scene, blur=replace(scene.blur, halo_px=strength, halo_share=share))
+    return replace(scene, **{axis: strength})
+
+
+def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True) -> Outcome:
+    """Draw a cell's frames and put the method to each of them."""
+    cell = cell_of(number)
+    truth = cell.scene.truth_mtf50
+    rows = [attempt(of_kind("edge")[METHOD], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)]
+    bound = 100.0 * least_relative_sd(cell.scene) if cell.in_scope else None
+    return outcome_of(cell, rows, truth, truths=truths_of(cell), bound_percent=bound)
+
+
+def truths_of(cell: Cell[EdgeScene]) -> tuple[float, float]:
+    """Return the least and the largest MTF50 that are right for a cell, cy/px.
+
+    Light spread wider than the window belongs to the normalisation as far as it is seen, and a result says that it is
+    normalised to the light inside: right is what counts all of that light, none of it, or a part.
+    """
+    truth = cell.scene.truth_mtf50
+    if cell.axis != "halo_px":
+        return truth, truth
+    core = replace(cell.scene.blur, halo_share=0.0)
+    return truth, core.mtf50(cell.scene.angle_deg)
+
+
+def case_of(cell: Cell[EdgeScene], truth: float, repeat: int) -> Case:
+    """Return one drawing of a cell, the edge at a place of its own."""
+
+    def draw(rng: np.random.Generator) -> FrameStack:
+        return replace(cell.scene, offset_px=float(rng.uniform(-2.0, 2.0))).frames_drawn(rng)
+
+    return Case(
+        kind="edge",
+        name=f"cell {cell.number}, drawing {repeat}",
+        axis=cell.axis,
+        position=cell.strength,
+        unit="",
+        quantity="mtf50",
+        truth=truth,
+        in_scope=cell.in_scope,
+        seed=seed_of(cell, repeat),
+        draw=draw,
+    )
+
+
+def main() -> None:
+    """Make the map."""
+    cell_map.make(
+        measured_cell,
+        method=METHOD,
+        table=TABLE,
+        cells=CELLS,
+        repeats=REPEATS,
+        about=__doc__,
+        first=FIRST,
+        chained=CHAINED_CELLS,
+    )
+
+
+if __name__ == "__main__":
+    main()

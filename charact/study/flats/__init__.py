@@ -1,0 +1,1 @@
+"""Flats and darks of known gain and noise, and what methods make of them."""

@@ -1,0 +1,257 @@
+"""Flats of exactly known MTF after the gain: pulses in continuous space through a closed form, from no simulator.
+
+Pulses fall on a grid several times finer than the pixels; their spectrum is multiplied with the transfer and folded
+as sampling folds it, so that replicas of the spectrum are there as a real pixel makes them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.study.flats.stacks import HeldStack
+from charact.study.harness import Case
+from charact.study.knobs import Axes, Place, in_scope, turned
+from labdata.conditions import Conditions
+from labdata.frames import FrameStack
+from labdata.session import Kind, Session
+
+Array = NDArray[np.floating]
+
+# Places of pulses in a pixel, along each axis.
+FINER = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScintillatingFlats:
+    """Flats of an intensified camera, with one knob for each way in which a noise spectrum breaks.
+
+    Parameters
+    ----------
+    half_frequency_cy_per_px, exponent
+        f2 and n of the transfer after the gain exp(-ln 2 (f/f2)^n), times the square pixel's; n = 2 is a Gaussian.
+    anisotropy
+        f2 along columns over f2 along rows.
+    halo_fraction, halo_px
+        Share of the light after the gain in a Gaussian veil of this standard deviation, px.
+    photoelectrons
+        Mean photoelectrons per pixel and exposure of each flat, all detected, pulse heights exponential.
+    gain_dn
+        k, DN per photoelectron; 0: no intensifier, electrons alone.
+    electron_gain_dn, read_noise_dn
+        K, DN per electron, white; and read noise, DN.
+    read_smoothing_px
+        Standard deviation of a Gaussian along rows over the read noise, px: electronics that are not white.
+    rows, cols, frames
+        Size of each stack.
+    lag
+        Share of an exposure's light that returns in the next.
+    gamma
+        Exponent of the response over full scale.
+    full_scale_dn, black_dn
+        Highest code and offset, DN.
+    interlaced
+        Whether odd and even rows are exposed one after the other.
+    darks
+        Whether there is a dark stack.
+    """
+
+    half_frequency_cy_per_px: float = 0.25
+    exponent: float = 1.5
+    anisotropy: float = 1.0
+    halo_fraction: float = 0.0
+    halo_px: float = 6.0
+    photoelectrons: tuple[float, ...] = (2.0, 8.0)
+    gain_dn: float = 20.0
+    electron_gain_dn: float = 0.05
+    read_noise_dn: float = 3.0
+    read_smoothing_px: float = 0.0
+    rows: int = 128
+    cols: int = 128
+    frames: int = 12
+    lag: float = 0.0
+    gamma: float = 1.0
+    full_scale_dn: float = 4095.0
+    black_dn: float = 60.0
+    interlaced: bool = False
+    darks: bool = True
+
+    def core(self, column: Array, row: Array) -> Array:
+        """Transfer without the pixel at frequencies in cycles per pixel."""
+        radius = np.hypot(column, row / self.anisotropy)
+        core = np.exp(-np.log(2.0) * (radius / self.half_frequency_cy_per_px) ** self.exponent)
+        veil = np.exp(-2.0 * (np.pi * radius * self.halo_px) ** 2)
+        return (1.0 - self.halo_fraction) * core + self.halo_fraction * veil
+
+    def mtf(self, frequency: Array, *, vertical: bool = False) -> Array:
+        """Transfer after the gain along rows or columns, pixel included."""
+        none = np.zeros_like(frequency)
+        core = self.core(none, frequency) if vertical else self.core(frequency, none)
+        return core * np.abs(np.sinc(frequency))
+
+    def mtf50(self, *, vertical: bool = False) -> float:
+        """Frequency at which it is one half, cycles per pixel."""
+        frequency = np.linspace(1e-6, 1.0, 200001)
+        return float(frequency[np.argmax(self.mtf(frequency, vertical=vertical) < 0.5)])
+
+    @cached_property
+    def _transfer(self) -> Array:
+        row = np.fft.fftfreq(self.rows * FINER)[:, None] * FINER
+        column = np.fft.rfftfreq(self.cols * FINER)[None, :] * FINER
+        return self.core(column, row) * np.sinc(column) * np.sinc(row)
+
+    def session_drawn(self, rng: np.random.Generator) -> Session:
+        """Draw the dark stack, if any, and one flat stack for each level."""
+        levels = (*((0.0,) if self.darks else ()), *self.photoelectrons)
+        stacks = tuple(self._entry(number, level, rng) for number, level in enumerate(levels))
+        depth = int(np.log2(self.full_scale_dn + 1))
+        return Session(
+            folder=Path("."), name="scintillating flats", stacks=stacks, interlaced=self.interlaced, bit_depth=depth
+        )
+
+    def _entry(self, number: int, level: float, rng: np.random.Generator) -> HeldStack:
+        kind: Kind = "flat" if level else "dark"
+        signal = np.stack(self._frames(level, rng)) + self._read_noise(rng)
+        top = self.full_scale_dn - self.black_dn
+        curved = np.sign(signal) * top * (np.abs(signal) / top) ** self.gamma
+        codes = np.clip(np.rint(self.black_dn + curved), 0, self.full_scale_dn).astype(np.uint16)
+        held = FrameStack(data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn)
+        conditions = Conditions(illuminance_lux=1e-6 * level, mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167)
+        label = f"{kind}-{number}"
+        return HeldStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
+
+    def _frames(self, level: float, rng: np.random.Generator) -> Sequence[Array]:
+        """Light signal of each frame, DN; of interlaced ones each field has an exposure of its own."""
+        if level == 0.0:
+            return [np.zeros((self.rows, self.cols))] * self.frames
+        count = self.frames * (2 if self.interlaced else 1)
+        shots = [self._exposure(level, rng) for _ in range(count + 1)]
+        lagged = [(1 - self.lag) * new + self.lag * old for old, new in pairwise(shots)]
+        if self.electron_gain_dn > 0:
+            electrons = [rng.poisson(np.maximum(light, 0) / self.electron_gain_dn) for light in lagged]
+            lagged = [self.electron_gain_dn * each for each in electrons]
+        if not self.interlaced:
+            return lagged
+        frames = []
+        for first, second in zip(lagged[::2], lagged[1::2], strict=True):
+            frame = first.copy()
+            frame[1::2] = second[1::2]
+            frames.append(frame)
+        return frames
+
+    def _exposure(self, level: float, rng: np.random.Generator) -> Array:
+        """One exposure's light before the electrons: pulses, transfer, and sampling as a fold of the spectrum."""
+        if self.gain_dn == 0.0:
+            return np.full((self.rows, self.cols), 20.0 * level)
+        counts = rng.poisson(level / FINER**2, (self.rows * FINER, self.cols * FINER))
+        heights = np.zeros(counts.shape)
+        heights[counts > 0] = rng.standard_gamma(counts[counts > 0])
+        from scipy import fft
+
+        spread: Any = fft.rfft2(heights, workers=1)
+        fine = fft.irfft2(spread * self._transfer, heights.shape, workers=1)
+        return self.gain_dn * FINER**2 * np.asarray(fine)[::FINER, ::FINER]
+
+    def _read_noise(self, rng: np.random.Generator) -> Array:
+        white = rng.standard_normal((self.frames, self.rows, self.cols))
+        if self.read_smoothing_px > 0:
+            from scipy.ndimage import gaussian_filter1d
+
+            white = gaussian_filter1d(white, self.read_smoothing_px, axis=2, mode="wrap")
+            white = white / white.std()
+        return self.read_noise_dn * white
+
+
+AXES: Axes = {
+    "half frequency after the gain": ("cy/px", (0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 1.0), (0.08, 0.4)),
+    "exponent": ("1", (1.0, 1.2, 1.5, 2.0, 2.5), (1.2, 2.0)),
+    "frames": ("a stack", (2, 3, 4, 8, 24), (4, 24)),
+    "size": ("px square", (40, 64, 96, 192), (96, 192)),
+    "light": ("photoelectrons a pixel", (0.01, 0.1, 1, 10, 50), (0.1, 10)),
+    "read noise": ("DN", (0.5, 3, 30, 100, 300), (0.5, 30)),
+    "coloured read noise": ("DN", (3, 30, 100), (3, 30)),
+    "coloured read noise, no darks": ("DN", (3, 30, 100), (0, 0)),
+    "no darks": ("1 = none", (0, 1), (0, 0)),
+    "no intensifier": ("1 = none", (0, 1), (0, 0)),
+    "lag": ("share an exposure", (0, 0.1, 0.3, 0.5), (0, 0.3)),
+    "lag between fields": ("share a field", (0, 0.1, 0.3, 0.5), (0, 0.3)),
+    "gamma": ("1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1)),
+    "gamma, one level": ("1", (0.45, 0.7, 1, 1.4, 2.2), (1, 1)),
+    "saturated": ("% of full scale at the brighter level", (20, 60, 90, 120), (20, 60)),
+    "veil after the gain": ("% of the light", (0, 2, 5, 15), (0, 0)),
+    "anisotropy": ("1", (0.6, 0.8, 1, 1.25, 1.6), (0.8, 1.25)),
+}
+
+
+def _scene(axis: str, position: float, base: ScintillatingFlats) -> ScintillatingFlats:
+    """The flats of an axis at a position."""
+    number = int(position)
+    knob = {
+        "half frequency after the gain": lambda: {"half_frequency_cy_per_px": position},
+        "exponent": lambda: {"exponent": position},
+        "frames": lambda: {"frames": number},
+        "size": lambda: {"rows": number, "cols": number},
+        "light": lambda: {"photoelectrons": (0.3 * position, position)},
+        "read noise": lambda: {"read_noise_dn": position, "black_dn": 60.0 + 5.0 * position},
+        "coloured read noise": lambda: {
+            "read_noise_dn": position, "read_smoothing_px": 1.0, "black_dn": 60.0 + 5.0 * position,
+        },
+        "coloured read noise, no darks": lambda: {
+            "read_noise_dn": position, "read_smoothing_px": 1.0, "black_dn": 60.0 + 5.0 * position, "darks": False,
+        },
+        "no darks": lambda: {"darks": position == 0},
+        "no intensifier": lambda: {"gain_dn": 0.0 if position else base.gain_dn},
+        "lag": lambda: {"lag": position},
+        "lag between fields": lambda: {"lag": position, "interlaced": True, "rows": 2 * base.rows},
+        "gamma": lambda: {"gamma": position},
+        "gamma, one level": lambda: {"gamma": position, "photoelectrons": (8.0,)},
+        "saturated": lambda: {"gain_dn": 4035.0 * position / 100 / max(base.photoelectrons)},
+        "veil after the gain": lambda: {"halo_fraction": position / 100},
+        "anisotropy": lambda: {"anisotropy": position},
+    }[axis]()  # fmt: skip
+    return replace(base, **knob)
+
+
+def _case(at: Place, scene: ScintillatingFlats, rng: np.random.Generator) -> Case:
+    return at.case(
+        rng,
+        kind="post-gain",
+        quantity="post_gain_mtf50",
+        truth=scene.mtf50() if scene.gain_dn > 0 else None,
+        draw=scene.session_drawn,
+        context={"full_scale_dn": scene.full_scale_dn, "interlaced": scene.interlaced},
+    )
+
+
+def _base(rng: np.random.Generator) -> ScintillatingFlats:
+    return ScintillatingFlats(
+        half_frequency_cy_per_px=float(np.exp(rng.uniform(np.log(0.12), np.log(0.35)))),
+        exponent=float(rng.choice([2.0, rng.uniform(1.2, 1.8)])),
+        read_noise_dn=float(rng.uniform(1.0, 10.0)),
+    )
+
+
+def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
+    """Every axis at every position, drawn several times with another blur and read noise."""
+    rng = np.random.default_rng([seed, 8])
+    return turned(AXES, axes, repeats, lambda at, _: _case(at, _scene(at.axis, at.position, _base(rng)), rng))
+
+
+def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
+    """Cases inside the scope, drawn at random: blur, light, read noise, size and number of frames."""
+    rng = np.random.default_rng([seed, 9])
+
+    def drawn(at: Place, _: int) -> Case:
+        light = float(np.exp(rng.uniform(np.log(0.5), np.log(10.0))))
+        side = int(rng.integers(96, 161))
+        scene = replace(
+            _base(rng), photoelectrons=(0.3 * light, light), frames=int(rng.integers(4, 17)), rows=side, cols=side,
+        )  # fmt: skip
+        return _case(at, scene, rng)
+
+    return in_scope(count, drawn)

@@ -1,0 +1,1 @@
+"""Scenes whose light is rendered by plan and in full."""

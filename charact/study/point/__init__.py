@@ -1,0 +1,1 @@
+"""Point sources of known MTF: scenes, cases and what methods make of them."""

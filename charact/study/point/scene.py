@@ -1,0 +1,199 @@
+"""Point sources of exactly known MTF: photoelectrons that land where the blur takes them, each a pulse of light.
+
+Nothing is fitted or transformed: places are drawn from the law whose characteristic function is the MTF (Gaussian, or
+the stable law of exp(-(f/fc)^n)), and pulses are integrated over square pixels in closed form.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.study.edge.scene import Blur, level_crossing
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+SPARED_PX = 12.0
+
+
+def landing_places(blur: Blur, count: int, rng: np.random.Generator) -> NDArray[np.floating]:
+    """Draw where a point's photoelectrons land, px, shape (count, 2).
+
+    Notes
+    -----
+    exp(-(f/fc)^n) is the characteristic function of an isotropic stable law of index n: a normal vector times the root
+    of a positive stable variable of index n/2, drawn as Kanter did (Ann. Probab. 3, 697, 1975).
+    """
+    normal = rng.standard_normal((count, 2))
+    if blur.form == "gaussian":
+        return blur.sigma_px * normal
+    index = blur.exponent / 2
+    if not 0 < index < 1:
+        raise BadInput(f"the exponent of the blur must lie in (0, 2), got {blur.exponent:g}")
+    turn, wait = np.pi * rng.random(count), rng.standard_exponential(count)
+    kanter = np.sin(index * turn) ** index * np.sin((1 - index) * turn) ** (1 - index) / np.sin(turn)
+    positive = (kanter ** (1 / (1 - index)) / wait) ** ((1 - index) / index)
+    # E exp(i k.x) = E exp(-k^2 s^2 S / 2) = exp(-(k^2 s^2 / 2)^index), k = 2 pi f.
+    scale = np.sqrt(2.0) / (2 * np.pi * blur.frequency_cy_per_px)
+    return scale * np.sqrt(positive)[:, None] * normal
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointScene:
+    """A point source as a camera would digitise it, with one knob for each way in which point methods break.
+
+    Parameters
+    ----------
+    blur
+        The blur before the gain.
+    pulse_px
+        Standard deviation of a photoelectron's Gaussian pulse, the blur behind the gain, px; 0: an ordinary camera.
+    photoelectrons
+        Mean number of a frame.
+    peak_dn
+        Height of the brightest pixel over the background, DN.
+    background
+        Photoelectrons of a pixel and frame without the source.
+    rows, cols, frames
+        Size of the stack.
+    row_px, col_px
+        Where the source stands off the middle of the frame, px.
+    read_dn
+        Standard deviation of white read noise, DN.
+    gain_spread
+        Relative variance of the pulses' heights: 1 is exponential, 0 has none.
+    gamma
+        Exponent of the response, on a scale from black to full scale.
+    gradient
+        Background at the right border over that at the left, minus 1.
+    motion_px
+        Horizontal displacement of odd rows, exposed in the later field, px.
+    drift_px
+        Horizontal displacement from the first frame to the last, px.
+    neighbour_px, neighbour_share
+        Distance of another source along the rows, px, and its light; infinite: none.
+    pinhole_px
+        Diameter of the source, px.
+    hot_share
+        Share of pixels stuck at full scale.
+    black_dn, full_scale_dn
+        Codes at no light and at the top, DN.
+    """
+
+    blur: Blur = field(default_factory=Blur)
+    pulse_px: float = 0.6
+    photoelectrons: float = 3000.0
+    peak_dn: float = 150.0
+    background: float = 0.02
+    rows: int = 96
+    cols: int = 96
+    frames: int = 8
+    row_px: float = 0.0
+    col_px: float = 0.0
+    read_dn: float = 1.0
+    gain_spread: float = 0.6
+    gamma: float = 1.0
+    gradient: float = 0.0
+    motion_px: float = 0.0
+    drift_px: float = 0.0
+    neighbour_px: float = np.inf
+    neighbour_share: float = 0.5
+    pinhole_px: float = 0.0
+    hot_share: float = 0.0
+    black_dn: float = 12.0
+    full_scale_dn: float = 255.0
+
+    def __post_init__(self) -> None:
+        if self.photoelectrons < 0 or self.pulse_px < 0:
+            raise BadInput(
+                f"photoelectrons and pulse_px must not be negative, got {self.photoelectrons:g} and {self.pulse_px:g}"
+            )
+
+    def mtf(self, frequency_cy_per_px: NDArray[np.floating] | float) -> NDArray[np.floating]:
+        """MTF along the rows, pixel included; a pinhole's own transfer is not the camera's."""
+        pulse = np.exp(-2 * (np.pi * np.asarray(frequency_cy_per_px, float) * self.pulse_px) ** 2)
+        return self.blur.mtf(frequency_cy_per_px, 0.0) * pulse
+
+    @property
+    def truth_mtf50(self) -> float:
+        """MTF50 along the rows, cycles per pixel."""
+        return level_crossing(self.mtf, 0.5)
+
+    @property
+    def gain_dn(self) -> float:
+        """Light of a photoelectron's pulse, DN px^2, at which the brightest pixel stands at `peak_dn`."""
+        # Light over the peak's height is the inverse of the MTF's integral over both frequencies.
+        f = (np.arange(600) + 0.5) / 400
+        peak = float(np.sum(2 * np.pi * f * self.mtf(f)) / 400)
+        return self.peak_dn / (max(self.photoelectrons, 1.0) * peak)
+
+    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
+        """Draw the stack: Poisson photoelectrons, pulses of random height, read noise, digitised and clipped."""
+        light = np.stack([self._frame(number, rng) for number in range(self.frames)])
+        room = self.full_scale_dn - self.black_dn
+        signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
+        signal = signal + self.read_dn * rng.standard_normal(signal.shape)
+        stuck = rng.random((self.rows, self.cols)) < self.hot_share
+        codes = np.clip(np.rint(np.where(stuck, self.full_scale_dn, signal)), 0, self.full_scale_dn)
+        return FrameStack(
+            data=codes.astype(np.uint8 if self.full_scale_dn < 256 else np.uint16),
+            full_scale_dn=self.full_scale_dn,
+            black_level_dn=self.black_dn,
+        )
+
+    def _frame(self, number: int, rng: np.random.Generator) -> NDArray[np.floating]:
+        """Light of one frame over black, DN."""
+        moved = self.drift_px * (number / max(self.frames - 1, 1) - 0.5)
+        centre = np.array([(self.rows - 1) / 2 + self.row_px, (self.cols - 1) / 2 + self.col_px + moved])
+        spots = [centre + self._landed(self.photoelectrons, rng)]
+        if np.isfinite(self.neighbour_px):
+            other = centre + np.array([0.0, self.neighbour_px])
+            spots.append(other + self._landed(self.photoelectrons * self.neighbour_share, rng))
+        spots.append(self._background(rng))
+        places = np.concatenate(spots)
+        heights = self.gain_dn * _heights(len(places), self.gain_spread, rng)
+        if not self.motion_px:
+            return self._pulses(places, heights)
+        odd, moved = (np.arange(self.rows) % 2 == 1)[:, None], places + np.array([0.0, self.motion_px])
+        return np.where(odd, self._pulses(moved, heights), self._pulses(places, heights))
+
+    def _landed(self, mean: float, rng: np.random.Generator) -> NDArray[np.floating]:
+        """Places of one source's photoelectrons about its middle."""
+        count = int(rng.poisson(mean))
+        radius = 0.5 * self.pinhole_px * np.sqrt(rng.random(count))
+        turn = 2 * np.pi * rng.random(count)
+        disc = radius[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=1)
+        return landing_places(self.blur, count, rng) + disc
+
+    def _background(self, rng: np.random.Generator) -> NDArray[np.floating]:
+        """Places of the photoelectrons that no source sent."""
+        tilt = abs(self.gradient)
+        count = int(rng.poisson(self.background * self.rows * self.cols * (1 + tilt)))
+        row, col, chance = rng.random((3, count)) * [[self.rows], [self.cols], [1 + tilt]]
+        keep = chance < 1 + self.gradient * (col / self.cols) if self.gradient else chance < 1
+        return np.stack([row, col], axis=1)[keep] - 0.5
+
+    def _pulses(self, places: NDArray[np.floating], heights: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Pixels of pulses at places (pulse, 2), each integrated over square pixels."""
+        near = np.all((places > -SPARED_PX) & (places < np.array([self.rows, self.cols]) + SPARED_PX), axis=1)
+        places, heights = places[near], heights[near]
+        if self.pulse_px == 0:
+            borders = [np.arange(size + 1) - 0.5 for size in (self.rows, self.cols)]
+            return np.histogram2d(*places.T, bins=borders, weights=heights)[0]
+        down, along = (
+            _integrated(size, places[:, axis], self.pulse_px) for axis, size in enumerate((self.rows, self.cols))
+        )
+        return (down * heights[:, None]).T @ along
+
+
+def _integrated(size: int, centre: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
+    """Share of Gaussians in each pixel of a line, shape (gaussian, pixel)."""
+    from scipy.special import erf
+
+    borders = np.arange(size + 1) - 0.5
+    return 0.5 * np.diff(erf((borders - centre[:, None]) / (sigma_px * np.sqrt(2.0))), axis=1)
+
+
+def _heights(count: int, spread: float, rng: np.random.Generator) -> NDArray[np.floating]:
+    """Pulse heights of mean 1 and a relative variance."""
+    return np.ones(count) if spread <= 0 else rng.standard_gamma(1 / spread, count) * spread

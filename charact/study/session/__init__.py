@@ -1,0 +1,1 @@
+"""Sessions of several targets of one camera: how often they agree."""
