@@ -22,6 +22,8 @@ CURVED, CURVED_SD = 0.25, 0.2
 STEEPENING, FLATTENING, EITHER_WAY = 0.05, 0.02, 0.03
 # Most that an exponent up to 2.2 has been seen to lift MTF50 by.
 MOST_LIFTED = 0.04
+# Deviations of MTF50 by which a response that does not show may have moved it where that is said, and distrusted.
+HIDDEN_NOTE, HIDDEN_FLAG = 2.0, 4.0
 
 
 def response_flags(curvature: float, error: float) -> tuple[str, ...]:
@@ -32,8 +34,8 @@ def response_flags(curvature: float, error: float) -> tuple[str, ...]:
     return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
 
 
-def hidden_note(response: Response, deviation: float) -> tuple[str, ...]:
-    """Return what a curved response that the profile cannot show may have done, where the errors do not cover it.
+def hidden(response: Response, deviation: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return flags and notes on a curved response that the profile cannot show, where the errors do not cover it.
 
     Parameters
     ----------
@@ -43,11 +45,13 @@ def hidden_note(response: Response, deviation: float) -> tuple[str, ...]:
         Standard deviation of MTF50, as a share of it.
     """
     lifted = min(2.0 * STEEPENING * response[1], MOST_LIFTED)
-    if lifted < 2.0 * deviation:
-        return ()
-    return (
+    if lifted < HIDDEN_NOTE * deviation:
+        return (), ()
+    flags = ("response-unknown",) if lifted > HIDDEN_FLAG * deviation else ()
+    return flags, (
         "A curved response of the camera (a gamma) would not show on this edge: it may have lifted MTF50 by up to "
-        f"{100.0 * lifted:.1f} %, more than the errors allow for.",
+        f"{100.0 * lifted:.1f} %, more than the errors allow for. A described camera, or its code at no light where "
+        "noise is photons', would tell.",
     )
 
 

@@ -16,7 +16,7 @@ from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import curved_ln_odds, growth_of, noise_flags
 from charact.mtf.edge.pixels.find import FoundEdge
 from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.response import Response, hidden_note, response_flags
+from charact.mtf.edge.response import Response, hidden, response_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
 from charact.posterior import has_several_peaks
@@ -85,12 +85,14 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     coarse, pinned, curve = np.split(draws, [COARSE.size, COARSE.size + len(PINNED)], axis=1)
     halves, tenths = (_crossings(outcome, coarse, level) for level in (0.5, 0.1))
     half = float(np.nanmedian(halves))
+    hidden_flags, hidden_notes = _hidden_by_response(outcome, halves, context)
     flags = (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
         *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
         *response_flags(*outcome.response),
         *noise_flags(edge.profile),
+        *hidden_flags,
         *_posterior_flags(outcome.posterior, context),
         *outcome.flags,
         *edge.flags,
@@ -105,7 +107,7 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
         "notes": (
             *edge.notes,
             *_notes(profile, used, context),
-            *_response_notes(outcome, halves, context),
+            *hidden_notes,
             *outcome.notes,
         ),
         "region": edge.where,
@@ -235,16 +237,16 @@ def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, .
     return tuple(notes)
 
 
-def _response_notes(outcome: Outcome, halves: Array, context: Context) -> tuple[str, ...]:
-    """Return the note on a response that may be curved unseen; a described camera's, or photons', is straight."""
+def _hidden_by_response(outcome: Outcome, halves: Array, context: Context) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return flags and notes on a response that may be curved unseen, beyond what the errors of MTF50 cover.
+
+    A described camera's response, or one under which noise grows as photons' does, is taken to be straight.
+    """
     known = halves[np.isfinite(halves)]
-    if (
-        context.sensor is not None
-        or curved_ln_odds(growth_of(outcome.edge.profile)) < STRAIGHT_LN_ODDS
-        or not known.size
-    ):
-        return ()
-    return hidden_note(outcome.response, float(np.std(np.log(known))))
+    straight = curved_ln_odds(growth_of(outcome.edge.profile)) < STRAIGHT_LN_ODDS
+    if context.sensor is not None or straight or not known.size:
+        return (), ()
+    return hidden(outcome.response, float(np.std(np.log(known))))
 
 
 def within_note(profile: Profile) -> str:

@@ -1,6 +1,6 @@
 """The pixels near an edge, gathered by their distance from it: narrow bins where the edge rises, wide ones beyond."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -57,6 +57,20 @@ class Gathered:
     def carried(self, mean: Array, rise: Array) -> Array:
         """Return a mean of each bin, with its rise per px for the place within the bin, at every pixel."""
         return _carried(self.distance, self.bin_index, self.place, mean, rise)
+
+
+def coarser(gathered: Gathered) -> Gathered:
+    """Return the band with bins twice as wide, in which the narrower ones lie whole; pixels beyond the last are left."""
+    borders = _borders((-gathered.borders[0], gathered.borders[-1]), wider=2)
+    middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
+    into = np.searchsorted(borders, middle) - 1
+    inside = (into >= 0) & (into < borders.size - 1)
+    return replace(
+        gathered,
+        borders=borders,
+        used=gathered.used & inside[gathered.bin_index],
+        bin_index=np.clip(into, 0, borders.size - 2)[gathered.bin_index],
+    )
 
 
 @njit(cache=True)
@@ -151,14 +165,14 @@ def _columns(distance: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return dark, bright
 
 
-def _borders(reach: tuple[float, float]) -> Array:
-    """Return borders from -reach[0] to reach[1], wider with the distance from the edge."""
+def _borders(reach: tuple[float, float], wider: int = 1) -> Array:
+    """Return borders from -reach[0] to reach[1], further apart with the distance from the edge, and so many times."""
     sides = []
     for limit in reach:
         begin, parts = 0.0, []
         for end, width in (*WIDTHS_PX, (np.inf, WIDEST_PX)):
             stop = min(limit, end)
-            parts.append(np.arange(begin + width, stop + 1e-9, width))
+            parts.append(np.arange(begin + wider * width, stop + 1e-9, wider * width))
             begin = end
         sides.append(np.concatenate(parts))
     return np.concatenate([-sides[0][::-1], [0.0], sides[1]])

@@ -59,8 +59,16 @@ class NoEdge:
     where: Region
 
 
-def find_edge(stack: FrameStack, region: Region | None, context: Context) -> FoundEdge | NoEdge:
-    """Find the one edge of a region or, where the frame shows more, its most prominent one."""
+def find_edge(
+    stack: FrameStack, region: Region | None, context: Context, *, quickly: bool = False
+) -> FoundEdge | NoEdge:
+    """Find the one edge of a region or, where the frame shows more, its most prominent one.
+
+    Parameters
+    ----------
+    quickly
+        As of `charact.mtf.edge.pixels.profile.profile_of`.
+    """
     used = stack if region is None else stack.region(*region)
     row, col, height, width = region or (0, 0, *used.shape[1:])
     where: Region = (row, col, height, width)
@@ -77,7 +85,7 @@ def find_edge(stack: FrameStack, region: Region | None, context: Context) -> Fou
     if not _crosses(picture, rows.line):
         return NoEdge(reason=NO_STEP, where=where)
     rows = replace(rows, line=centred(picture, rows.line))
-    profile = profile_of(picture, rows.line, WIDEST_PX)
+    profile = profile_of(picture, rows.line, WIDEST_PX, quickly=quickly)
     if not profile.step > 0 or profile.gathered.half_width_px < LEAST_HALF_WIDTH_PX:
         return NoEdge(reason=NO_STEP, where=where)
     return FoundEdge(

@@ -119,13 +119,22 @@ def test_a_curvature_is_told_where_it_matters_and_is_sure(curvature, error, told
 
 
 @pytest.mark.parametrize(
-    ("error", "deviation", "said"),
-    [(0.3, 0.004, "3.0 %"), (0.9, 0.004, "4.0 %"), (0.3, 0.02, None), (0.05, 0.004, None)],
-    ids=["hidden", "as far as seen", "covered by the errors", "would show"],
+    ("error", "deviation", "said", "distrusted"),
+    [
+        (0.3, 0.004, "3.0 %", True),
+        (0.9, 0.004, "4.0 %", True),
+        (0.3, 0.009, "3.0 %", False),
+        (0.3, 0.02, None, False),
+        (0.05, 0.004, None, False),
+    ],
+    ids=["hidden", "as far as seen", "three errors", "covered by the errors", "would show"],
 )
-def test_what_a_hidden_curvature_may_do_is_said_where_the_errors_do_not_cover_it(error, deviation, said):
-    notes = edge_response.hidden_note((0.1, error), deviation)
+def test_what_a_hidden_curvature_may_do_is_said_and_distrusted_by_what_the_errors_cover(
+    error, deviation, said, distrusted
+):
+    flags, notes = edge_response.hidden((0.1, error), deviation)
     assert [said in note for note in notes] == ([] if said is None else [True])
+    assert flags == (("response-unknown",) if distrusted else ())
 
 
 @pytest.mark.parametrize(("shot_share", "said"), [(0.0, True), (0.95, False)], ids=["even noise", "photons' noise"])
