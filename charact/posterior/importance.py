@@ -123,7 +123,7 @@ def _added(points: Array, weight: Array, first: _StudentT) -> _StudentT:
     """Return the density of the draws nearest to the one that weighs most."""
     place = points[int(np.argmax(weight))]
     away = np.sum(((points - place) @ first.inverse.T) ** 2, axis=1)
-    nearest = np.argpartition(away, NEAREST)[:NEAREST]
+    nearest = np.argpartition(away, min(NEAREST, away.size) - 1)[:NEAREST]
     own = 0.5 * (weight[nearest] + 1.0 / len(points))
     off = points[nearest] - place
     return _StudentT(place, (off * (own / own.sum())[:, None]).T @ off)

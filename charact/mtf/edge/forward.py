@@ -16,15 +16,15 @@ from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.optics import Known, halo_of, known_of
 from charact.mtf.region import Region
-from charact.posterior import sample, weighed
+from charact.posterior import draw, weighed
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 
 Array = NDArray[np.float64]
 
 QUANTITIES = ("mtf50", "mtf10", "mtf", "edge_angle")
-# Effective draws by importance that tell a posterior; the same where it is wanted quickly, and draws to begin with.
-ENOUGH, QUICK_ENOUGH, QUICK_FIRST = 1000.0, 500.0, 1000
+# Effective draws by importance where a posterior is wanted quickly, and draws to begin with.
+QUICK_ENOUGH, QUICK_FIRST = 500.0, 1000
 # With a halo single walkers linger in its tail for some thousand steps.
 MAX_STEPS = 8000
 METHOD = "edge-forward"
@@ -66,7 +66,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     aperture x video x exp(-ln 2 (f/f2)^n) x departure x halo. Levels, step and slopes are marginalised in closed form.
     """
     began = time.perf_counter()
-    edge = find_edge(stack, region, context)
+    edge = find_edge(stack, region, context, fields_apart=True)
     if isinstance(edge, NoEdge):
         return nothing(METHOD, edge.reason, edge.where, context, began)
     found = _fitted(edge, context)
@@ -114,7 +114,7 @@ def _fitted(edge: FoundEdge, context: Context) -> _Found | str:
 
 
 def _posterior(fit: EdgeFit, context: Context) -> Posterior:
-    """Draw from the posterior: by importance, and by Markov chain where draws by importance are too few to tell it."""
+    """Draw from the posterior, quickly by importance alone."""
     model = fit.model
     asked = {
         "names": model.names,
@@ -126,7 +126,4 @@ def _posterior(fit: EdgeFit, context: Context) -> Posterior:
     }
     if context.quick:
         return weighed(model.log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
-    posterior = weighed(model.log_probability, **asked)
-    if posterior.effective_sample_size.min() >= ENOUGH:
-        return posterior
-    return sample(model.log_probability, **asked, max_steps=MAX_STEPS)
+    return draw(model.log_probability, **asked, max_steps=MAX_STEPS)

@@ -15,7 +15,7 @@ from charact.mtf.optics import halo_diameters_px
 from charact.mtf.session.joint_fit import Fit, Problem, Verdict, fitted, verdict
 from charact.mtf.session.joint_model import JointForm, Known
 from charact.mtf.session.joint_told import Told, told
-from charact.posterior import sample, weighed
+from charact.posterior import draw, weighed
 from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
 
 Array = NDArray[np.float64]
@@ -24,8 +24,8 @@ METHOD = "joint"
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
 DRAWS = 1000
-# Weighted draws worth fewer than this are given up for a Markov chain, which may take so many steps.
-LEAST_EFFECTIVE, MAX_STEPS = 1000, 3000
+# Steps of a Markov chain, where weighted draws are too few.
+MAX_STEPS = 3000
 # Chance below which targets lie outside their joint 95 % region, and below which one MTF is not believed.
 OUTSIDE, MISFIT = 0.05, 0.01
 # Targets within this of the rows' or columns' direction tell of it, degrees.
@@ -164,10 +164,9 @@ def _posterior(fit: Fit, context: Context, seed: int) -> Posterior:
         "bounds": form.bounds,
         "draws": DRAWS,
     }
-    found = weighed(fit.problem.log_probability, **asked)
-    if context.quick or found.effective_sample_size[0] > LEAST_EFFECTIVE:
-        return found
-    return sample(fit.problem.log_probability, **asked, max_steps=MAX_STEPS)
+    if context.quick:
+        return weighed(fit.problem.log_probability, **asked)
+    return draw(fit.problem.log_probability, **asked, max_steps=MAX_STEPS)
 
 
 def _flags(found: Joint) -> tuple[str, ...]:
@@ -216,6 +215,7 @@ def _evidence(found: Joint, sound: Sequence[Told]) -> dict:
     kinds = {one.target: one.kind for one in sound}
     return {
         "figure": "joint-mtf",
+        "counts_halo": found.fits[0].problem.form.wide is not None,
         "target": list(test.targets),
         "kind": [kinds.get(target, "noise spectrum") for target in test.targets],
         "values": list(test.values),

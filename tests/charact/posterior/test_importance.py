@@ -59,3 +59,10 @@ def test_draws_are_picked_as_often_as_they_weigh_but_for_one_and_in_random_order
     assert np.abs(np.bincount(picked, minlength=300) - 1000 * weight).max() < 1
     # A first part is like the whole: its mean place is the whole's, within four standard errors.
     assert picked[:200].mean() == pytest.approx(picked.mean(), abs=4 * picked.std() / np.sqrt(200))
+
+
+def test_few_draws_to_begin_with_do_as_well(seed):
+    found = drawn(banana, 2, seed=seed, first_draws=100)
+    independent = found.effective_sample_size[0]
+    assert independent >= 3000
+    assert found["p0"].mean() == pytest.approx(0.0, abs=4.5 / np.sqrt(independent))

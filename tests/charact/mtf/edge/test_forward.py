@@ -197,7 +197,7 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
     picked, quick = measured(stack, Context(seed=3)).find("mtf50")[0], measured(stack).find("mtf50")[0]
     assert picked.posterior.sampler == "importance"
     assert picked.posterior.effective_sample_size.min() >= 3000
-    monkeypatch.setattr("charact.mtf.edge.forward.ENOUGH", np.inf)
+    monkeypatch.setattr("charact.posterior.drawing.ENOUGH", np.inf)
     chained = measured(stack, Context(seed=3)).find("mtf50")[0]
     assert chained.posterior.sampler == "emcee"
     assert "not-converged" not in chained.flags

@@ -1,0 +1,65 @@
+"""Draws of a posterior by importance, and by Markov chain where draws by importance are too few to tell it."""
+
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from charact.posterior.chain import sample
+from charact.posterior.curvature import Vectorised
+from charact.posterior.diagnostics import has_several_peaks
+from charact.posterior.importance import weighed
+from labdata.measurement import Posterior
+
+# Effective draws by importance that tell a posterior.
+ENOUGH = 1000.0
+
+
+def draw(
+    log_probability: Vectorised,
+    *,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    start: ArrayLike,
+    covariance: ArrayLike,
+    seed: int,
+    bounds: ArrayLike,
+    draws: int = 1000,
+    max_steps: int = 20000,
+) -> Posterior:
+    """Draw from a posterior of one peak or several near each other, by importance where that is enough.
+
+    Parameters
+    ----------
+    log_probability
+        Vectorised: points (n, parameter) -> (n,), -inf outside the bounds, never NaN.
+    names, units
+        Name and unit of each parameter.
+    start, covariance
+        The peak, shape (parameter,), and covariance there, shape (parameter, parameter).
+    seed
+        Seed of every draw.
+    bounds
+        Shape (parameter, 2), infinite where there is none.
+    draws
+        Number of draws kept.
+    max_steps
+        Steps of each ensemble after which a Markov chain is given up.
+
+    Returns
+    -------
+    Posterior
+        Its sampler says how it was drawn; `several-modes` where its draws have several peaks.
+
+    Notes
+    -----
+    Importance meets the peaks into which draws from about the first one fall. Others, far away, only a chain's climbs
+    look for.
+    """
+    asked = {
+        "names": names, "units": units, "start": start, "covariance": covariance, "seed": seed, "bounds": bounds,
+        "draws": draws,
+    }  # fmt: skip
+    found = weighed(log_probability, **asked)
+    if found.effective_sample_size.min() < ENOUGH:
+        return sample(log_probability, **asked, max_steps=max_steps)
+    return replace(found, flags=(*found.flags, "several-modes")) if has_several_peaks(found.draws) else found
