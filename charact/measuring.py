@@ -59,23 +59,28 @@ def measure(
         result += task(context)
         context = _knowing_halo(context, result)
     progress("measured", 1.0)
-    return result + _together(session, result, context)
+    return _together(session, result, context)
 
 
 def _together(session: Session, result: Result, context: Context) -> Result:
-    """What the targets of a session tell of one MTF, and whether they agree, where it has several."""
+    """Return a session's result with what its targets tell of one MTF and its stages, and whether they agree."""
+    from charact.mtf.bars.joint import of_session
     from charact.mtf.session.agreement import agreement
     from charact.mtf.session.constancy import constancy
     from charact.mtf.session.joint import joint
+    from charact.mtf.session.stages import with_stages
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}
     conditions = {entry.label: entry.conditions for entry in targets}
-    return (
-        joint(result, kinds, context=context)
+    whole = (
+        result
+        + of_session(result, kinds, context=context)
+        + joint(result, kinds, context=context)
         + agreement(result, kinds)
         + constancy(result, kinds, conditions, context=context)
     )
+    return with_stages(whole, kinds, context=context)
 
 
 def _knowing_halo(context: Context, result: Result) -> Context:

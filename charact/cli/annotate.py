@@ -76,9 +76,13 @@ def _stretched(stack: FrameStack) -> Picture:
 
 
 def _one_a_region(result: Result) -> list[Measurement]:
-    """The measurement that stands for each region: its MTF50, else the first one it has."""
+    """The measurement that stands for each region: its MTF50, else the first one it has.
+
+    What several regions tell together lies in none of them and has no place in the picture.
+    """
     by_region: dict[object, Measurement] = {}
-    for measurement in result.measurements:
+    placed_ones = [measurement for measurement in result.measurements if measurement.region is not None]
+    for measurement in placed_ones or result.measurements:
         held = by_region.get(measurement.region)
         if held is None or (measurement.quantity == "mtf50" and held.quantity != "mtf50"):
             by_region[measurement.region] = measurement

@@ -87,8 +87,10 @@ def show(
 
         print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
     else:
+        # A line a region is for the targets of one picture; a session's numbers of no region would be left out.
+        of_one_picture = not any(m.stack for m in result.measurements)
         several = len({m.region for m in result.measurements}) > 1
-        lines = lines_of_regions if several else lines_of
+        lines = lines_of_regions if several and of_one_picture else lines_of
         print("\n".join(lines(result.measurements, frequency)))
     if all(m.value is None for m in result.measurements):
         reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
@@ -165,7 +167,7 @@ def _region_line(members: list["Measurement"], frequency: Frequency) -> str:
     """Return the line of a region: where it lies, then the leading quantity in its directions."""
     first = members[0]
     leading = [m for m in members if m.quantity == "mtf50"] or [m for m in members if m.quantity == first.quantity]
-    place = ",".join(str(number) for number in first.region or ())
+    place = ",".join(str(number) for number in first.region or ()) or "all together"
     if all(m.value is None for m in leading):
         return f"{place:<16} {first.quantity} refused: {leading[0].reason}"
     told = (

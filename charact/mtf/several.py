@@ -8,6 +8,7 @@ import numpy as np
 
 import charact
 from charact.method import Context
+from charact.mtf.bars.joint import of_frame
 from charact.mtf.find import find_bar_groups, find_edges, find_pinholes
 from charact.mtf.measuring import measure
 from charact.mtf.region import Region
@@ -51,8 +52,9 @@ def measure_all(
     -------
     Result
         The measurements of every region in reading order. Curves carry their region, as in "mtf:100,200,80,60"; the
-        curve "mtf" is the one known best, which a note on its measurements says. Of a frame with one target or none
-        the result is that of `measure`.
+        curve "mtf" is the one known best, which a note on its measurements says. Of bars "mtf" and "mtf_vertical" go
+        through the groups along rows and along columns, with an `mtf50` each and no region, where groups of two
+        frequencies are sound. Of a frame with one target or none the result is that of `measure`.
 
     Raises
     ------
@@ -74,7 +76,8 @@ def measure_all(
     for done, one in enumerate(chosen):
         context.progress(f"{kind} in {one.region}", done / len(chosen))
         results.append(measure(kind, stack, region=one.region, **asked, **{**target, **one.told}))
-    return _together(results, chosen, len(found) - len(chosen), kind)
+    together = _together(results, chosen, len(found) - len(chosen), kind)
+    return together + of_frame(together, context=context) if kind == "bars" else together
 
 
 def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> list[Target]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.report import bloom_pictures, blooms, edges, gains, joint, light, noise, pulses
+from charact.report import bloom_pictures, blooms, edges, gains, joint, light, noise, pulses, stages
 from charact.report.numerals import plain
 from charact.report.style import as_svg, styled
 
@@ -17,6 +17,8 @@ DRAWN: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "agreement": ("mtf", edges.agreement),
     "joint-mtf": ("mtf", joint.joint_mtf),
     "constancy": ("mtf", joint.constancy),
+    "stage-budget": ("mtf", stages.stage_budget),
+    "bar-groups": ("mtf", stages.bar_groups),
     "point-profile": ("bloom", blooms.point_profile),
     "bloom-series": ("bloom", blooms.bloom_series),
     "halo-constancy": ("bloom", blooms.halo_constancy),

@@ -223,6 +223,9 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
     twice = {key: [spread, spread] for key in ("radius_px", "mean_dn", "sd_dn", "model_dn")}
     ring = {f"ring_{key}": spread for key in ("px", "dn", "sd_dn", "model_dn")}
     along = {f"along_{way}_{kind}": spread for way in ("row", "column") for kind in ("dn", "model_dn")}
+    band = dict.fromkeys(("value", "low95", "high95"), spread)
+    axis = {"frequency_cy_per_column": spread, "cathode_lp_per_mm": spread}
+    stages = {**axis, "stages": {"lens": band}, "product": band, "measured": band}
     examples = {
         "edge-spread": {"distance_px": spread, "value_dn": spread, "sd_dn": spread, "model_dn": spread},
         "bars": {"distance_px": spread, "value_dn": spread, "model_dn": spread},
@@ -303,6 +306,11 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
         "constancy": {
             "slopes": {"row_px": 0.0}, "row_px": spread, "mtf50_cy_per_px": spread, "sd_cy_per_px": spread,
             "mean_mtf50_cy_per_px": 1.0,
+        },
+        "stage-budget": {"identified": ["lens"], "known": [], "horizontal": stages, "vertical": stages},
+        "bar-groups": {
+            "frequency_cy_per_px": spread, "mtf": spread, "sd": spread, "curve_cy_per_px": spread, "curve": spread,
+            "curve_low95": spread, "curve_high95": spread,
         },
     }  # fmt: skip
     assert examples.keys() == DRAWN.keys()

@@ -1,13 +1,18 @@
 """One MTF through all targets of a session holds the truth, and a target that tells of another is found and named."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import kstest
 
+from charact.fit.sharp import transfers
 from charact.method import Context
+from charact.mtf.bars.joint import of_session
 from charact.mtf.curve import FINE, REPORTED, curve_of, falls_to
+from charact.mtf.session.agreement import agreement
 from charact.mtf.session.constancy import constancy
 from charact.mtf.session.joint import joint
 from charact.mtf.session.joint_fit import Problem
@@ -16,6 +21,7 @@ from charact.mtf.session.joint_told import told
 from labdata.conditions import Conditions
 from labdata.measurement import Curve, Result, from_draws, from_sd
 from labdata.sensors import load_sensor
+from labdata.session import Session, StackEntry
 
 QUICK = Context(seed=1, quick=True)
 KINDS = {"e": "edge", "b1": "bars", "b2": "bars", "b3": "bars", "p": "point"}
@@ -190,3 +196,33 @@ def test_an_mtf_that_changes_over_the_field_is_told_from_one_that_does_not(seed:
     assert 0.6e-4 < slope < 1.2e-4
     assert slope > 5 * sd
     assert set(tilted["slopes"]) == {"col_px"}
+
+
+def test_the_curve_through_the_bars_is_taken_for_no_further_target(seed: int) -> None:
+    """Joint fit, agreement, constancy and the sensor's fit say the same with it as without."""
+    rng = np.random.default_rng(seed)
+    plain = target(rng, "e") + bars(rng) + target(rng, "p")
+    read = Result(measurements=tuple(
+        replace(m, method="bars-forward" if m.stack in BARS else m.method) for m in plain.measurements
+    ), curves=plain.curves)  # fmt: skip
+    own = of_session(read, KINDS, context=QUICK)
+    assert [m.method for m in own.measurements] == ["bars-joint"]
+    assert set(own.curves) == {"mtf_bars"}
+    assert own.find("mtf50")[0].stack is None
+    conditions = {label: Conditions(mcp_v=700.0 + 10.0 * place) for place, label in enumerate(KINDS)}
+    entries = tuple(StackEntry(label=label, kind=kind, frames="", folder=Path()) for label, kind in KINDS.items())
+    held = Session(folder=Path(), name="s", stacks=entries)
+    sensor = load_sensor("pulnix-ag5745ef3")
+
+    def said(result: Result) -> str:
+        told_of = (
+            joint(result, KINDS, context=QUICK).evidence,
+            agreement(result, KINDS).evidence,
+            constancy(result, KINDS, conditions, context=QUICK).evidence,
+            [(one.name, one.value.tolist()) for one in transfers(held, sensor, result)],
+        )
+        return json.dumps(told_of)
+
+    with_it = read + own + joint(read, KINDS, context=QUICK)
+    assert said(with_it) == said(read + joint(read, KINDS, context=QUICK))
+    assert len(json.loads(said(read))[3]) == 5

@@ -1,0 +1,39 @@
+"""What people read: of a session every number, of a picture a line for each target and one for all together."""
+
+import pytest
+
+from charact.cli.annotate import _one_a_region
+from charact.cli.output import show
+from labdata.measurement import Measurement, Result, from_sd
+
+
+def bars(col: int, **fields) -> Measurement:
+    own = {"method": "bars-forward", "frequency_cy_per_px": 0.1, "region": (0, col, 20, 20), **fields}
+    return from_sd("mtf", "1", 0.8, 0.01, **own)
+
+
+def together(note: str = "") -> Measurement:
+    return from_sd("mtf50", "cy/px", 0.21, 0.002, method="bars-joint", notes=(note,) if note else ())
+
+
+def test_a_session_with_targets_in_regions_prints_the_numbers_of_no_region_too(capsys: pytest.CaptureFixture) -> None:
+    gain = from_sd("covariance_gain", "DN", 11.9, 0.1, method="covariance-sum")
+    found = (gain, bars(0, stack="b1"), bars(40, stack="b2"), together("Stages: taken as known: pixel."))
+    show(Result(measurements=found), given="s", as_json=False)
+    told = capsys.readouterr().out
+    assert all(
+        piece in told for piece in ("covariance_gain 11.9", "of b1", "of b2", "mtf50 0.21", "taken as known: pixel")
+    )
+
+
+def test_the_groups_of_a_picture_have_a_line_each_and_one_together(capsys: pytest.CaptureFixture) -> None:
+    show(Result(measurements=(bars(0), bars(40), together())), given="f.tif", as_json=False)
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert "0,0,20,20" in first and "0,40,20,20" in second
+    assert "all together" in third and "mtf50 0.21" in third
+
+
+def test_what_groups_tell_together_has_no_frame_in_the_picture() -> None:
+    shown = _one_a_region(Result(measurements=(bars(0), bars(40), together())))
+    assert [m.region for m in shown] == [(0, 0, 20, 20), (0, 40, 20, 20)]
+    assert _one_a_region(Result(measurements=(together(),))) == [together()]
