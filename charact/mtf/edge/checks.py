@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.codes import code_flags
+from charact.mtf.edge.pixels import fields
 from charact.mtf.edge.pixels.line import RowFit
 from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.picture import Picture
@@ -15,9 +16,8 @@ Array = NDArray[np.float64]
 
 # Significance from which a departure counts, in standard errors, and the size from which it matters.
 SIGNIFICANT = 4.0
-# The same for a course that is bowed or differs between fields, of which few numbers tell.
+# The same for a course that is bowed, of which few numbers tell.
 COURSE_SIGNIFICANT = 3.5
-FIELD_OFFSET_PX = 0.04
 SAGITTA_PX = 0.12
 LEAST_TRAVEL_PX = 1.0
 BLOCKS = 12
@@ -60,39 +60,21 @@ def line_flags(picture: Picture, rows: RowFit, profile: Profile) -> tuple[str, .
         flags.append("tilt-too-small")
     if _bowed(rows.offset):
         flags.append("curved-edge")
-    if _columns_disagree(picture, profile) if picture.transposed else _fields_disagree(picture, rows):
+    moved = _columns_apart(picture, profile) if picture.transposed else fields.apart_by_rows(picture, rows)
+    if fields.counts(moved):
         flags.append("interlace-motion")
     return tuple(flags)
 
 
-def _fields_disagree(picture: Picture, rows: RowFit) -> bool:
-    """Tell whether the edge lies elsewhere in odd rows of the frame than in even ones."""
-    good = np.isfinite(rows.offset)
-    odd = (picture.row_index[:, 0] % 2).astype(bool)
-    if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < 6:
-        return False
-    one, other = rows.offset[good & odd], rows.offset[good & ~odd]
-    apart = median(one) - median(other)
-    error = 1.25 * np.hypot(spread(one) / np.sqrt(one.size), spread(other) / np.sqrt(other.size))
-    return bool(abs(apart) > max(COURSE_SIGNIFICANT * error, FIELD_OFFSET_PX))
-
-
-def _columns_disagree(picture: Picture, profile: Profile) -> bool:
-    """Tell whether fields disagree whose lines run along the edge: they alternate across the picture's columns.
-
-    Pixels off the mean profile by its slope times half a displacement, one way in odd lines and the other in even
-    ones, tell the displacement by least squares.
-    """
+def _columns_apart(picture: Picture, profile: Profile) -> fields.Displacement:
+    """Return how far fields lie apart whose lines run along the edge: they alternate across the picture's columns."""
     steep = np.gradient(np.convolve(profile.value, np.ones(5) / 5.0, "same"), profile.distance)
     used = profile.gathered.used & (np.abs(profile.gathered.distance) < 8.0)
-    distance, sign = profile.gathered.distance[used], 1.0 - 2.0 * (picture.row_index[used] % 2)
+    distance = profile.gathered.distance[used]
     residual = picture.value[used] - np.interp(distance, profile.distance, profile.value)
-    shape = 0.5 * sign * np.interp(distance, profile.distance, steep)
-    power = float(shape @ shape)
-    if power <= 0 or not (sign > 0).any() or not (sign < 0).any():
-        return False
-    noise = np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance))
-    return bool(abs(shape @ residual) / power > max(COURSE_SIGNIFICANT * noise / np.sqrt(power), FIELD_OFFSET_PX))
+    noise = float(np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance)))
+    slopes = np.interp(distance, profile.distance, steep)
+    return fields.apart_by_pixels(picture.row_index[used] % 2, residual, slopes, noise)
 
 
 def _bowed(offset: Array) -> bool:

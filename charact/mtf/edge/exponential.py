@@ -56,7 +56,7 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
     exp(-ln 2 (f/f2)^n).
     """
     began = time.perf_counter()
-    edge = find_edge(stack, region, context, quickly=True)
+    edge = find_edge(stack, region, context, quickly=True, fields_apart=True)
     if isinstance(edge, NoEdge):
         return nothing(METHOD, edge.reason, edge.where, context, began)
     known = known_of(edge.picture, edge.profile.angle_rad, context)

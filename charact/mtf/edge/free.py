@@ -67,7 +67,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     none and twice what the outer half of the region holds.
     """
     began = time.perf_counter()
-    edge = find_edge(stack, region, context)
+    edge = find_edge(stack, region, context, fields_apart=True)
     if isinstance(edge, NoEdge):
         return nothing(METHOD, edge.reason, edge.where, context, began)
     known = known_of(edge.picture, edge.profile.angle_rad, context)
@@ -88,7 +88,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
         fitted=edge_checks.Fitted(
             model=best.model, amplitude=best.amplitude, chi2=best.chi2, free=spreads.free - best.used_freedom
         ),
-        response=(0.0, 1.0),
+        response=None,
         posterior=posterior,
         mtf=transfers.mtf,
         settings={"width_px": round(best.width_px, 3), "tail": best.tail, "smooth_over_px": round(best.smooth_px, 3)},

@@ -86,7 +86,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     form. The draws are those of every form in proportion to its evidence.
     """
     began = time.perf_counter()
-    edge = find_edge(stack, region, context, quickly=True)
+    edge = find_edge(stack, region, context, quickly=True, fields_apart=True)
     if isinstance(edge, NoEdge):
         return nothing(METHOD, edge.reason, edge.where, context, began)
     known = known_of(edge.picture, edge.profile.angle_rad, context)

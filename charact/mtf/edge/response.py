@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 # Curvature of the response and what it is found with.
 Response = tuple[float, float]
+NOT_LOOKED_FOR: Response = (0.0, 1.0)
 
 # Curvature of the response from which the modulus is in doubt by a percent, and its significance.
 CURVATURE, CURVATURE_SD = 0.05, 3.0

@@ -16,7 +16,7 @@ from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import curved_ln_odds, growth_of, noise_flags
 from charact.mtf.edge.pixels.find import FoundEdge
 from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.response import Response, hidden, response_flags
+from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, hidden, response_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
 from charact.posterior import has_several_peaks
@@ -53,7 +53,8 @@ class Outcome:
     fitted
         The profile that was fitted.
     response
-        Curvature of the camera's response that the profile asks for, and its error, dimensionless.
+        Curvature of the camera's response that the profile asks for, and its error, dimensionless; None: a method
+        without a form, to which a curved response is one more blur.
     posterior
         Draws of the parameters.
     mtf
@@ -69,7 +70,7 @@ class Outcome:
     method: str
     edge: FoundEdge
     fitted: edge_checks.Fitted
-    response: Response
+    response: Response | None
     posterior: Posterior
     mtf: Callable[[Array], Array]
     settings: dict
@@ -90,7 +91,7 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
         *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
-        *response_flags(*outcome.response),
+        *(response_flags(*outcome.response) if outcome.response else ()),
         *noise_flags(edge.profile),
         *hidden_flags,
         *_posterior_flags(outcome.posterior, context),
@@ -246,7 +247,8 @@ def _hidden_by_response(outcome: Outcome, halves: Array, context: Context) -> tu
     straight = curved_ln_odds(growth_of(outcome.edge.profile)) < STRAIGHT_LN_ODDS
     if context.sensor is not None or straight or not known.size:
         return (), ()
-    return hidden(outcome.response, float(np.std(np.log(known))))
+    flags, notes = hidden(outcome.response or NOT_LOOKED_FOR, float(np.std(np.log(known))))
+    return flags if outcome.response else (), notes
 
 
 def within_note(profile: Profile) -> str:

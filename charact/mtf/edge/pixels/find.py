@@ -7,6 +7,7 @@ import numpy as np
 from charact.method import Context
 from charact.mtf.edge.pixels import line
 from charact.mtf.edge.pixels.extent import LEAST_ROWS, extent
+from charact.mtf.edge.pixels.fields import with_fields_apart
 from charact.mtf.edge.pixels.profile import Profile, centred, profile_of
 from charact.mtf.picture import Picture, mean_picture
 from charact.mtf.region import Region
@@ -60,7 +61,7 @@ class NoEdge:
 
 
 def find_edge(
-    stack: FrameStack, region: Region | None, context: Context, *, quickly: bool = False
+    stack: FrameStack, region: Region | None, context: Context, *, quickly: bool = False, fields_apart: bool = False
 ) -> FoundEdge | NoEdge:
     """Find the one edge of a region or, where the frame shows more, its most prominent one.
 
@@ -68,6 +69,9 @@ def find_edge(
     ----------
     quickly
         As of `charact.mtf.edge.pixels.profile.profile_of`.
+    fields_apart
+        Whether the two fields of an interlaced frame are taken each at its own place, where the edge moved between
+        them; else that is left to be flagged.
     """
     used = stack if region is None else stack.region(*region)
     row, col, height, width = region or (0, 0, *used.shape[1:])
@@ -82,6 +86,8 @@ def find_edge(
             return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {part[2]} x {part[3]}", where=where)
         picture, coarse = line.find(mean_picture(used, context.pitch_ratio))
     rows = line.refine(picture, coarse)
+    if context.interlaced and fields_apart:
+        rows = with_fields_apart(picture, rows)
     if not _crosses(picture, rows.line):
         return NoEdge(reason=NO_STEP, where=where)
     rows = replace(rows, line=centred(picture, rows.line))
@@ -95,13 +101,17 @@ def find_edge(
         rows=rows,
         profile=profile,
         flags=("several-targets",) if part is not None and region is not None else (),
-        notes=_notes(used, profile, cut=part is not None),
+        notes=_notes(used, profile, rows.line, cut=part is not None),
     )
 
 
-def _notes(used: FrameStack, profile: Profile, *, cut: bool) -> tuple[str, ...]:
+def _notes(used: FrameStack, profile: Profile, edge: line.Line, *, cut: bool) -> tuple[str, ...]:
     """Return what finding an edge brought up that lowers no trust."""
     notes = ["The frame shows more than this edge; the region is the part that was used."] if cut else []
+    if edge.fields is not None:
+        notes.append(
+            f"The edge lies {abs(edge.fields_apart_px):.2f} px apart in the two fields; each is taken at its own place."
+        )
     if profile.black is not None:
         notes.append(f"No light is at {profile.black:.4g} DN.")
     elif used.black_level_dn is not None:

@@ -33,16 +33,22 @@ class Line:
         px, and px per row.
     strength
         Step over its own standard error on the coarse picture, the noise taken from neighbouring pixels.
+    fields_apart_px, fields
+        How far further along the columns the edge lies in the odd field, px, and the field of every pixel, 0 or 1,
+        shape (row, col); None: the fields do not lie apart.
     """
 
     position: float
     slope: float
     strength: float = 0.0
+    fields_apart_px: float = 0.0
+    fields: NDArray[np.int64] | None = None
 
     def across(self, shape: tuple[int, int]) -> Array:
         """Return the distance along the columns of every pixel from the line, shape (row, col), px."""
         row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
-        return np.arange(shape[1])[None, :] - self.position - self.slope * row
+        even = np.arange(shape[1])[None, :] - self.position - self.slope * row
+        return even if self.fields is None else even - self.fields_apart_px * (self.fields - 0.5)
 
     def angle_rad(self, pitch_ratio: float) -> float:
         """Angle of the edge to the columns' direction, rad; rows are `pitch_ratio` column pitches apart."""

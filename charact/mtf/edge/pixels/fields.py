@@ -1,0 +1,95 @@
+"""The two fields of an interlaced frame: how far an edge moved between them, so that each is taken at its own place."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.edge.pixels.bins import gather
+from charact.mtf.edge.pixels.line import Line, RowFit, refine
+from charact.mtf.picture import Picture
+from charact.robust import median, spread
+
+Array = NDArray[np.float64]
+
+# A displacement counts from so many standard errors, which few numbers tell, and from this size, px.
+SIGNIFICANT, LEAST_PX = 3.5, 0.04
+# Rows of each field that tell where it is, and how far from the edge pixels tell it, px.
+LEAST_ROWS, REACH_PX = 6, 16.0
+# An edge that moved was first taken at the middle of two places, with a profile smeared over both.
+TURNS, SETTLED_PX = 5, 0.005
+
+# Displacement of the odd lines against the even ones, px, and its standard error.
+Displacement = tuple[float, float]
+
+
+def counts(displacement: Displacement) -> bool:
+    """Tell whether fields lie apart by more than chance, and by enough to matter."""
+    apart, error = displacement
+    return bool(abs(apart) > max(SIGNIFICANT * error, LEAST_PX))
+
+
+def apart_by_rows(picture: Picture, rows: RowFit) -> Displacement:
+    """Return how far the edge lies elsewhere in odd lines of the frame, which are rows of the picture."""
+    good = np.isfinite(rows.offset)
+    odd = (picture.row_index[:, 0] % 2).astype(bool)
+    if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < LEAST_ROWS:
+        return 0.0, np.inf
+    one, other = rows.offset[good & odd], rows.offset[good & ~odd]
+    error = 1.25 * np.hypot(spread(one) / np.sqrt(one.size), spread(other) / np.sqrt(other.size))
+    return median(one) - median(other), float(error)
+
+
+def apart_by_pixels(line_parity: NDArray[np.int64], residual: Array, steep: Array, noise: float) -> Displacement:
+    """Return how far odd lines lie from even ones, which run along the edge, by least squares on single pixels.
+
+    Parameters
+    ----------
+    line_parity
+        0 or 1 for the field of every pixel, shape (pixel,).
+    residual
+        Pixels less their mean profile, shape (pixel,), DN.
+    steep
+        Slope of that profile, DN per px.
+    noise
+        Standard deviation of a pixel, DN.
+    """
+    shape = (0.5 - line_parity) * steep
+    power = float(shape @ shape)
+    if power <= 0 or line_parity.min() == line_parity.max():
+        return 0.0, np.inf
+    return float(shape @ residual) / power, noise / np.sqrt(power)
+
+
+def with_fields_apart(picture: Picture, rows: RowFit) -> RowFit:
+    """Return an edge whose two fields are taken each at its own place, where they lie apart."""
+    moved = _apart(picture, rows)
+    if not counts(moved):
+        return rows
+    for _ in range(TURNS):
+        apart = rows.line.fields_apart_px + moved[0]
+        rows = refine(picture, replace(rows.line, fields_apart_px=apart, fields=picture.row_index % 2))
+        moved = _apart(picture, rows)
+        if abs(moved[0]) < SETTLED_PX:
+            break
+    return rows
+
+
+def _apart(picture: Picture, rows: RowFit) -> Displacement:
+    return _apart_along(picture, rows.line) if picture.transposed else apart_by_rows(picture, rows)
+
+
+def _apart_along(picture: Picture, line: Line) -> Displacement:
+    """Return how far fields lie apart whose lines run along the edge."""
+    gathered = gather(picture, line, REACH_PX, np.zeros(picture.value.shape, bool))
+    mean, count = gathered.means(picture.value)
+    filled = count > 0
+    place, value = gathered.place[filled], mean[filled]
+    steep = np.gradient(np.convolve(value, np.ones(5) / 5.0, "same"), place)
+    steep[:4] = steep[-4:] = 0.0
+    used = gathered.used
+    residual = picture.value[used] - np.interp(gathered.distance[used], place, value)
+    slopes = np.interp(gathered.distance[used], place, steep)
+    # Distances grow along the picture's columns, so that an edge displaced by d stands at a distance of -d.
+    found, error = apart_by_pixels(picture.row_index[used] % 2, residual, slopes, float(np.std(residual)))
+    return found / float(np.cos(line.angle_rad(picture.pitch_ratio))), error

@@ -1,0 +1,75 @@
+"""An edge that moved between the fields of an interlaced frame is measured in each field at its own place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from charact.method import Context
+from charact.mtf.edge.gradient import edge_gradient
+from charact.mtf.edge.parametric import edge_parametric
+from charact.mtf.edge.pixels.find import FoundEdge, find_edge
+from charact.study.edge.scene import Blur, EdgeScene
+
+INTERLACED = Context(quick=True, interlaced=True)
+SCENE = EdgeScene(
+    blur=Blur(sigma_px=1.0), rows=120, cols=100, dark_dn=1200.0, bright_dn=2700.0, snr=40.0, shot_share=0.0,
+    black_dn=200.0, full_scale_dn=65535.0,
+)  # fmt: skip
+
+
+def drawn(angle_deg, motion_px, seed, **more):
+    scene = replace(SCENE, angle_deg=float(angle_deg), motion_px=float(motion_px), **more)
+    return scene.truth_mtf50, scene.frames_drawn(np.random.default_rng(seed))
+
+
+def measured(stack, context=INTERLACED):
+    return edge_parametric(stack, context=context).find("mtf50")[0]
+
+
+# Odd rows move along the rows: an edge at 100 degrees moves by 0.17 px across itself for each.
+@pytest.mark.parametrize(
+    ("angle_deg", "motion_px"), [(6.0, 0.3), (6.0, 1.0), (186.0, 4.0), (130.0, 2.0), (100.0, 4.0), (276.0, 4.0)]
+)
+def test_motion_between_fields_moves_no_number(angle_deg, motion_px, seed):
+    """The same noise on an edge at rest and on one that moved, where half of it falls elsewhere on the edge."""
+    _, still = drawn(angle_deg, 0.0, seed)
+    truth, moved = drawn(angle_deg, motion_px, seed)
+    before, after = measured(still), measured(moved)
+    error = (before.interval68[1] - before.interval68[0]) / 2
+    assert after.status == "ok"
+    across = abs(motion_px * np.cos(np.deg2rad(angle_deg)))
+    assert after.value == pytest.approx(before.value, abs=(0.5 if across < 0.5 else 3.5) * error)
+    assert after.value == pytest.approx(truth, abs=4.5 * error)
+    assert any("in the two fields" in note for note in after.notes)
+
+
+@pytest.mark.parametrize("angle_deg", [6.0, 100.0, 186.0, 276.0])
+def test_the_displacement_is_found_either_way(angle_deg, seed):
+    for motion in (-1.5, 1.5):
+        _, stack = drawn(angle_deg, motion, seed)
+        edge = find_edge(stack, None, INTERLACED, fields_apart=True)
+        assert isinstance(edge, FoundEdge)
+        # Along the picture's columns the edge moves by the motion over its direction's cosine there.
+        across = motion * np.cos(np.deg2rad(angle_deg)) / np.cos(edge.profile.angle_rad)
+        assert abs(edge.rows.line.fields_apart_px) == pytest.approx(abs(across), abs=0.03)
+
+
+def test_fields_of_an_edge_at_rest_are_taken_together(seed):
+    for number in range(5):
+        _, stack = drawn(6.0, 0.0, 10 * seed + number)
+        together, apart = measured(stack, Context(quick=True)), measured(stack)
+        assert apart.value == together.value
+        assert not any("in the two fields" in note for note in apart.notes)
+
+
+def test_a_frame_that_is_not_interlaced_has_its_motion_flagged(seed):
+    truth, stack = drawn(6.0, 1.0, seed)
+    found = measured(stack, Context(quick=True))
+    assert "interlace-motion" in found.flags
+    assert found.value < 0.95 * truth
+
+
+def test_methods_that_mix_rows_flag_the_motion_in_interlaced_frames_too(seed):
+    _, stack = drawn(6.0, 1.0, seed)
+    assert "interlace-motion" in edge_gradient(stack, context=INTERLACED).find("mtf50")[0].flags
