@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study bar-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -72,6 +72,11 @@ mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge.coverage
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_back
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.session.agreement_table --keep --simulated 100 --workers 2
+
+# Simulation-based calibration: ranks of 600 true blurs among draws from the posteriors of their edges, by Markov chain and
+# by importance: table and figures; a few minutes on two cores.
+calibration: $(READY)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge.ranks
 
 # Bias of the four-bar method and cover of its intervals, 153 cells of blur, frequency, tilt, noise and phase: table and
 # chart; ten minutes on two cores.
