@@ -1,4 +1,4 @@
-"""Registered methods, and `auto`: the cheapest method whose measured error is inside the tolerance."""
+"""Registered methods, and `auto`: the cheapest method whose measured error is surely inside the tolerance."""
 
 import json
 from collections.abc import Callable
@@ -8,6 +8,7 @@ from typing import Any
 
 from charact.method.cluster import Spread
 from charact.method.threads import on_one_thread
+from charact.method.tolerance import meets
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.sensor import Sensor
@@ -26,7 +27,7 @@ class Context:
     seed
         Seed of every random step.
     quick
-        No Markov chain: intervals from the curvature at the maximum.
+        No Markov chain: intervals from the curvature at the maximum, or from few weighted draws.
     sensor
         Description of the camera, for its pitches and priors; None if unknown.
     interlaced
@@ -113,14 +114,21 @@ def chart_table(quantity: str) -> list[dict[str, Any]]:
     return json.loads(path.read_text())["methods"] if path.is_file() else []
 
 
+def charted(kind: str) -> list[dict[str, Any]]:
+    """Rows of the table by which `auto` chooses among the methods of a kind; empty if they were never charted."""
+    methods = of_kind(kind)
+    quantities = [method.quantities[0] for method in methods.values() if method.preferred]
+    return [row for quantity in quantities[:1] for row in chart_table(quantity) if row["method"] in methods]
+
+
 def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Method:
     """Return the method of a name, or for "auto" the cheapest whose measured error meets the tolerance.
 
     Parameters
     ----------
     within_percent
-        Tolerance on the 95th percentile of the relative error over the chart's cases, percent. If no method meets
-        it, the most accurate one is taken.
+        Tolerance on the relative error, percent: the 95th percentile over the chart's cases must be below it by its
+        upper confidence limit. If no method meets it, the most accurate one is taken.
 
     Raises
     ------
@@ -137,9 +145,9 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
         raise BadInput(
             f"the kind of target must be one of {', '.join(sorted({of for of, _ in METHODS}))}, got {kind!r}"
         )
-    rows = [row for row in chart_table(preferred.quantities[0]) if row["method"] in methods]
+    rows = charted(kind)
     if not rows:
         return preferred
-    inside = [row for row in rows if row["error_percent"] <= within_percent]
+    inside = [row for row in rows if meets(row, within_percent)]
     best = min(inside, key=lambda row: row["seconds"]) if inside else min(rows, key=lambda row: row["error_percent"])
     return methods[best["method"]]

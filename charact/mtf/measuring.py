@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from charact.method import Context, choose
+from charact.method import Context, Method, choose
+from charact.method.registry import charted
+from charact.method.tolerance import beyond_note, short_note
 from charact.mtf.region import Region
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.measurement import Result
+from labdata.measurement import Measurement, Result
 
 # The chart's cases have one blur each. A described camera is a cascade of stages, part of them taken as known: on edges
 # of six simulated specimens forms alone were off by 1 % at an MTF of 0.1 (rms z 1.7), departures from a form were not
@@ -40,7 +42,8 @@ def measure(
     method
         Name of a registered method, or "auto".
     within_percent
-        Tolerance that "auto" must meet, percent.
+        Tolerance that "auto" must meet, percent. Where the chart or a number's own interval says that it may not, a
+        note does.
     context
         Seed, speed and camera.
     target
@@ -59,11 +62,25 @@ def measure(
         stack.region(*region)  # type: ignore[misc]
     if kind == "bars":
         _checked_bars(**target)
-    if method == "auto" and context.sensor is not None:
-        method = OF_DESCRIBED_CAMERAS.get(kind, method)
-    chosen = choose(kind, method, within_percent=within_percent)
+    described = OF_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
+    chosen = choose(kind, described or method, within_percent=within_percent)
     found = chosen.function(stack, region=region, context=context, **target)
+    if method == "auto":
+        rows = [] if described else charted(kind)
+        found = _told(found, chosen, within_percent, short_note(rows, chosen.name, within_percent))
     return found if stack.plane == "mono" else _of_plane(found, stack.plane)
+
+
+def _told(found: Result, chosen: Method, within_percent: float, short: str | None) -> Result:
+    """Return a result whose numbers of the charted quantity say where the tolerance asked for may not be met."""
+
+    def told(one: Measurement) -> Measurement:
+        if one.quantity != chosen.quantities[0] or one.status == "refused":
+            return one
+        note = beyond_note(one, within_percent) or short
+        return one if note is None else one.with_(notes=(*one.notes, note))
+
+    return replace(found, measurements=tuple(told(one) for one in found.measurements))
 
 
 def _of_plane(found: Result, plane: str) -> Result:

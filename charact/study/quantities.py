@@ -49,7 +49,7 @@ EDGE = Study(
     axes=tuple(edge_cases.AXES),
     chart_cases=edge_cases.chart_cases,
     stability_cases=edge_cases.stability_cases,
-    chart_count=40,
+    chart_count=100,
     quick_count=6,
     repeats=2,
 )
@@ -59,7 +59,7 @@ POINT = Study(
     axes=tuple(point_cases.AXES),
     chart_cases=point_cases.chart_cases,
     stability_cases=point_cases.stability_cases,
-    chart_count=24,
+    chart_count=200,
     quick_count=4,
     repeats=2,
 )
@@ -69,7 +69,7 @@ BARS = Study(
     axes=tuple(bar_cases.AXES),
     chart_cases=bar_cases.chart_cases,
     stability_cases=bar_cases.stability_cases,
-    chart_count=40,
+    chart_count=100,
     quick_count=6,
     repeats=2,
 )

@@ -45,16 +45,20 @@ class Chart:
             "quantity": self.quantity,
             "methods": [asdict(row) for row in self.summaries],
             "error_percent_means": "95th percentile of |value - truth| / truth; a refusal counts as 100",
+            "error_limit_percent_means": "upper 95 % confidence limit of error_percent, by order statistics",
             "seconds_means": "median over the cases of the smaller of wall and processor time",
             "provenance": {"charact": charact.__version__, "seed": self.seed, "quick": self.quick},
         }
 
     def text(self) -> str:
         """The summaries as a plain table."""
-        head = f"{'method':<20}{'error p95':>11}{'seconds':>9}{'cases':>7}{'ok':>6}{'silent':>8}{'missed 95 %':>13}"
+        head = (
+            f"{'method':<20}{'error p95':>11}{'at most':>11}{'seconds':>9}{'cases':>7}{'ok':>6}{'silent':>8}"
+            f"{'missed 95 %':>13}"
+        )
         lines = [
-            f"{s.method:<20}{s.error_percent:>9.2f} %{s.seconds:>9.3f}{s.cases:>7}{s.ok_fraction:>6.0%}{s.silent:>8}"
-            f"{s.missed_fraction:>13.0%}"
+            f"{s.method:<20}{s.error_percent:>9.2f} %{s.error_limit_percent:>9.2f} %{s.seconds:>9.3f}{s.cases:>7}"
+            f"{s.ok_fraction:>6.0%}{s.silent:>8}{s.missed_fraction:>13.0%}"
             for s in self.summaries
         ]
         return "\n".join([f"{self.quantity}: error against time on the same cases", head, *lines])

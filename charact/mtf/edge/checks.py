@@ -10,7 +10,7 @@ from charact.mtf.edge.pixels import fields
 from charact.mtf.edge.pixels.line import RowFit
 from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.picture import Picture
-from charact.robust import median, spread
+from charact.robust import median
 
 Array = NDArray[np.float64]
 

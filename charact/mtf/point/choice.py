@@ -21,8 +21,9 @@ CLOSE = 8.0
 WORTH_CHI2 = 4.0
 # Odds before the data of a form with light beyond its core, of which the camera's description says nothing.
 WIDE_ODDS = 0.15
-# Odds before the data of two blurs of different form, and of blurs along rows and columns apart.
-LENS_ODDS, SEPARABLE_ODDS = 0.2, 0.2
+# Odds before the data of two blurs of different form, which every tube behind a lens has, and of blurs along rows and
+# columns apart.
+LENS_ODDS, SEPARABLE_ODDS = 1.0, 0.2
 TURNS = 2
 WIDE_SIZES = 6
 

@@ -16,7 +16,7 @@ from charact.mtf.point.data import Window, window_of
 from charact.mtf.point.forward_fit import PointFit, fit
 from charact.mtf.point.forward_model import Optics
 from charact.mtf.region import Region
-from charact.posterior import laplace, sample
+from charact.posterior import draw, weighed
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
@@ -30,6 +30,8 @@ LEAST_PX = 9
 LEAST_LIGHT = 6.0
 # Least share of the light that unspoilt pixels must hold.
 LEAST_KEPT = 0.3
+# Effective draws by importance where a posterior is wanted quickly, and draws to begin with.
+QUICK_ENOUGH, QUICK_FIRST = 500.0, 1000
 MAX_STEPS = 1200
 
 
@@ -140,13 +142,19 @@ def _optics(context: Context, pinhole_px: float) -> Optics:
 
 
 def _posterior(found: PointFit, context: Context) -> Posterior:
-    """Draw from the posterior: by Markov chain, or quickly from the curvature."""
+    """Draw from the posterior, quickly by importance alone."""
     prior = found.model.prior
-    asked = {"names": prior.names, "units": prior.units, "start": found.point, "covariance": found.covariance}
-    bounds = prior.bounds[prior.chosen]
+    asked = {
+        "names": prior.names,
+        "units": prior.units,
+        "start": found.point,
+        "covariance": found.covariance,
+        "seed": context.seed,
+        "bounds": prior.bounds[prior.chosen],
+    }
     if context.quick:
-        return laplace(found.log_probability, **asked, seed=context.seed, bounds=bounds)
-    return sample(found.log_probability, **asked, seed=context.seed, bounds=bounds, max_steps=MAX_STEPS)
+        return weighed(found.log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
+    return draw(found.log_probability, **asked, max_steps=MAX_STEPS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ The transfer in two dimensions is exp(-(f/fc)^n - 2 (pi f s)^2), which holds tub
 times the known pixel and, along rows, the known causal video filter. All lengths are column pitches, vertical ones too.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from charact.mtf.forms import transfer as forms
 from charact.mtf.forms.wide_tables import sine_integral
 from charact.mtf.point.forward_prior import Prior
+from charact.posterior.curvature import root_of
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,11 @@ PERIOD_PX = 40.0
 RING_STEP, RING_TOP = 1.0 / 160.0, 0.5
 # Rings are wide: smoothing by this much changes nothing and ends the integral gently.
 RING_SMOOTHING_PX = 1.0
+# Frequencies up along columns over those along rows.
+UP = 0.85
+# Share of a picture's light amplitude that frequencies left out may hold, and how far from a fit it may, in standard
+# deviations.
+NEGLIGIBLE, MARGIN_SD = 1e-6, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,13 +101,20 @@ class PointModel:
     def grid(self) -> tuple[Array, Array]:
         """Frequencies along rows (fx,) and along columns (fy, 1), cycles per column pitch."""
         step = 1.0 / PERIOD_PX
-        return np.arange(step / 2, self.optics.top, step), np.arange(step / 2, 0.85 * self.optics.top, step)[:, None]
+        return np.arange(step / 2, self.optics.top, step), np.arange(step / 2, UP * self.optics.top, step)[:, None]
 
     @cached_property
     def _video_lines(self) -> tuple[NDArray[np.complex128], ...]:
         at = self.grid[0]
         low, middle, high = (self.optics.filtered(at, np.array([x]))[0] for x in (-0.1, 0.0, 0.1))
         return middle, 5.0 * (high - low), 50.0 * (high + low - 2 * middle)
+
+    @cached_property
+    def _waves(self) -> tuple[Array, Array, Array, Array]:
+        """Cosine and sine of every column's phase, shape (fx, col), and of every row's, shape (row, fy)."""
+        fx, fy = self.grid
+        along, down = 2.0 * np.pi * fx[:, None] * self.x, 2.0 * np.pi * self.y[:, None] * fy[:, 0]
+        return np.cos(along), np.sin(along), np.cos(down), np.sin(down)
 
     @cached_property
     def halo_table(self) -> "HaloTable":
@@ -130,12 +143,14 @@ class PointModel:
         shape = (slice(None), *(None,) * np.broadcast(fx, fy).ndim)
         stretch = np.exp(p["stretch"])[shape]
         square = fx**2 * stretch + fy**2 / stretch
-        power = np.log(square)
-        power *= 0.5 * p["exponent"][shape]
-        power -= (p["exponent"] * p["ln_cut_off"])[shape]
-        core = np.exp(power, out=power)
-        core += square * (2.0 * (np.pi * p["blur_px"][shape]) ** 2)
-        np.exp(-core, out=core)
+        core = np.log(square)
+        core *= 0.5 * p["exponent"][shape]
+        core -= (p["exponent"] * p["ln_cut_off"])[shape]
+        np.exp(core, out=core)
+        square *= 2.0 * (np.pi * p["blur_px"][shape]) ** 2
+        core += square
+        np.negative(core, out=core)
+        np.exp(core, out=core)
         if self.prior.halo_px is None:
             return core
         return core * self.spread(theta, halo or HaloTable.of(np.hypot(fx, fy), self.prior.halo_px))
@@ -159,12 +174,31 @@ class PointModel:
         line, lines = self.grid[0], self.grid[1][:, 0]
         middle, slope, bend = self._video_lines
         width = p["ln_bandwidth"][:, None]
-        shift = np.exp(-2j * np.pi * p["x_px"][:, None] * line)
-        along = (middle + slope * width + bend * width**2) * shift
-        phase = 2.0 * np.pi * line[:, None] * self.x
-        columns = along.real[:, :, None] * np.cos(phase) - along.imag[:, :, None] * np.sin(phase)
-        rows = np.cos(2.0 * np.pi * (self.y[None, :, None] - p["y_px"][:, None, None]) * lines)
+        left, up = 2.0 * np.pi * p["x_px"][:, None] * line, 2.0 * np.pi * p["y_px"][:, None] * lines
+        along = (middle + slope * width + bend * width**2) * (np.cos(left) - 1j * np.sin(left))
+        cosine_x, sine_x, cosine_y, sine_y = self._waves
+        columns = along.real[:, :, None] * cosine_x - along.imag[:, :, None] * sine_x
+        rows = np.cos(up)[:, None] * cosine_y + np.sin(up)[:, None] * sine_y
         return rows @ transfer @ columns
+
+    def narrowed(self, point: Array, covariance: Array) -> "PointModel":
+        """Return the model without the frequencies that reach no pixel, at a peak and around it.
+
+        What is left out holds less than `NEGLIGIBLE` of the picture's height along every axis of the posterior, out to
+        `MARGIN_SD`.
+        """
+        walls = self.prior.bounds[self.prior.chosen]
+        away = MARGIN_SD * root_of(covariance).T
+        places = np.clip(np.concatenate([point[None], point + away, point - away]), walls[:, 0], walls[:, 1])
+        fx, fy = self.grid
+        height = np.abs(self.modulus(places, fx, fy, self.halo_table) * self.fixed_part)
+        # Heights that lie beyond each frequency, rows' and columns' alike as the grid's two ends go together.
+        beyond = np.maximum(np.broadcast_to(fx, height.shape[1:]), np.broadcast_to(fy / UP, height.shape[1:])).ravel()
+        order = np.argsort(beyond)
+        lost = np.cumsum(height.reshape(len(places), -1)[:, order][:, ::-1], axis=1)
+        clear = np.all(lost <= NEGLIGIBLE * lost[:, -1:], axis=0)
+        top = float(beyond[order][::-1][int(np.argmin(clear))]) + 1e-9
+        return self if top >= beyond.max() else replace(self, optics=replace(self.optics, top=top))
 
     def rings(self, theta: Array) -> Array:
         """Return the rings' means per unit light, shape (n, ring), 1/px^2."""

@@ -76,8 +76,8 @@ class Prior:
         return np.array([NAMES.index(name) for name in self.free])
 
     def named(self, theta: Array) -> dict[str, Array]:
-        """Return every parameter by name, shape (n,) each."""
-        held = {name: np.full(len(theta), value) for name, value in zip(NAMES, self.centre, strict=True)}
+        """Return every parameter by name, shape (n,) each, those held (1,)."""
+        held = {name: self.centre[index : index + 1] for index, name in enumerate(NAMES)}
         return held | {name: theta[:, index] for index, name in enumerate(self.free)}
 
     def halo_fraction(self, deviate: Array) -> Array:

@@ -16,13 +16,13 @@ from charact.mtf.point import distrust as point_distrust
 from charact.mtf.point import source as point_source
 from charact.mtf.point.choice import Weighed, fitted
 from charact.mtf.point.data import window_of
-from charact.mtf.point.form_fit import FormFit, PointFitter
+from charact.mtf.point.form_fit import PointFitter
 from charact.mtf.point.noise import memory_of
 from charact.mtf.point.pixels import Site
 from charact.mtf.point.pulses import dark_of
 from charact.mtf.point.table import Aperture
 from charact.mtf.region import Region
-from charact.posterior import has_several_peaks, laplace, sample
+from charact.posterior import draw, has_several_peaks, weighed
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
@@ -35,6 +35,9 @@ LEAST_LIGHT = 6.0
 # Least share of the light that pixels below full scale must hold.
 LEAST_KEPT = 0.2
 DRAWS, QUICK_DRAWS = 1000, 500
+# Effective draws by importance where the posterior of the only form is wanted quickly, draws to begin with, and the
+# least share of both that a form of little evidence gets.
+QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT = 500.0, 1000, 0.5
 MAX_STEPS = 1500
 # Rings that a disc or glare must leave bare.
 BARE_RINGS = 2
@@ -197,7 +200,7 @@ class _Task:
         self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...], crowded: bool
     ) -> Result:
         """Return measurements and curves of fitted sources."""
-        drawn = [self._posterior(fitter, one.fit, number) for number, one in enumerate(found)]
+        drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])
         flags = (
             *point_distrust.flags(sites, fitter, found, pedestals),
@@ -236,8 +239,9 @@ class _Task:
         seconds = time.perf_counter() - self.began
         return Result(measurements=tuple(m.with_(seconds=seconds) for m in measurements), curves=curves)
 
-    def _posterior(self, fitter: PointFitter, fit: FormFit, number: int) -> Posterior:
-        """Draw from one form's posterior: by Markov chain, or quickly from the curvature."""
+    def _posterior(self, fitter: PointFitter, one: Weighed, number: int) -> Posterior:
+        """Draw from one form's posterior, quickly by importance alone."""
+        fit = one.fit
         asked = {
             "names": tuple(fit.form.parameters),
             "units": tuple(unit for unit, _ in fit.form.parameters.values()),
@@ -247,9 +251,15 @@ class _Task:
             "bounds": fit.form.bounds,
             "draws": QUICK_DRAWS if self.context.quick else DRAWS,
         }
+
+        def log_probability(theta: Array) -> Array:
+            return fitter.log_probability(fit.form, theta)
+
         if self.context.quick:
-            return laplace(lambda theta: np.zeros(len(theta)), **asked)
-        return sample(lambda theta: fitter.log_probability(fit.form, theta), **asked, max_steps=MAX_STEPS)
+            share = max(one.share, LEAST_EFFORT)
+            enough, first = QUICK_ENOUGH * share, round(QUICK_FIRST * share)
+            return weighed(log_probability, **asked, enough=enough, first_draws=first)
+        return draw(log_probability, **asked, max_steps=MAX_STEPS)
 
 
 def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:

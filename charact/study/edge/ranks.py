@@ -190,7 +190,9 @@ def main() -> None:
             draw_calibration(found, FIGURES / f"ranks-{sampler}.svg")
             rows.append(told(sampler, found))
             print(rows[-1])
-    write_json(TABLE, {"draws": DRAWS, "seeds": [SEED, SEED + asked.workers - 1], "samplers": [asdict(r) for r in rows]})
+    write_json(
+        TABLE, {"draws": DRAWS, "seeds": [SEED, SEED + asked.workers - 1], "samplers": [asdict(r) for r in rows]}
+    )
 
 
 if __name__ == "__main__":

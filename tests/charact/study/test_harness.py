@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from charact.method import Context, Method, registry
 from charact.study import STUDIES, chart, run, stability, summary
@@ -13,7 +14,7 @@ from charact.study.bloom import cases as bloom_cases
 from charact.study.edge import cases as edge_cases
 from charact.study.edge.cases import chart_cases, stability_cases
 from charact.study.edge.scene import Blur, EdgeScene
-from charact.study.harness import Case
+from charact.study.harness import Case, percentile_limit
 from charact.study.point import cases as point_cases
 from charact.study.quantities import methods_of
 from labdata.errors import BadInput
@@ -112,6 +113,46 @@ def test_a_refusal_costs_the_chart_a_hundred_percent():
     assert summary(rows, "fake").ok_fraction == 0
 
 
+@pytest.mark.parametrize("count", [60, 100, 200])
+def test_the_limit_of_a_percentile_lies_above_it_as_often_as_it_says(count, seed):
+    """Whatever the distribution; a share p of n trials errs by sqrt(p (1 - p) / n)."""
+    rng, trials = np.random.default_rng(seed), 2000
+    errors = rng.lognormal(0.0, 1.0, (trials, count))
+    percentile = np.exp(1.6448536)
+    above = np.mean([percentile_limit(one) > percentile for one in errors])
+    k = next(k for k in range(1, count + 1) if binom.cdf(k - 1, count, 0.95) >= 0.95)
+    promised = binom.cdf(k - 1, count, 0.95)
+    assert promised >= 0.95
+    assert above == pytest.approx(promised, abs=4.5 * np.sqrt(promised * (1.0 - promised) / trials))
+
+
+def test_the_limit_of_few_errors_is_the_largest_and_of_many_is_not():
+    assert percentile_limit(np.arange(24.0)) == 23.0
+    assert percentile_limit(np.arange(59.0)) == 58.0
+    assert 190.0 < percentile_limit(np.arange(200.0)) < 199.0
+
+
+def test_a_refusal_counts_in_the_limit_as_a_hundred_percent():
+    rows = run([_method("fake", _answering(TRUTH * 1.01, 0.01))], [_case()] * 3, context=Context())
+    assert summary(rows, "fake").error_limit_percent == pytest.approx(1.0)
+    rows += run([_method("fake", _refusing)], [_case()], context=Context())
+    assert summary(rows, "fake").error_limit_percent == 100
+
+
+def test_auto_wants_a_method_whose_errors_are_surely_within_the_tolerance(monkeypatch):
+    """One is quicker, and by luck of a few cases within 2 %; it is taken where its upper limit is within as well."""
+    methods = (_method("edge-good", _refusing, preferred=True), _method("edge-lucky", _refusing))
+    rows = [
+        {"method": "edge-lucky", "error_percent": 1.6, "error_limit_percent": 2.7, "seconds": 0.1},
+        {"method": "edge-good", "error_percent": 1.2, "error_limit_percent": 1.9, "seconds": 1.0},
+    ]
+    monkeypatch.setattr(registry, "METHODS", {("edge", method.name): method for method in methods})
+    monkeypatch.setattr(registry, "chart_table", lambda quantity: rows)
+    assert registry.choose("edge", within_percent=2.0).name == "edge-good"
+    assert registry.choose("edge", within_percent=3.0).name == "edge-lucky"
+    assert registry.choose("edge", within_percent=1.0).name == "edge-good"
+
+
 def test_auto_takes_the_cheaper_method_within_tolerance(tmp_path, monkeypatch):
     methods = (
         _method("edge-good", _exact(0.001, 0.02), preferred=True),
@@ -128,6 +169,7 @@ def test_auto_takes_the_cheaper_method_within_tolerance(tmp_path, monkeypatch):
     assert registry.choose("edge", within_percent=2.0).name == "edge-cheap"
     assert registry.choose("edge", within_percent=0.5).name == "edge-good"
     assert all(path.is_file() and path.stat().st_size > 1000 for path in result.files)
+    assert all(row["error_limit_percent"] >= row["error_percent"] for row in table["methods"])
     assert "edge-cheap" in result.text()
 
 

@@ -1,0 +1,79 @@
+"""`auto` says where the tolerance that it was given may not be met: by the chart, or by a number's own interval."""
+
+import numpy as np
+import pytest
+
+from charact import mtf
+from charact.method import Context, registry
+from charact.method.tolerance import beyond_note, meets, short_note
+from charact.study.bars.scene import BarScene
+from charact.study.edge.scene import EdgeScene
+from charact.study.point.scene import PointScene
+from labdata.measurement import measured, refused
+
+QUICK = Context(quick=True)
+
+
+def number(value, low, high, **fields):
+    return measured("mtf50", "cy/px", value, (low, high), (low, high), method="fake", **fields)
+
+
+def test_the_further_end_of_the_interval_is_what_counts():
+    """0.2 is 1.5 % from its lower end and 3 % from its upper one."""
+    found = number(0.2, 0.197, 0.206)
+    assert beyond_note(found, 3.01) is None
+    assert beyond_note(found, 2.0) == (
+        "95 % interval reaches 3 % from the value, more than the 2 % asked for (--within)."
+    )
+    assert beyond_note(refused("mtf50", "cy/px", "nothing to see", method="fake"), 2.0) is None
+
+
+def test_a_method_meets_a_tolerance_by_the_upper_limit_of_its_errors_where_the_chart_has_one():
+    assert meets({"error_percent": 1.6}, 2.0)
+    assert not meets({"error_percent": 1.6, "error_limit_percent": 2.4}, 2.0)
+    assert meets({"error_percent": 1.6, "error_limit_percent": 1.9}, 2.0)
+
+
+def test_where_no_method_meets_the_tolerance_the_chart_says_how_near_it_came():
+    rows = [
+        {"method": "one", "error_percent": 1.64, "error_limit_percent": 2.4},
+        {"method": "other", "error_percent": 5.0, "error_limit_percent": 9.0},
+    ]
+    assert short_note(rows, "one", 3.0) is None
+    said = short_note(rows, "one", 2.0)
+    assert said is not None
+    assert "within the 2 % asked for" in said
+    assert "one was within 1.6 %" in said
+    assert short_note([], "one", 2.0) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "scene", "target", "quantity"),
+    [
+        ("edge", EdgeScene(), {}, "mtf50"),
+        ("bars", BarScene(), {"bars": BarScene().bars, "frequency_cy_per_px": BarScene().frequency_cy_per_px}, "mtf"),
+        ("point", PointScene(), {}, "mtf50"),
+    ],
+)
+def test_only_numbers_that_auto_was_to_measure_better_are_told(kind, scene, target, quantity, seed, monkeypatch):
+    """Asked for half and for twice as much as the interval reaches; a method that was named was asked for nothing."""
+    rows = [{"method": name, "error_percent": 0.0, "seconds": 1.0} for name in registry.of_kind(kind)]
+    monkeypatch.setattr(registry, "chart_table", lambda _: rows)
+    stack = scene.frames_drawn(np.random.default_rng(seed))
+
+    def notes(within_percent, method="auto"):
+        found = mtf.measure(kind, stack, method=method, within_percent=within_percent, context=QUICK, **target)
+        told = [m for m in found.measurements if any("(--within)" in note for note in m.notes)]
+        assert {m.quantity for m in told} <= {quantity}
+        return found.find(quantity)[0], len(told)
+
+    plain, none = notes(1000.0)
+    reach = 100 * max(plain.value - plain.interval95[0], plain.interval95[1] - plain.value) / plain.value
+    assert none == 0
+    strict, told = notes(reach / 2)
+    assert told >= 1
+    assert f"{reach:.2g} % from the value" in strict.notes[-1]
+    assert strict.flags == plain.flags
+    assert notes(reach / 2, method=plain.method)[1] == 0
+    monkeypatch.setattr(registry, "chart_table", lambda _: [{**row, "error_limit_percent": 2000.0} for row in rows])
+    assert "No method is surely within the 1000 % asked for" in notes(1000.0)[0].notes[-1]

@@ -1,0 +1,49 @@
+"""Ranks of true blurs among posterior draws of edges: even where the posterior is right, and told where it is not."""
+
+import numpy as np
+import pytest
+
+from charact.mtf.edge.fit.family_fit import FamilyFitter
+from charact.study.edge import ranks
+from charact.study.edge.ranks import EXPONENT, HALF_FREQUENCY, blur_of, told, truth
+
+TRIALS = 40
+
+
+def test_truths_come_from_the_prior_that_the_posterior_is_told(seed):
+    rng = np.random.default_rng(seed)
+    half, exponent, mtf50 = np.array([truth(rng) for _ in range(300)]).T
+    low, high = np.log(HALF_FREQUENCY)
+    assert np.all((half > low) & (half < high))
+    # Even: mean in the middle, within 4.5 standard errors of a uniform density.
+    assert half.mean() == pytest.approx((low + high) / 2, abs=4.5 * (high - low) / np.sqrt(12 * 300))
+    assert np.all((exponent > EXPONENT[0]) & (exponent < EXPONENT[1]))
+    assert np.all(mtf50 < np.exp(half))
+
+
+def test_a_blur_falls_to_one_half_at_its_half_frequency():
+    for half, exponent in ((np.log(0.2), 1.2), (np.log(0.1), 2.0)):
+        blur = blur_of(half, exponent)
+        assert np.exp(-((np.exp(half) / blur.frequency_cy_per_px) ** blur.exponent)) == pytest.approx(0.5)
+
+
+def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(seed, monkeypatch):
+    right = ranks.ranks("importance", TRIALS, seed)
+    assert right.probability > 1e-4
+    cover = right.coverage(0.68)
+    assert np.all(np.abs(cover - 0.68) < 4.5 * np.sqrt(0.68 * 0.32 / TRIALS))
+    honest = FamilyFitter.log_probability
+
+    def surer(self, family, slope):
+        known = honest(self, family, slope)
+        return lambda theta: 9.0 * known(theta)
+
+    monkeypatch.setattr(FamilyFitter, "log_probability", surer)
+    assert ranks.ranks("importance", TRIALS, seed).coverage(0.68).max() < 0.55
+
+
+def test_what_is_told_counts_the_truths(seed):
+    found = ranks.ranks("importance", 12, seed)
+    row = told("importance", found)
+    assert row.trials == 12
+    assert all(sum(counts) == 12 - row.flagged for counts in row.histograms.values())
