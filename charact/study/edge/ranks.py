@@ -1,7 +1,7 @@
 """Ranks of true blurs among draws from the posteriors of edges: `make calibration` draws table and figure.
 
-Truths come from the prior that the posterior is told, frames from the study's own edges. What is ranked is what users get
-of the form of tubes: its likelihood with the noise that an edge's pixels show, drawn from by Markov chain and by
+Truths come from the prior that the posterior is told, frames from the study's own edges. What is ranked is what users
+get of the form of tubes: its likelihood with the noise that an edge's pixels show, drawn from by Markov chain and by
 importance.
 """
 

@@ -60,7 +60,7 @@ class Gathered:
 
 
 def coarser(gathered: Gathered) -> Gathered:
-    """Return the band with bins twice as wide, in which the narrower ones lie whole; pixels beyond the last are left."""
+    """Return the band with bins twice as wide, which hold the narrower ones whole; pixels beyond the last are left."""
     borders = _borders((-gathered.borders[0], gathered.borders[-1]), wider=2)
     middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
     into = np.searchsorted(borders, middle) - 1
