@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "calibration.json"
 FIGURES = Path("docs/mtf")
 FORM = Family(core="exponential")
-NAMES = ("ln half frequency", "exponent", "MTF50")
+NAMES: tuple[str, ...] = ("ln half frequency", "exponent", "MTF50")
 # The prior of half frequency, cycles per pixel, even in ln; that of the exponent is the method's, cut to what tubes
 # and lenses have.
 HALF_FREQUENCY, EXPONENT = (0.08, 0.4), (1.0, 2.6)
