@@ -48,10 +48,10 @@ def _at_level(sensor, level: float):
 
 def lines(rows: Sequence["Beside"]) -> Iterator[str]:
     """The table for a terminal."""
-    yield f"\n{'quantity':44} {'stack':12} {'truth':>10} {'measured':>26} {'z':>6}  status"
+    yield f"\n{'quantity':44} {'stack, or method':18} {'truth':>10} {'measured':>26} {'z':>6}  status"
     for row in rows:
         m = row.measurement
         name = m.quantity if m.frequency_cy_per_px is None else f"{m.quantity} at {m.frequency_cy_per_px:.3g} cy/px"
         unit = "" if m.unit == "1" else f" {m.unit}"
         measured = f"{row.measured_text}{unit}"
-        yield f"{name:44} {m.stack or '':12} {row.truth_text:>10} {measured:>26} {row.z:6.2f}  {m.status}"
+        yield f"{name:44} {m.stack or m.method:18} {row.truth_text:>10} {measured:>26} {row.z:6.2f}  {m.status}"

@@ -27,8 +27,7 @@ def beyond_note(measurement: Measurement, within_percent: float) -> str | None:
     reach = reach_percent(measurement.value, measurement.interval95)
     if reach <= within_percent:
         return None
-    asked = f"{within_percent:g} % asked for (--within)"
-    return f"95 % interval reaches {reach:.2g} % from the value, more than the {asked}."
+    return f"95 % interval reaches {reach:.2g} % from the value, more than --within {within_percent:g} %."
 
 
 def short_note(rows: list[dict[str, Any]], method: str, within_percent: float) -> str | None:
@@ -37,6 +36,6 @@ def short_note(rows: list[dict[str, Any]], method: str, within_percent: float) -
     if not own or any(meets(row, within_percent) for row in rows):
         return None
     return (
-        f"No method is surely within the {within_percent:g} % asked for (--within) in 95 of 100 charted cases; "
+        f"No method surely meets --within {within_percent:g} % in 95 of 100 charted cases; "
         f"{method} was within {own[0]:.2g} %."
     )

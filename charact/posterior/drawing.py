@@ -30,18 +30,8 @@ def draw(
 
     Parameters
     ----------
-    log_probability
-        Vectorised: points (n, parameter) -> (n,), -inf outside the bounds, never NaN.
-    names, units
-        Name and unit of each parameter.
-    start, covariance
-        The peak, shape (parameter,), and covariance there, shape (parameter, parameter).
-    seed
-        Seed of every draw.
-    bounds
-        Shape (parameter, 2), infinite where there is none.
-    draws
-        Number of draws kept.
+    log_probability, names, units, start, covariance, seed, bounds, draws
+        As of `charact.posterior.weighed`.
     max_steps
         Steps of each ensemble after which a Markov chain is given up.
 

@@ -1,7 +1,7 @@
 """What an edge's fit gives away: measurements, curve and evidence, from the draws of its MTF."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -80,41 +80,12 @@ class Outcome:
 
 def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     """Return measurements, curve and evidence of a fitted edge."""
-    edge, profile, used = outcome.edge, outcome.edge.profile, outcome.edge.used
+    edge = outcome.edge
     # One evaluation serves the pinned frequencies, the curve and where to look for the levels.
     draws = outcome.mtf(np.concatenate([COARSE, PINNED, np.maximum(REPORTED, 1e-6)]))
     coarse, pinned, curve = np.split(draws, [COARSE.size, COARSE.size + len(PINNED)], axis=1)
     halves, tenths = (_crossings(outcome, coarse, level) for level in (0.5, 0.1))
-    half = float(np.nanmedian(halves))
-    hidden_flags, hidden_notes = _hidden_by_response(outcome, halves, context)
-    flags = (
-        *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
-        *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
-        *edge_checks.fit_flags(edge.picture, profile, outcome.fitted, half if half > 0 else 0.01),
-        *(response_flags(*outcome.response) if outcome.response else ()),
-        *noise_flags(edge.profile),
-        *hidden_flags,
-        *_posterior_flags(outcome.posterior, context),
-        *outcome.flags,
-        *edge.flags,
-    )
-    black = {} if profile.black is None else {"black_dn": profile.black}
-    provenance = Provenance(
-        version=charact.__version__, seed=context.seed, settings={"quick": context.quick, **black, **outcome.settings}
-    )
-    common = {
-        "method": outcome.method,
-        "flags": tuple(dict.fromkeys(flags)),
-        "notes": (
-            *edge.notes,
-            *_notes(profile, used, context),
-            *hidden_notes,
-            *outcome.notes,
-        ),
-        "region": edge.where,
-        "orientation_deg": orientation_deg(edge.picture, profile.angle_rad),
-        "provenance": provenance,
-    }
+    common = _common(outcome, halves, context)
     measurements = [
         _level("mtf50", 0.5, halves, outcome.posterior, common),
         _level("mtf10", 0.1, tenths, outcome.posterior, common),
@@ -125,8 +96,40 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
     return Result(
         measurements=tuple(m.with_(seconds=seconds) for m in measurements),
         curves={"mtf": _curve(curve)},
-        evidence={"edge-spread": _edge_spread(edge.picture, profile, outcome.fitted)},
+        evidence={"edge-spread": _edge_spread(edge.picture, edge.profile, outcome.fitted)},
     )
+
+
+def _common(outcome: Outcome, halves: Array, context: Context) -> dict[str, Any]:
+    """Return what all measurements of an edge share."""
+    edge, profile = outcome.edge, outcome.edge.profile
+    hidden_flags, hidden_notes = _hidden_by_response(outcome, halves, context)
+    black = {} if profile.black is None else {"black_dn": profile.black}
+    provenance = Provenance(
+        version=charact.__version__, seed=context.seed, settings={"quick": context.quick, **black, **outcome.settings}
+    )
+    return {
+        "method": outcome.method,
+        "flags": tuple(dict.fromkeys((*_flags(outcome, halves, context), *hidden_flags))),
+        "notes": (*edge.notes, *_notes(profile, edge.used, context), *hidden_notes, *outcome.notes),
+        "region": edge.where,
+        "orientation_deg": orientation_deg(edge.picture, profile.angle_rad),
+        "provenance": provenance,
+    }
+
+
+def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
+    """Yield what picture, course, fit, noise and posterior of an edge give to distrust."""
+    edge, used, half = outcome.edge, outcome.edge.used, float(np.nanmedian(halves))
+    yield from edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn)
+    yield from edge_checks.line_flags(edge.picture, edge.rows, edge.profile)
+    yield from edge_checks.fit_flags(edge.picture, edge.profile, outcome.fitted, half if half > 0 else 0.01)
+    if outcome.response:
+        yield from response_flags(*outcome.response)
+    yield from noise_flags(edge.profile)
+    yield from _posterior_flags(outcome.posterior, context)
+    yield from outcome.flags
+    yield from edge.flags
 
 
 def _curve(draws: Array) -> Curve:

@@ -22,9 +22,7 @@ def test_the_further_end_of_the_interval_is_what_counts():
     """0.2 is 1.5 % from its lower end and 3 % from its upper one."""
     found = number(0.2, 0.197, 0.206)
     assert beyond_note(found, 3.01) is None
-    assert beyond_note(found, 2.0) == (
-        "95 % interval reaches 3 % from the value, more than the 2 % asked for (--within)."
-    )
+    assert beyond_note(found, 2.0) == ("95 % interval reaches 3 % from the value, more than --within 2 %.")
     assert beyond_note(refused("mtf50", "cy/px", "nothing to see", method="fake"), 2.0) is None
 
 
@@ -42,7 +40,7 @@ def test_where_no_method_meets_the_tolerance_the_chart_says_how_near_it_came():
     assert short_note(rows, "one", 3.0) is None
     said = short_note(rows, "one", 2.0)
     assert said is not None
-    assert "within the 2 % asked for" in said
+    assert "surely meets --within 2 %" in said
     assert "one was within 1.6 %" in said
     assert short_note([], "one", 2.0) is None
 
@@ -76,4 +74,4 @@ def test_only_numbers_that_auto_was_to_measure_better_are_told(kind, scene, targ
     assert strict.flags == plain.flags
     assert notes(reach / 2, method=plain.method)[1] == 0
     monkeypatch.setattr(registry, "chart_table", lambda _: [{**row, "error_limit_percent": 2000.0} for row in rows])
-    assert "No method is surely within the 1000 % asked for" in notes(1000.0)[0].notes[-1]
+    assert "No method surely meets --within 1000 %" in notes(1000.0)[0].notes[-1]
