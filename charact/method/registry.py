@@ -114,13 +114,6 @@ def chart_table(quantity: str) -> list[dict[str, Any]]:
     return json.loads(path.read_text())["methods"] if path.is_file() else []
 
 
-def charted(kind: str) -> list[dict[str, Any]]:
-    """Rows of the table by which `auto` chooses among the methods of a kind; empty if they were never charted."""
-    methods = of_kind(kind)
-    quantities = [method.quantities[0] for method in methods.values() if method.preferred]
-    return [row for quantity in quantities[:1] for row in chart_table(quantity) if row["method"] in methods]
-
-
 def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Method:
     """Return the method of a name, or for "auto" the cheapest whose measured error meets the tolerance.
 
@@ -145,7 +138,7 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
         raise BadInput(
             f"the kind of target must be one of {', '.join(sorted({of for of, _ in METHODS}))}, got {kind!r}"
         )
-    rows = charted(kind)
+    rows = [row for row in chart_table(preferred.quantities[0]) if row["method"] in methods]
     if not rows:
         return preferred
     inside = [row for row in rows if meets(row, within_percent)]

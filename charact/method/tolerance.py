@@ -28,14 +28,3 @@ def beyond_note(measurement: Measurement, within_percent: float) -> str | None:
     if reach <= within_percent:
         return None
     return f"95 % interval reaches {reach:.2g} % from the value, more than --within {within_percent:g} %."
-
-
-def short_note(rows: list[dict[str, Any]], method: str, within_percent: float) -> str | None:
-    """Return the sentence where the rows of a chart hold no method that meets a tolerance; None where one does."""
-    own = [row["error_percent"] for row in rows if row["method"] == method]
-    if not own or any(meets(row, within_percent) for row in rows):
-        return None
-    return (
-        f"No method surely meets --within {within_percent:g} % in 95 of 100 charted cases; "
-        f"{method} was within {own[0]:.2g} %."
-    )

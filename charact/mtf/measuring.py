@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context, Method, choose
-from charact.method.registry import charted
-from charact.method.tolerance import beyond_note, short_note
+from charact.method.tolerance import beyond_note
 from charact.mtf.region import Region
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -42,8 +41,7 @@ def measure(
     method
         Name of a registered method, or "auto".
     within_percent
-        Tolerance that "auto" must meet, percent. Where the chart or a number's own interval says that it may not, a
-        note does.
+        Tolerance that "auto" must meet, percent; a note says so where a number's own interval reaches further.
     context
         Seed, speed and camera.
     target
@@ -66,18 +64,17 @@ def measure(
     chosen = choose(kind, described or method, within_percent=within_percent)
     found = chosen.function(stack, region=region, context=context, **target)
     if method == "auto":
-        rows = [] if described else charted(kind)
-        found = _told(found, chosen, within_percent, short_note(rows, chosen.name, within_percent))
+        found = _told(found, chosen, within_percent)
     return found if stack.plane == "mono" else _of_plane(found, stack.plane)
 
 
-def _told(found: Result, chosen: Method, within_percent: float, short: str | None) -> Result:
+def _told(found: Result, chosen: Method, within_percent: float) -> Result:
     """Return a result whose numbers of the charted quantity say where the tolerance asked for may not be met."""
 
     def told(one: Measurement) -> Measurement:
         if one.quantity != chosen.quantities[0] or one.status == "refused":
             return one
-        note = beyond_note(one, within_percent) or short
+        note = beyond_note(one, within_percent)
         return one if note is None else one.with_(notes=(*one.notes, note))
 
     return replace(found, measurements=tuple(told(one) for one in found.measurements))

@@ -187,7 +187,8 @@ def main() -> None:
     with ProcessPoolExecutor(asked.workers, mp_context=get_context("spawn")) as pool:
         for sampler in SAMPLERS:
             found = together(list(pool.map(partial(ranks, sampler, each), range(SEED, SEED + asked.workers))))
-            draw_calibration(found, FIGURES / f"ranks-{sampler}.svg")
+            # Pages show pictures as PNG, which lies beside the drawing.
+            draw_calibration(found, FIGURES / f"ranks-{sampler}.svg").unlink()
             rows.append(told(sampler, found))
             print(rows[-1])
     write_json(

@@ -1,11 +1,13 @@
 """Ranks of true blurs among posterior draws of edges: even where the posterior is right, and told where it is not."""
 
+import json
+
 import numpy as np
 import pytest
 
 from charact.mtf.edge.fit.family_fit import FamilyFitter
 from charact.study.edge import ranks
-from charact.study.edge.ranks import EXPONENT, HALF_FREQUENCY, blur_of, told, truth
+from charact.study.edge.ranks import EXPONENT, HALF_FREQUENCY, NAMES, SAMPLERS, TABLE, blur_of, told, truth
 
 TRIALS = 40
 
@@ -40,6 +42,20 @@ def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(see
 
     monkeypatch.setattr(FamilyFitter, "log_probability", surer)
     assert ranks.ranks("importance", TRIALS, seed).coverage(0.68).max() < 0.55
+
+
+def test_the_committed_ranks_are_even_for_both_samplers():
+    """600 truths each: unevenness as large has a chance over one in a thousand, and intervals hold as they say."""
+    table = json.loads(TABLE.read_text())
+    assert [row["sampler"] for row in table["samplers"]] == list(SAMPLERS)
+    for row in table["samplers"]:
+        kept = row["trials"] - row["flagged"]
+        assert kept >= 0.95 * row["trials"] >= 550
+        assert row["probability"] > 1e-3
+        for name in NAMES:
+            assert sum(row["histograms"][name]) == kept
+            assert abs(row["cover68"][name] - 0.68) < 3.5 * np.sqrt(0.68 * 0.32 / kept)
+            assert abs(row["cover95"][name] - 0.95) < 3.5 * np.sqrt(0.95 * 0.05 / kept)
 
 
 def test_what_is_told_counts_the_truths(seed):
