@@ -77,17 +77,17 @@ def weighed(
     mixture, points = [(first, first_draws)], first.draw(rng, first_draws)
     heights = _heights(log_probability, space, points)
     # How densely all that was drawn lies at each point: densities add up, so that old points need the new one only.
-    drawn = _drawn(mixture, points)
+    drawn, unit = _drawn(mixture, points), points @ first.inverse.T
     while True:
         weight = _weights(heights - drawn)
         effective = 1.0 / float(np.sum(weight**2))
         if effective >= enough or len(mixture) > MOST_ADDED:
             break
-        more = _added(points, weight, first), MORE_DRAWS
+        more = _added(points, unit, weight), MORE_DRAWS
         mixture, fresh = [*mixture, more], more[0].draw(rng, MORE_DRAWS)
         heights = np.concatenate([heights, _heights(log_probability, space, fresh)])
         drawn = np.concatenate([np.logaddexp(drawn, _drawn([more], points)), _drawn(mixture, fresh)])
-        points = np.concatenate([points, fresh])
+        points, unit = np.concatenate([points, fresh]), np.concatenate([unit, fresh @ first.inverse.T])
     picked = space.inside(points[_picked(rng, weight, draws)])
     return Posterior(
         names=names,
@@ -115,14 +115,17 @@ class _StudentT:
 
     def log_density(self, points: Array) -> Array:
         """Return ln of the density at points up to a constant that all share, shape (point,)."""
-        squares = np.sum(((points - self.place) @ self.inverse.T) ** 2, axis=1)
+        away = points @ self.inverse.T
+        away -= self.inverse @ self.place
+        squares = np.einsum("ij,ij->i", away, away)
         return -0.5 * (FREEDOM + self.place.size) * np.log1p(squares / FREEDOM) - self._log_volume
 
 
-def _added(points: Array, weight: Array, first: _StudentT) -> _StudentT:
-    """Return the density of the draws nearest to the one that weighs most."""
-    place = points[int(np.argmax(weight))]
-    away = np.sum(((points - place) @ first.inverse.T) ** 2, axis=1)
+def _added(points: Array, unit: Array, weight: Array) -> _StudentT:
+    """Return the density of the draws nearest to the one that weighs most, in units of the first density."""
+    heaviest = int(np.argmax(weight))
+    place, away = points[heaviest], unit - unit[heaviest]
+    away = np.einsum("ij,ij->i", away, away)
     nearest = np.argpartition(away, min(NEAREST, away.size) - 1)[:NEAREST]
     own = 0.5 * (weight[nearest] + 1.0 / len(points))
     off = points[nearest] - place

@@ -53,7 +53,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     region
         ROW, COL, HEIGHT, WIDTH that holds the edge and its plateaus; None: the whole frame.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, whether the whole posterior or a quick answer is wanted, and the camera.
 
     Returns
     -------

@@ -20,7 +20,7 @@ from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.forms.families import Family, VeilPrior
 from charact.mtf.optics import Known, known_of
 from charact.mtf.region import Region
-from charact.posterior import laplace, sample, weighed
+from charact.posterior import draw, laplace, weighed
 from charact.posterior.diagnostics import leans_on_bound
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
@@ -45,9 +45,7 @@ SHARP = 0.5
 UNSURE, HOPELESS, TELLING = 0.1, 0.15, 100
 # Error of ln f2 up to which a wider blur's error is taken for it: the width of a blur is positive.
 WIDEST_ERROR = 0.5
-# Effective draws from a form that is not the most probable one, of which only some are wanted.
-ENOUGH = 1000.0
-# The same where the answer is wanted quickly, and draws to begin with.
+# Effective draws by importance where the answer is wanted quickly, draws to begin with, and least share of either.
 QUICK_ENOUGH, QUICK_FIRST = 300.0, 1000
 LEAST_EFFORT = 0.55
 
@@ -73,7 +71,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     region
         ROW, COL, HEIGHT, WIDTH that holds the edge and its plateaus; None: the whole frame.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, whether the whole posterior or a quick answer is wanted, and the camera.
 
     Returns
     -------
@@ -162,7 +160,7 @@ def _posterior(
     *,
     parabolic: bool,
 ) -> Posterior:
-    """Draw from one form's posterior: by Markov chain or importance, or from the curvature where a parabola serves."""
+    """Draw from one form's posterior: by importance or Markov chain, or from the curvature where a parabola serves."""
     asked = {
         "names": ("edge_shift_px", *fit.family.parameters),
         "units": ("px", *(unit for unit, _ in fit.family.parameters.values())),
@@ -177,7 +175,7 @@ def _posterior(
         posterior = replace(posterior, draws=_even_in_width(posterior.draws, float(fit.point[1])))
     else:
         known = fitter.log_probability(fit.family, fit.slope_sd_per_px)
-        posterior = _sampled(lambda theta: known(theta) / noise_scale, asked, context, first=number == 0)
+        posterior = _sampled(lambda theta: known(theta) / noise_scale, asked, context)
     if "prior-bound" not in posterior.flags:
         return posterior
     chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
@@ -195,19 +193,13 @@ def _even_in_width(draws: Array, ln_half_frequency: float) -> Array:
     return np.concatenate([draws[:, :1], (ln_half_frequency - np.log1p(-away))[:, None], draws[:, 2:]], axis=1)
 
 
-def _sampled(
-    log_probability: Callable[[Array], Array], asked: dict[str, Any], context: Context, *, first: bool
-) -> Posterior:
-    """Draw by Markov chain for the most probable form; for the others, or quickly, by importance."""
+def _sampled(log_probability: Callable[[Array], Array], asked: dict[str, Any], context: Context) -> Posterior:
+    """Draw by importance, and where that is not enough by Markov chain; where an answer is wanted quickly from less."""
     if context.quick:
         # A form of which few draws are wanted needs few to choose from.
         share = max(asked["draws"] / DRAWS, LEAST_EFFORT)
         return weighed(log_probability, **asked, enough=QUICK_ENOUGH * share, first_draws=round(QUICK_FIRST * share))
-    if not first:
-        posterior = weighed(log_probability, **asked, enough=ENOUGH)
-        if posterior.effective_sample_size.min() >= ENOUGH:
-            return posterior
-    return sample(log_probability, **asked, max_steps=MAX_STEPS)
+    return draw(log_probability, **asked, max_steps=MAX_STEPS)
 
 
 def _flags(fitter: FamilyFitter, fits: list[Weighed]) -> tuple[str, ...]:

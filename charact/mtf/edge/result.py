@@ -32,7 +32,7 @@ LEAST_SURE = 0.14
 # one, up to that from which on nothing is sure: forms and noise are themselves chosen by the data, and an unsure edge
 # may hide more. Errors of a frequency grow with it, about as its square: where the answer came out low, it looks surer
 # than it is, and four deviations reach further up than down. Errors of a modulus lean to neither side.
-MARGIN, MORE_BELOW_ABOVE, MORE_EVENLY = 1.04, (1.0, 3.0), (2.0, 2.0)
+MARGIN, MORE_BELOW_ABOVE, MORE_EVENLY = 1.03, (1.0, 3.0), (2.0, 2.0)
 # Ln of the odds by which noise must speak against a curved response for nothing to be said of one.
 STRAIGHT_LN_ODDS = -0.5
 # Every so many of the fine frequencies tell between which of them a curve falls to a level.

@@ -5,6 +5,7 @@ parameter.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -154,7 +155,7 @@ class Family:
     @property
     def bounds(self) -> Array:
         """Bounds of the parameters, shape (parameter, 2)."""
-        return np.array([bound for _, bound in self.parameters.values()])
+        return _bounds(self)
 
     @property
     def core_parameters(self) -> int:
@@ -195,7 +196,19 @@ class Family:
 
     def prior_precision(self) -> tuple[Array, Array]:
         """Return mean and precision of the Gaussian part of the prior of each parameter; 0: flat."""
-        mean, precision = np.zeros((2, len(self.bounds)))
-        if self.core == "exponential":
-            mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
-        return mean, precision
+        return _prior_precision(self)
+
+
+@lru_cache(maxsize=256)
+def _bounds(family: Family) -> Array:
+    bounds = np.array([bound for _, bound in family.parameters.values()])
+    bounds.flags.writeable = False
+    return bounds
+
+
+@lru_cache(maxsize=256)
+def _prior_precision(family: Family) -> tuple[Array, Array]:
+    mean, precision = np.zeros((2, len(family.bounds)))
+    if family.core == "exponential":
+        mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
+    return mean, precision

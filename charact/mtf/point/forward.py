@@ -61,7 +61,7 @@ def point_forward(
     pinhole_px
         Diameter of the source's image, column pitches; its own transfer is divided out. None: a point.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, whether the whole posterior or a quick answer is wanted, and the camera.
 
     Returns
     -------

@@ -77,7 +77,7 @@ def point_parametric(
         Diameter of the source's image, column pitches, whose transfer is divided out, or the bounds between which it
         is unknown. None: a point.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, whether the whole posterior or a quick answer is wanted, and the camera.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """Light beyond the core of an edge's blur: whether it is worth a fit, where to begin; other departures of a form."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -21,6 +21,7 @@ SIZES = 9
 FIRST_ITERATIONS = 5
 # Shares of light, of the range that they may have, over which evidence is summed; ln of the largest that is told.
 SHARES, LARGEST = 100, 50.0
+LEAST_ODDS = 1e-300
 # How far apart in ln two sizes must be to lead elsewhere.
 APART = 0.5
 
@@ -32,7 +33,7 @@ class Promise:
     Parameters
     ----------
     core, wide
-        The fitted core and the light beyond it.
+        The core as it was fitted, under the prior of the light's slopes that is asked about, and the light beyond it.
     gains
         Of chi squared by each size, to first order, shape (size,); light that would have to be taken away gains
         nothing.
@@ -40,8 +41,9 @@ class Promise:
         Evidence for such light of any share and size over that for none, to first order.
     ln_weight
         ln of its probability before the data over that of none.
-    starts
-        Where a fit with each size begins, shape (size, parameter).
+    points, shares, shapes
+        Where a fit with each size begins: the core's parameters, the share of light and its shape, shapes
+        (size, parameter), (size,) and (size, shape).
     """
 
     core: FamilyFit
@@ -49,51 +51,107 @@ class Promise:
     gains: Array
     odds: float
     ln_weight: float
-    starts: Array
+    points: Array
+    shares: Array
+    shapes: Array
+
+    @property
+    def log_evidence(self) -> float:
+        """ln of the evidence of the core with such light, to first order."""
+        return self.core.log_evidence + float(np.log(max(self.odds, LEAST_ODDS))) + self.ln_weight
+
+    def start(self, size: int) -> Array:
+        """Return where a fit with one of the sizes begins."""
+        return np.concatenate([self.points[size], self.shares[size, None], self.shapes[size]])
 
 
-def promises(fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...]) -> list[Promise]:
-    """Return what each kind of light beyond a core may gain; before the data all are together as likely as none."""
+def promises(
+    fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...], least_gains: Mapping[float, float]
+) -> list[Promise]:
+    """Return what each kind of light beyond a core may gain; before the data all are together as likely as none.
+
+    Parameters
+    ----------
+    least_gains
+        For each prior of the illumination's slopes that is asked about the gain of chi squared that is worth telling.
+    """
     if not wides:
         return []
     maps, step = fitter.maps, abs(fitter.profile.step)
-    shapes, changes = zip(*(_tried(wide, maps.grid.tobytes()) for wide in wides), strict=True)
+    asked = [tried(wide, maps.grid.tobytes()) for wide in wides]
     core = maps.shifted(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
-    away = maps.white(core * np.concatenate(changes)) * step
-    amplitude, precision, moved = amplitudes(fit.residual, fit.design, fit.off, fit.precision, away)
-    amplitude, precision = amplitude * step / fit.amplitude[0], precision * (fit.amplitude[0] / step) ** 2
-    limits = fitter.bounds(fit.family)
-    # Half a step of the core: what the light beyond it changes is not small.
-    cores = np.clip(fit.point + 0.5 * moved, limits[:, 0], limits[:, 1])
-    ends = np.cumsum([len(shape) for shape in shapes])[:-1]
-    parts = zip(wides, shapes, *(np.split(one, ends) for one in (amplitude, precision, cores)), strict=True)
+    away = maps.white(core * np.concatenate([one.change for one in asked])) * step
     return [
-        Promise(
-            core=fit,
-            wide=wide,
-            gains=np.where(height > 0, height * (height * power), 0.0),
-            odds=_odds(wide, shape, height, power),
-            ln_weight=-float(np.log(len(wides))),
-            starts=np.concatenate([start, _share(wide, shape, height)[:, None], shape], axis=1),
-        )
-        for wide, shape, height, power, start in parts
+        promise
+        for slope, least_gain in least_gains.items()
+        for promise in _promised(fitter, fitter.under(fit, slope), asked, away, least_gain)
     ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Tried:
+    """Light beyond the core of some sizes, the same for many edges.
+
+    Parameters
+    ----------
+    wide
+        Its kind.
+    shapes
+        Its sizes and what else shapes it, shape (size, parameter).
+    unit
+        Share of light for a share of one in its parameters, shape (size,).
+    change
+        Its transfer less one, shape (size, node).
+    """
+
+    wide: Wide
+    shapes: Array
+    unit: Array
+    change: Array
+
+
 @lru_cache(maxsize=64)
-def _tried(wide: Wide, grid_bytes: bytes) -> tuple[Array, Array]:
-    """Return sizes and shapes of light beyond the core, and its transfer less one: the same for many edges."""
+def tried(wide: Wide, grid_bytes: bytes) -> Tried:
+    """Return light of some sizes beyond the core, on the nodes of the transfer."""
     bounds = np.array([bound for _, bound in wide.parameters.values()])
     sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, SIZES)
     others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
     shapes = np.array([[size, *other] for other in others for size in sizes])
-    return shapes, wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
+    change = wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
+    return Tried(wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change)
 
 
-def _odds(wide: Wide, shape: Array, amplitude: Array, precision: Array) -> float:
+def _promised(
+    fitter: FamilyFitter, fit: FamilyFit, asked: Sequence[Tried], away: Array, least_gain: float
+) -> Iterator[Promise]:
+    """Yield what each kind of light beyond a core gains, where enough, from whitened shapes, shape (size, bin)."""
+    scale = abs(fitter.profile.step) / fit.amplitude[0]
+    amplitude, precision, moved = amplitudes(fit.residual, fit.design, fit.off, fit.precision, away)
+    amplitude, precision = amplitude * scale, precision / scale**2
+    gains = np.where(amplitude > 0, amplitude * (amplitude * precision), 0.0)
+    low, high = fitter.bounds(fit.family).T
+    first = 0
+    for one in asked:
+        own = slice(first, first := first + len(one.shapes))
+        if gains[own].max() < least_gain:
+            continue
+        yield Promise(
+            core=fit,
+            wide=one.wide,
+            gains=gains[own],
+            odds=odds_of(one, amplitude[own], precision[own]),
+            ln_weight=-float(np.log(len(asked))),
+            # Half a step of the core: what the light beyond it changes is not small.
+            points=np.clip(fit.point + 0.5 * moved[own], low, high),
+            shares=np.minimum(np.clip(amplitude[own], 0.02, 0.3) / one.unit, one.wide.fraction[1]),
+            shapes=one.shapes,
+        )
+
+
+def odds_of(light: Tried, amplitude: Array, precision: Array) -> float:
     """Return the evidence for light beyond the core over that for none: shares and sizes even within their bounds."""
-    unit = wide.share_unit(shape)[:, 0]
-    return float(_mean_ratios(*wide.fraction, unit, amplitude, precision) @ shape[:, 0]) / float(shape[:, 0].sum())
+    sizes = light.shapes[:, 0]
+    return float(_mean_ratios(*light.wide.fraction, light.unit, amplitude, precision) @ sizes) / float(sizes.sum())
 
 
 @njit(cache=True)
@@ -112,11 +170,6 @@ def _mean_ratios(low: float, high: float, unit: Array, amplitude: Array, precisi
     return out
 
 
-def _share(wide: Wide, shape: Array, amplitude: Array) -> Array:
-    """Return the share of light with which a fit begins."""
-    return np.minimum(np.clip(amplitude, 0.02, 0.3) / wide.share_unit(shape)[:, 0], wide.fraction[1])
-
-
 def fit_wide(fitter: FamilyFitter, promise: Promise, hopeless_cost: float) -> FamilyFit | None:
     """Fit a core with light beyond it, from the size that promises most and another far from it.
 
@@ -125,12 +178,12 @@ def fit_wide(fitter: FamilyFitter, promise: Promise, hopeless_cost: float) -> Fa
     FamilyFit or None
         The best fit; None where its beginning costs more than is hopeless.
     """
-    core, wide, starts = promise.core, promise.wide, promise.starts
+    core, wide = promise.core, promise.wide
     order = np.argsort(-promise.gains)
     family, slope = Family(core=core.family.core, wide=wide), core.slope_sd_per_px
-    sizes = np.log(starts[order, -wide.after_size])
+    sizes = np.log(promise.shapes[order, 0])
     apart = order[np.abs(sizes - sizes[0]) > APART]
-    begun = [fitter.climbed(family, starts[i], slope, FIRST_ITERATIONS) for i in (order[0], *apart[:1])]
+    begun = [fitter.climbed(family, promise.start(i), slope, FIRST_ITERATIONS) for i in (order[0], *apart[:1])]
     point, reached = min(begun, key=lambda one: one[1][-1])
     return None if reached[-1] > hopeless_cost else fitter.fit(family, point, slope, promise.ln_weight)
 

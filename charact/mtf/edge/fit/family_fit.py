@@ -1,7 +1,7 @@
 """Fitting forms of the point spread to an edge's profile: each form by Gauss-Newton, all weighed by their evidence."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -101,7 +101,6 @@ class FamilyFitter:
     def __init__(self, profile: Profile, known: Known) -> None:
         self.profile = profile
         self.maps = EdgeMaps(profile, known)
-        self._bounds: dict[Family, Array] = {}
         self._priors: dict[tuple[Family, float], tuple[Array, Array]] = {}
 
     @property
@@ -186,15 +185,20 @@ class FamilyFitter:
 
     def bounds(self, family: Family) -> Array:
         """Return the bounds of shift and form, shape (parameter, 2)."""
-        if family not in self._bounds:
-            self._bounds[family] = np.concatenate([[[-SHIFT_PX, SHIFT_PX]], family.bounds])
-        return self._bounds[family]
+        return _bounds(family)
 
-    def slope_gain(self, fit: FamilyFit, slope_sd_per_px: float) -> float:
-        """Return what ln of the evidence gains from another prior of the illumination's slopes, to first order."""
-        _, other = self._prior(fit.family, slope_sd_per_px)
-        one, same = (nearby(fit.residual, fit.design, fit.off, precision) for precision in (other, fit.precision))
-        return one - same
+    def under(self, fit: FamilyFit, slope_sd_per_px: float) -> FamilyFit:
+        """Return a fit under another prior of the slopes of the light, its evidence to first order, its point as is."""
+        if slope_sd_per_px == fit.slope_sd_per_px:
+            return fit
+        _, precision = self._prior(fit.family, slope_sd_per_px)
+        other, own = (nearby(fit.residual, fit.design, fit.off, one) for one in (precision, fit.precision))
+        return replace(
+            fit,
+            precision=precision,
+            slope_sd_per_px=slope_sd_per_px,
+            log_evidence=fit.log_evidence + other - own,
+        )
 
     def spread_of(self, fit: FamilyFit) -> Array:
         """Return the fitted edge spread less one half at the bins, and its change with each parameter, those after."""
@@ -243,6 +247,13 @@ class FamilyFitter:
             return np.concatenate([of_block(block) for block in blocks])
 
         return log_probability
+
+
+@lru_cache(maxsize=256)
+def _bounds(family: Family) -> Array:
+    bounds = np.concatenate([[[-SHIFT_PX, SHIFT_PX]], family.bounds])
+    bounds.flags.writeable = False
+    return bounds
 
 
 @lru_cache(maxsize=256)

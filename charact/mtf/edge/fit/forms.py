@@ -22,12 +22,14 @@ LEAST_SHARE = 0.02
 TEMPERED = 0.7
 # Gain in chi squared from which on wide light is worth a fit of its own, and odds from which on it is with less.
 WORTH_CHI2, WORTH_ODDS = 6.0, 0.6
+# Gain from which on it is worth one where only slopes of the light make room for it.
+WORTH_IN_SLOPES_CHI2 = 3.0
 # Forms within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 8.0
 # Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
 LEAST_FOR_DISC_PX, LEAST_FOR_HALO_PX = 6.0, 16.0
 # Light that slopes is tried with forms that would come within this of the best.
-SLOPED = 5.0
+SLOPED = 4.0
 # A fit that began this much worse than the best in chi squared is not carried on.
 HOPELESS = 100.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
@@ -58,29 +60,56 @@ def wides(context: Context, half_width_px: float, *, transposed: bool) -> tuple[
 
 def fitted_forms(fitter: FamilyFitter, wide: tuple[Wide, ...]) -> list[Weighed]:
     """Fit the forms that the data may ask for, simple ones first, and return them, the most probable first."""
-    even = _forms(fitter, wide, EVEN_PER_PX)
-    uneven = _uneven(fitter, even)
-    likeliest = max(uneven, key=_evidence, default=even[0])
-    if likeliest.log_evidence > max(map(_evidence, even)):
+    found = _forms(fitter, wide, EVEN_PER_PX)
+    found = _best_of_each([*found, *_uneven(fitter, found)])
+    likeliest = max(found, key=_evidence)
+    if likeliest.slope_sd_per_px > EVEN_PER_PX:
         # What was given up as hopeless in even light may be what the slopes stand for.
-        uneven = _best_of_each([*uneven, *_forms(fitter, wide, likeliest.slope_sd_per_px)])
-    return _weighed([*even, *uneven, *_unseen(fitter, uneven, wide)])
+        found = _best_of_each([*found, *_forms(fitter, wide, likeliest.slope_sd_per_px)])
+    return _weighed(_best_of_each([*found, *_unseen(fitter, found, wide)]))
 
 
 def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float) -> list[FamilyFit]:
     """Fit the cores, then light beyond those that may have it, under one prior of the light's slopes."""
-    guess = fitter.guess()
-    found = [fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
-    found.append(_next_core(fitter, "exponential", found[0], guess))
-    best = max(found, key=_evidence)
-    if best.family.core == "exponential":
-        found.append(_next_core(fitter, "moffat", best, guess))
-    cores = [fit for fit in found if fit.log_evidence > best.log_evidence - CLOSE or fit.family.core != "moffat"]
-    promised = [one for core in cores for one in promises(fitter, core, wide)]
-    for promise in sorted(_worth(promised), key=lambda one: wide.index(one.wide)):
+    found = _cores(fitter, slope_sd_per_px)
+    best = max(found[:2], key=_evidence)
+    # A Moffat's wings beside a Gaussian are one more form; light beyond both would be a second explanation of wings.
+    wings = best.family.core != "gaussian" and found[2].log_evidence > best.log_evidence - CLOSE
+    pursued = found if wings else found[:2]
+    least_gains = {UNEVEN_PER_PX: WORTH_IN_SLOPES_CHI2, slope_sd_per_px: 0.0}
+    promised = [one for core in pursued for one in promises(fitter, core, wide, least_gains)]
+    own = _worth([one for one in promised if one.core.slope_sd_per_px == slope_sd_per_px])
+    hidden = _hidden_by_slopes([one for one in promised if one.core.slope_sd_per_px != slope_sd_per_px], own, best)
+    for promise in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
         fit = fit_wide(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
-        found += [] if fit is None else [fit]
+        found = found if fit is None else [*found, fit]
     return found
+
+
+def _cores(fitter: FamilyFitter, slope_sd_per_px: float) -> list[FamilyFit]:
+    """Fit a Gaussian, a tube's form and a Moffat, each from where the one before led."""
+    guess = fitter.guess()
+    gaussian = fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)
+    exponential = _next_core(fitter, "exponential", gaussian, guess)
+    return [gaussian, exponential, _next_core(fitter, "moffat", exponential, guess)]
+
+
+def _hidden_by_slopes(promised: list[Promise], own: list[Promise], best: FamilyFit) -> list[Promise]:
+    """Return the light beyond a core that only slopes make room for: a halo and slopes may hide each other.
+
+    Parameters
+    ----------
+    promised
+        What is promised under slopes.
+    own, best
+        What is fitted without them, and the likeliest core.
+    """
+    already = {(one.core.family, one.wide) for one in own}
+    return [
+        one
+        for one in promised
+        if (one.core.family, one.wide) not in already and one.log_evidence > best.log_evidence - CLOSE
+    ]
 
 
 def _worth(promised: list[Promise]) -> list[Promise]:
@@ -129,20 +158,25 @@ def _uneven(fitter: FamilyFitter, found: list[FamilyFit]) -> list[FamilyFit]:
 
     All of them are asked: light that slopes on both sides may hide behind wings or a halo fitted to it.
     """
-    asked = [(fit, slope) for fit in found for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)]
-    promised = np.array([fit.log_evidence + fitter.slope_gain(fit, slope) for fit, slope in asked])
-    least = max(promised.max(), *(fit.log_evidence for fit in found)) - SLOPED
+    asked = [
+        fitter.under(fit, slope)
+        for fit in found
+        for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)
+        if slope != fit.slope_sd_per_px
+    ]
+    least = max(map(_evidence, [*found, *asked])) - SLOPED
     return [
-        fitter.fit(fit.family, fit.point, slope, fit.ln_weight)
-        for (fit, slope), promise in zip(asked, promised, strict=True)
-        if promise > least
+        fitter.fit(one.family, one.point, one.slope_sd_per_px, one.ln_weight)
+        for one in asked
+        if one.log_evidence > least
     ]
 
 
-def _unseen(fitter: FamilyFitter, uneven: list[FamilyFit], wide: tuple[Wide, ...]) -> list[FamilyFit]:
+def _unseen(fitter: FamilyFitter, found: list[FamilyFit], wide: tuple[Wide, ...]) -> list[FamilyFit]:
     """Fit light wider than the window to what was taken for uneven light, where it rises on both sides."""
     veils = [prior for prior in wide if isinstance(prior, VeilPrior)]
-    rising = [fit for fit in uneven if fit.family.wide is None and fitter.side_slopes(fit).min() > 0]
+    sloped = [fit for fit in found if fit.slope_sd_per_px > EVEN_PER_PX and fit.family.wide is None]
+    rising = [fit for fit in sloped if fitter.side_slopes(fit).min() > 0]
     if not veils or not rising:
         return []
     best, veil = max(rising, key=_evidence), veils[0]

@@ -116,7 +116,7 @@ def _plateaus(value: Array, across: Array, step: float, error: float) -> tuple[f
 def _running_median(values: Array, back: int) -> Array:
     """Return the median of each value and of up to so many before it."""
     windows = np.sort(
-        np.lib.stride_tricks.sliding_window_view(np.pad(values, (back, 0), constant_values=np.inf), back + 1)
+        np.lib.stride_tricks.sliding_window_view(np.concatenate([np.full(back, np.inf), values]), back + 1)
     )
     count = np.minimum(np.arange(values.size) + 1, back + 1)
     each = np.arange(values.size)

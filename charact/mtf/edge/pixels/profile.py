@@ -255,13 +255,14 @@ def _shading(profile: Profile, left_over: Array) -> float:
         place = profile.distance[side]
         if place.size < 12 or np.ptp(place) < LEAST_SHADED_PX:
             continue
-        design = np.stack([np.ones_like(place), place, place**2], axis=1)
-        basis = np.linalg.qr(design)[0]
-        project = np.eye(place.size) - basis @ basis.T
-        left = project @ left_over[side]
-        noise = project @ profile.covariance[np.ix_(side, side)] @ project
-        excess += float(left @ left - np.trace(noise))
-        scatter += 2.0 * float(np.sum(noise**2))
-        weight += float(np.sum(project * _undulations(place, 1.0)))
+        basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=1))[0]
+        noise, even = profile.covariance[np.ix_(side, side)], _undulations(place, 1.0)
+        # Of what is left of values, noise and undulations after the bend I - B B^T: squares and traces.
+        across = noise @ basis
+        within = basis.T @ across
+        bend = basis.T @ left_over[side]
+        excess += float(left_over[side] @ left_over[side] - bend @ bend - np.trace(noise) + np.trace(within))
+        scatter += 2.0 * float(np.sum(noise**2) - 2.0 * np.sum(across**2) + np.sum(within**2))
+        weight += float(np.trace(even) - np.sum(basis * (even @ basis)))
     # The excess of plateaus without shading scatters by this much; only what stands out of it counts.
     return float(np.sqrt(excess / weight)) if excess > 3.0 * np.sqrt(scatter) else 0.0

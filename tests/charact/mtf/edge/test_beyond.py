@@ -15,7 +15,7 @@ from charact.mtf.edge.fit import forms as edge_forms
 from charact.mtf.edge.fit.family_fit import FamilyFitter
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels.find import find_edge
-from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
+from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
 from charact.mtf.forms.families import DiscPrior, Family, GlarePrior, VeilPrior
 from charact.mtf.optics import known_of
 from charact.study.edge.map import case_of, cell_of
@@ -33,7 +33,7 @@ def odds_of(scene, seed):
     edge = find_edge(scene.frames_drawn(np.random.default_rng(seed)), None, QUICK)
     fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
     fit = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
-    (promise,) = edge_beyond.promises(fitter, fit, (DiscPrior(size_px=(6.0, 100.0)),))
+    (promise,) = edge_beyond.promises(fitter, fit, (DiscPrior(size_px=(6.0, 100.0)),), {EVEN_PER_PX: 0.0})
     return promise.odds
 
 
@@ -45,10 +45,11 @@ def test_odds_are_the_mean_likelihood_over_shares(wide, amplitude, precision):
     """By quadrature, at one size: the mean of the likelihood ratio over all shares that the light may have."""
     size = np.array([[40.0]])
     unit = float(wide.share_unit(size)[0, 0])
+    light = edge_beyond.Tried(wide=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1)))
     ratio = lambda q: np.exp(precision * (amplitude * unit * q - 0.5 * (unit * q) ** 2))  # noqa: E731
     low, high = wide.fraction
     expected = quad(ratio, low, high, points=[np.clip(amplitude / unit, low, high)], limit=200)[0] / (high - low)
-    found = edge_beyond._odds(wide, size, np.array([amplitude]), np.array([precision]))
+    found = edge_beyond.odds_of(light, np.array([amplitude]), np.array([precision]))
     assert found == pytest.approx(expected, rel=0.02)
 
 
@@ -85,8 +86,8 @@ def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
 def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
     """A disc of a fifth of the light, 15 px wide, at 18 standard deviations: most of the evidence is for a tube's form.
 
-    By the full power of the evidence the truth lies more than twice the interval away, unless black is known: the light
-    slopes, and that much of it on both sides is no tube's wing.
+    By the full power of the evidence the truth lies more than one and a half intervals away, unless black is known: the
+    light slopes, and that much of it on both sides is no tube's wing.
     """
     cell = cell_of(3063)
     truth = cell.scene.truth_mtf50
@@ -98,8 +99,47 @@ def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
         return (truth - found.value) / (found.interval95[1] - found.value)
 
     tempered = edge_forms.TEMPERED
-    assert 0 < away(tempered, None) < 1.5 < 2.0 < away(1.0, None)
+    assert 0 < away(tempered, None) < 1.2 < 1.5 < away(1.0, None)
     assert 0 < away(tempered, 200.0) < away(1.0, 200.0) < 1.5
+
+
+def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
+    """A disc of a ninth of the light in light that falls by 29 %: slopes of plateaus that the two of them make cancel.
+
+    Fitted one at a time neither is worth anything, and MTF50 comes out a tenth too high; the noise is no part of that.
+    """
+    cell = cell_of(24182)
+    truth = cell.scene.truth_mtf50
+    stack = case_of(cell, truth, 14).drawn()
+    away = {}
+    for least in (edge_forms.WORTH_IN_SLOPES_CHI2, np.inf):
+        monkeypatch.setattr(edge_forms, "WORTH_IN_SLOPES_CHI2", least)
+        found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
+        assert found.status == "ok"
+        away[least] = (found.value - truth) / (found.value - found.interval95[0])
+    together, apart = away.values()
+    assert together < 1.0
+    assert apart > 2.5
+
+
+def test_what_a_fit_would_be_in_other_light_is_about_what_it_becomes(seed):
+    """Slopes are linear in the model: their prior may change with the point as it is, and no fit."""
+    stack = replace(PLAIN, snr=40.0, gradient=0.1).frames_drawn(np.random.default_rng(seed))
+    edge = find_edge(stack, None, QUICK)
+    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
+    even = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    told = fitter.under(even, UNEVEN_PER_PX)
+    fitted = fitter.fit(even.family, even.point, UNEVEN_PER_PX)
+    assert fitted.log_evidence - even.log_evidence > 10.0
+    assert told.log_evidence == pytest.approx(fitted.log_evidence, abs=0.5)
+    assert fitter.under(even, EVEN_PER_PX) is even
+
+
+@pytest.mark.parametrize("core", ["exponential", "moffat"])
+def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(core, seed):
+    stack = replace(PLAIN, snr=10.0).frames_drawn(np.random.default_rng(seed))
+    forms = edge_parametric(stack, context=QUICK).find("mtf50")[0].provenance.settings["forms"]
+    assert forms["gaussian"] > forms[core] > edge_forms.LEAST_SHARE
 
 
 def test_forms_are_weighed_by_their_evidence_to_a_power():
@@ -120,11 +160,10 @@ def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
     fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
     core = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
     kinds = (DiscPrior(size_px=(6.0, 60.0)), VeilPrior(size_px=(30.0, 240.0)), GlarePrior(size_px=(2.0, 15.0)))
+    found = edge_beyond.promises(fitter, core, kinds, {EVEN_PER_PX: 0.0})
     promised = [
         replace(one, odds=odds, gains=np.array([gain]))
-        for one, odds, gain in zip(
-            edge_beyond.promises(fitter, core, kinds), (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True
-        )
+        for one, odds, gain in zip(found, (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True)
     ]
     worth = edge_forms._worth(promised)
     assert [one.wide for one in worth] == [kinds[2], kinds[1]]
@@ -166,11 +205,11 @@ def test_a_value_stays_inside_its_68_percent_interval():
 
 
 def test_a_frequency_known_to_a_tenth_may_lie_further_up_than_down_and_a_modulus_either_way():
-    """By 4 % and its relative error down, three times that up; a modulus by twice its relative error."""
+    """By 3 % and its relative error down, three times that up; a modulus by twice its relative error."""
     draws = 0.2 * (1.0 + 0.1 * ndtri((np.arange(2001) + 0.5) / 2001))
     common = {"method": "edge-parametric"}
     reach = 1.959964 * 0.02
     frequency = edge_result._level("mtf50", 0.5, draws, None, common)
-    assert frequency.interval95 == pytest.approx((0.2 - 1.139 * reach, 0.2 + 1.338 * reach), rel=2e-3)
+    assert frequency.interval95 == pytest.approx((0.2 - 1.129 * reach, 0.2 + 1.328 * reach), rel=2e-3)
     modulus = edge_result._pinned(0.1, draws, common)
-    assert modulus.interval95 == pytest.approx((0.2 - 1.239 * reach, 0.2 + 1.239 * reach), rel=2e-3)
+    assert modulus.interval95 == pytest.approx((0.2 - 1.229 * reach, 0.2 + 1.229 * reach), rel=2e-3)

@@ -8,7 +8,7 @@ from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.pixels.find import find_edge
 from charact.mtf.edge.pixels.grain_form import form_of
-from charact.mtf.edge.pixels.profile import with_shading
+from charact.mtf.edge.pixels.profile import PLATEAU_FROM_PX, SHADING_LENGTH_PX, with_shading
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)
@@ -134,3 +134,19 @@ def test_ripples_are_no_undulations_many_times_their_size(cols, seed):
     ripples, waves = (height * np.sin(2 * np.pi * profile.distance / px) for height, px in ((6.0, 5.0), (45.0, 40.0)))
     assert with_shading(profile, ripples).shading_sd < 3 * 6.0
     assert with_shading(profile, waves).shading_sd > 10.0 or cols < 100
+
+
+def test_undulations_are_what_a_bend_and_the_noise_leave_over(seed):
+    """Reference: the same by projections, plateau by plateau: squares beyond the trace over what undulations make."""
+    frame = frame_of(4.0, rows=110, cols=150) + 10.0 * np.random.default_rng(seed).standard_normal((110, 150))
+    profile = find_edge(FrameStack(data=frame[None]), None, QUICK).profile
+    waves = 45.0 * np.sin(2 * np.pi * profile.distance / 40.0)
+    excess = weight = 0.0
+    for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
+        place = profile.distance[side]
+        bend = np.vander(place, 3)
+        rest = np.eye(place.size) - bend @ np.linalg.pinv(bend)
+        undulating = np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
+        excess += waves[side] @ rest @ waves[side] - np.trace(rest @ profile.covariance[np.ix_(side, side)] @ rest)
+        weight += np.trace(rest @ undulating)
+    assert with_shading(profile, waves).shading_sd == pytest.approx(np.sqrt(excess / weight), rel=1e-6)
