@@ -192,11 +192,11 @@ def test_a_wide_halo_lowers_the_mtf_that_the_frame_shows(seed):
 
 
 def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
-    """Medians of 3,000 effective draws lie within 0.02 widths of each other, the chain's of some hundred within 0.1."""
+    """Medians of 2,000 effective draws lie within 0.02 widths of each other, the chain's of some hundred within 0.1."""
     stack = edge(np.random.default_rng(seed), snr=30.0)
     picked, quick = measured(stack, Context(seed=3)).find("mtf50")[0], measured(stack).find("mtf50")[0]
     assert picked.posterior.sampler == "importance"
-    assert picked.posterior.effective_sample_size.min() >= 3000
+    assert picked.posterior.effective_sample_size.min() >= 2000
     monkeypatch.setattr("charact.posterior.drawing.ENOUGH", np.inf)
     chained = measured(stack, Context(seed=3)).find("mtf50")[0]
     assert chained.posterior.sampler == "emcee"
