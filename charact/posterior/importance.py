@@ -16,9 +16,8 @@ Array = NDArray[np.float64]
 
 # Draws from the first density and from each one added, and how many are added at most.
 FIRST_DRAWS, MORE_DRAWS, MOST_ADDED = 4000, 1000, 80
-# Effective draws at which the mixture fits: 95 % intervals of a hundred edges are then as wide as at nine thousand,
-# within half a percent; stopped at one thousand, tails not met yet leave intervals that hold 93.
-ENOUGH = 2000.0
+# Effective draws at which the mixture fits: stopped at a thousand, tails not met yet leave 95 % intervals that hold 93.
+ENOUGH = 3000.0
 # Draws whose weighted spread shapes a density that is added, and freedom of each density's Student t.
 NEAREST = 500
 FREEDOM = 6.0

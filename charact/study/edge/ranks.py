@@ -25,6 +25,7 @@ from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
 from charact.mtf.forms.families import EXPONENT_PRIOR, Family
 from charact.mtf.optics import known_of
 from charact.posterior import sample, weighed
+from charact.posterior.drawing import WANTED
 from charact.study.calibration import Calibration, calibrate
 from charact.study.calibration_figure import draw_calibration
 from charact.study.edge.scene import Blur, EdgeScene
@@ -43,7 +44,10 @@ NAMES: tuple[str, ...] = ("ln half frequency", "exponent", "MTF50")
 # and lenses have.
 HALF_FREQUENCY, EXPONENT = (0.08, 0.4), (1.0, 2.6)
 SHIFT_PX = (-6.0, 6.0)
-SAMPLERS: dict[str, Callable[..., Posterior]] = {"emcee": partial(sample, max_steps=3000), "importance": weighed}
+SAMPLERS: dict[str, Callable[..., Posterior]] = {
+    "emcee": partial(sample, max_steps=3000),
+    "importance": partial(weighed, enough=WANTED),
+}
 TRIALS, DRAWS, SEED = 600, 119, 4000
 BOUNDS = np.array([SHIFT_PX, tuple(np.log(HALF_FREQUENCY)), EXPONENT])
 
