@@ -18,7 +18,7 @@ import charact
 from charact.study.failure_map import one_thread_each
 from charact.study.harness import Row
 
-# One cell in fifty is measured by Markov chains too, unless a map asks for more.
+# One cell in fifty is measured in full too, not quickly, unless a map asks for more.
 CHAINED = 50
 # Streams of a cell's scene and of its repeats, so that neither depends on the other.
 SCENE, NOISE = 11, 12
@@ -284,7 +284,7 @@ def make(
     first
         Number of the first cell.
     chained
-        Share of the cells, evenly among them, of which one drawing is measured by Markov chains too.
+        Share of the cells, evenly among them, of which one drawing is measured in full too.
     """
     parser = argparse.ArgumentParser(description=about)
     parser.add_argument("--cells", type=int, default=cells, help="number of cells")

@@ -22,7 +22,7 @@ class Chart:
     quantity
         What was measured.
     seed, quick
-        Seed of the cases, and whether the methods ran without Markov chains.
+        Seed of the cases, and whether the methods were asked for quick answers.
     summaries
         One for each method, the quickest first.
     rows
@@ -90,7 +90,7 @@ def chart(
     update
         Write the table that `charact.method.choose` reads.
     quick
-        A cut for a first look: few cases and no Markov chains.
+        A cut for a first look: few cases and quick answers.
     cases
         Number of cases of each kind of target; None: as the study says.
     methods

@@ -211,4 +211,5 @@ def _prior_precision(family: Family) -> tuple[Array, Array]:
     mean, precision = np.zeros((2, len(family.bounds)))
     if family.core == "exponential":
         mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
+    mean.flags.writeable = precision.flags.writeable = False
     return mean, precision

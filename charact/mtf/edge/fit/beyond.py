@@ -65,29 +65,6 @@ class Promise:
         return np.concatenate([self.points[size], self.shares[size, None], self.shapes[size]])
 
 
-def promises(
-    fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...], least_gains: Mapping[float, float]
-) -> list[Promise]:
-    """Return what each kind of light beyond a core may gain; before the data all are together as likely as none.
-
-    Parameters
-    ----------
-    least_gains
-        For each prior of the illumination's slopes that is asked about the gain of chi squared that is worth telling.
-    """
-    if not wides:
-        return []
-    maps, step = fitter.maps, abs(fitter.profile.step)
-    asked = [tried(wide, maps.grid.tobytes()) for wide in wides]
-    core = maps.shifted(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
-    away = maps.white(core * np.concatenate([one.change for one in asked])) * step
-    return [
-        promise
-        for slope, least_gain in least_gains.items()
-        for promise in _promised(fitter, fitter.under(fit, slope), asked, away, least_gain)
-    ]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Tried:
     """Light beyond the core of some sizes, the same for many edges.
@@ -119,6 +96,29 @@ def tried(wide: Wide, grid_bytes: bytes) -> Tried:
     shapes = np.array([[size, *other] for other in others for size in sizes])
     change = wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
     return Tried(wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change)
+
+
+def promises(
+    fitter: FamilyFitter, fit: FamilyFit, wides: tuple[Wide, ...], least_gains: Mapping[float, float]
+) -> list[Promise]:
+    """Return what each kind of light beyond a core may gain; before the data all are together as likely as none.
+
+    Parameters
+    ----------
+    least_gains
+        For each prior of the illumination's slopes that is asked about the gain of chi squared that is worth telling.
+    """
+    if not wides:
+        return []
+    maps, step = fitter.maps, abs(fitter.profile.step)
+    asked = [tried(wide, maps.grid.tobytes()) for wide in wides]
+    core = maps.shifted(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
+    away = maps.white(core * np.concatenate([one.change for one in asked])) * step
+    return [
+        promise
+        for slope, least_gain in least_gains.items()
+        for promise in _promised(fitter, fitter.under(fit, slope), asked, away, least_gain)
+    ]
 
 
 def _promised(

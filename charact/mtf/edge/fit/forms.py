@@ -73,7 +73,7 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
     """Fit the cores, then light beyond those that may have it, under one prior of the light's slopes."""
     found = _cores(fitter, slope_sd_per_px)
     best = max(found[:2], key=_evidence)
-    # A Moffat's wings beside a Gaussian are one more form; light beyond both would be a second explanation of wings.
+    # Light beyond a Moffat is asked for only where wings are likelier than none: it explains them a second time.
     wings = best.family.core != "gaussian" and found[2].log_evidence > best.log_evidence - CLOSE
     pursued = found if wings else found[:2]
     least_gains = {UNEVEN_PER_PX: WORTH_IN_SLOPES_CHI2, slope_sd_per_px: 0.0}
