@@ -43,7 +43,9 @@ Demagnification = Annotated[
 FocalLengthMm = Annotated[
     float | None, typer.Option("--focal-length-mm", help="Focal length for cy/mrad, mm; else the sensor's.")
 ]
-AtMost = Annotated[int, typer.Option("--at-most", help="Most targets of one frame that are measured.", min=1)]
+AtMost = Annotated[
+    int, typer.Option("--at-most", help="Most targets of one frame that are measured, from all over it.", min=1)
+]
 Annotate = Annotated[Path | None, typer.Option(help="Write the image with the regions and their MTF50 drawn in, PNG.")]
 BloomMap = Annotated[
     Path | None,

@@ -1,5 +1,6 @@
 """All targets of one frame measured, each in the region where it was found."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -46,7 +47,8 @@ def measure_all(
     kind, stack, method, within_percent, context, target
         As for `measure`; for bars `frequency_cy_per_px` may be None: it is found.
     at_most
-        Most targets that are measured, the most promising ones; a note says how many were left out.
+        Most targets that are measured; a note says how many were left out. Of edges and points the most promising one
+        of every part of the frame comes first, then the second of every part; of bars the clearest groups.
 
     Returns
     -------
@@ -71,7 +73,8 @@ def measure_all(
         return _no_bars(target.get("bars", 4), stack)
     if len(found) < 2 and kind != "bars":
         return measure(kind, stack, **asked, **target)
-    chosen = sorted(found[:at_most], key=lambda one: one.region[:2])
+    best_first = found if kind == "bars" else by_part_of_frame(found, stack.shape[1:], at_most)
+    chosen = sorted(best_first[:at_most], key=lambda one: one.region[:2])
     results = []
     for done, one in enumerate(chosen):
         context.progress(f"{kind} in {one.region}", done / len(chosen))
@@ -98,6 +101,24 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
             for group in find_bar_groups(stack, int(target.get("bars", 4)))
         ]
     raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
+
+
+def by_part_of_frame(found: list[Target], shape: tuple[int, ...], at_most: int) -> list[Target]:
+    """Order targets, given best first, so that the first `at_most` lie all over the frame as far as there are any.
+
+    The frame is cut into as many rows and columns of parts as give each target one; the best of every part comes
+    before the second of any.
+    """
+    parts = int(np.ceil(np.sqrt(at_most)))
+    taken: Counter[tuple[int, ...]] = Counter()
+    turns = []
+    for one in found:
+        row, col, height, width = one.region
+        middle = (row + 0.5 * height) / shape[0], (col + 0.5 * width) / shape[1]
+        part = tuple(int(parts * share) for share in middle)
+        turns.append(taken[part])
+        taken[part] += 1
+    return [found[index] for index in np.argsort(turns, kind="stable")]
 
 
 def _together(results: list[Result], chosen: list[Target], left_out: int, kind: str) -> Result:
