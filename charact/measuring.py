@@ -56,10 +56,15 @@ def measure(
     context, result = context_of(session, quick=quick, seed=seed, spread=spread), Result()
     for done, (sentence, task) in enumerate(tasks):
         progress(sentence, done / len(tasks))
-        result += task(context)
+        result += task(replace(context, progress=partial(_within, progress, done, len(tasks))))
         context = _knowing_halo(context, result)
     progress("measured", 1.0)
     return _together(session, result, context)
+
+
+def _within(progress: Progress, done: int, tasks: int, sentence: str, share: float) -> None:
+    """Tell what one of several analyses says of its own progress."""
+    progress(sentence, (done + share) / tasks)
 
 
 def _together(session: Session, result: Result, context: Context) -> Result:

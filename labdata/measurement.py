@@ -114,7 +114,7 @@ class Measurement:
     status
         "ok" (no flags), "suspect" (flags say what to distrust) or "refused" (no number; `reason` says why).
     method, seconds
-        Name of the method and the time it took, s.
+        Name of the method and the time it took, s, compiling not counted.
     stack, region, frequency_cy_per_px, orientation_deg
         Where they apply: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees.
     posterior

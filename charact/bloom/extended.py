@@ -1,7 +1,6 @@
 """Blooming beside extended sources: the halo of a lamp-lit door measured along its edge, all levels together."""
 
 from dataclasses import dataclass, replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -59,11 +58,9 @@ def lit_edge(session: Session, *, context: Context) -> Result:
     show the halo. With cut levels alone the place of the edge is free in the fit, the diameter accordingly less sure,
     and the halo's share unknown: nothing says how bright the lit side is.
     """
-    began = perf_counter()
     fields: dict[str, Any] = {"method": METHOD, "provenance": _provenance(context)}
     measurements, evidence = _measured(session, context, fields)
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in measurements), evidence=evidence)
+    return Result(measurements=tuple(measurements), evidence=evidence)
 
 
 def _measured(

@@ -1,6 +1,5 @@
 """What every method of blooming tells besides the halo: extents of each stack, and what did not stay as it was."""
 
-from time import perf_counter
 from typing import Any
 
 from charact.bloom.blooms import bloom_measurements, series_evidence
@@ -18,7 +17,6 @@ def finished(
     of_series: list[Measurement],
     evidence: dict[str, Any],
     *,
-    began: float,
     context: Context,
     **fields: Any,
 ) -> Result:
@@ -30,8 +28,6 @@ def finished(
         The session and its point sources.
     of_series, evidence
         Measurements of the method, of all stacks together or with their stack's label, and what the report draws.
-    began
-        Clock when the method began, s.
     context
         What the method was told.
     fields
@@ -45,8 +41,7 @@ def finished(
     own = evidence.get("halo-constancy")
     halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
     drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in [*told, *steady.measurements]), evidence=drawn)
+    return Result(measurements=(*told, *steady.measurements), evidence=drawn)
 
 
 def _flagged(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:

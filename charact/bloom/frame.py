@@ -6,7 +6,6 @@ the sentence that says what would give it.
 
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.spot import DETECTED, Spot, read_spots, spot_of
 from charact.bloom.view import view_of
 from charact.method import Context
+from charact.method.stopwatch import timed
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result, from_draws, from_sd, refused
@@ -57,6 +57,7 @@ def bare_session(path: str | Path) -> Session:
     return Session(folder=path.parent, name=path.name, stacks=(entry,))
 
 
+@timed
 def measure_frame(session: Session, *, context: Context) -> Result:
     """Measure what the only stack of a session says by itself, each source in it with its region.
 
@@ -67,7 +68,6 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     context
         Seed and settings.
     """
-    began = perf_counter()
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     (spot,) = read_spots(session, context=context)
     (entry,) = session.of_kind("point")
@@ -79,9 +79,7 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     for other in spot.others[:MOST_OTHERS]:
         beside = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
         out += [m.with_(region=_box(beside)) for m in _extents(beside, context, fields)]
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out),
-                  evidence={"bloom-series": series_evidence((spot,))})  # fmt: skip
+    return Result(measurements=tuple(out), evidence={"bloom-series": series_evidence((spot,))})
 
 
 def _extents(spot: Spot, context: Context, fields: dict[str, Any]) -> list[Measurement]:

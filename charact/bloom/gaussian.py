@@ -1,7 +1,6 @@
 """A Gaussian halo beside a Gaussian core (Thomas et al., Proc. SPIE 2005): simple, and not the shape of a halo."""
 
 from dataclasses import dataclass
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -56,13 +55,12 @@ def gaussian(session: Session, *, context: Context) -> Result:
     context
         Seed and settings.
     """
-    began = perf_counter()
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     profiles = [profile_of(s, reach_of(s), context=context) for s in spots if s.significance > DETECTED]
     fits = [found for profile in profiles if (found := fit_of(profile)) is not None]
     out = [_halo(fits, **fields)]
-    return finished(session, spots, out, {}, began=began, context=context, **fields)
+    return finished(session, spots, out, {}, context=context, **fields)
 
 
 def _halo(fits: list[Fit], **fields: Any) -> Measurement:

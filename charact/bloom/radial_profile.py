@@ -1,6 +1,5 @@
 """Halo diameter from the steepest step of the radial profiles alone."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -35,13 +34,12 @@ def radial_profile(session: Session, *, context: Context) -> Result:
     context
         Seed and settings.
     """
-    began = perf_counter()
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     profiles = [profile_of(s, reach_of(s), context=context) for s in spots if s.significance > DETECTED]
     seen = [(radius, score) for radius, score in map(edge_radius, profiles) if score > STEP_SEEN]
     out = [_halo(seen, **fields)]
-    return finished(session, spots, out, {}, began=began, context=context, **fields)
+    return finished(session, spots, out, {}, context=context, **fields)
 
 
 def _halo(seen: list[tuple[float, float]], **fields: Any) -> Measurement:

@@ -1,7 +1,6 @@
 """Halo, core and glare from one forward model of all levels of a point series, cut codes counted as what they are."""
 
 from dataclasses import dataclass, replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -72,11 +71,10 @@ def series_forward(session: Session, *, context: Context) -> Result:
     fitted to ring means of all levels together; the Bayesian information criterion chooses. Each level's light and
     background are its own. A halo is told only where the disc is clearly the best and its edge is tied to one place.
     """
-    began = perf_counter()
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     told = _told(session, spots, context, fields)
-    result = finished(session, spots, told.measurements, told.evidence, began=began, context=context, **fields)
+    result = finished(session, spots, told.measurements, told.evidence, context=context, **fields)
     return result if told.best is None else _agreeing(result, told.best, told.group)
 
 

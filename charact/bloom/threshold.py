@@ -1,6 +1,5 @@
 """Halo diameter from bloom diameters alone: against the light they step up to the halo, then hardly grow."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -44,11 +43,10 @@ def threshold(session: Session, *, context: Context) -> Result:
     A core grows as the root of the logarithm of the light, a wing as a power of it; neither ever steps up and then
     stays. Physics reference, 2.1.
     """
-    began = perf_counter()
     spots = read_spots(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     out = [_halo(spots, **fields)]
-    return finished(session, spots, out, {}, began=began, context=context, **fields)
+    return finished(session, spots, out, {}, context=context, **fields)
 
 
 def _halo(spots: tuple[Spot, ...], **fields: Any) -> Measurement:

@@ -9,6 +9,7 @@ import typer
 
 from charact.cli import options
 from charact.cli.output import bad_input_ends, show
+from charact.cli.progress import Progress, progress_bar
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
@@ -139,9 +140,9 @@ def flats(
 
         session = _flats_of(file, _sensor(sensor))
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
-        result = mtf.measure_flats(
-            session, method=method, within_percent=within, context=context_of(session, quick=quick, seed=seed)
-        )
+        with progress_bar(events=events) as progress:
+            context = context_of(session, quick=quick, seed=seed, progress=progress)
+            result = mtf.measure_flats(session, method=method, within_percent=within, context=context)
         show(
             result,
             given=str(file),
@@ -187,7 +188,8 @@ def _measure(
         region = options.parsed_region(asked.pop("roi"))
         stack = _with_black(read_frames(file, plane=plane), black_dn)
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, known, rows=stack.shape[1])
-        result = _result(kind, stack, region, known, **asked)
+        with progress_bar(events=events) as progress:
+            result = _result(kind, stack, region, known, progress, **asked)
         if annotate is not None:
             from charact.cli.annotate import annotated
 
@@ -207,6 +209,7 @@ def _result(
     stack: "FrameStack",
     region: "Region | None",
     known: "Sensor | None",
+    progress: Progress,
     *,
     method: str,
     within: float,
@@ -219,7 +222,9 @@ def _result(
     from charact import mtf
     from charact.method import Context
 
-    context = Context(seed=seed, quick=quick, sensor=known, interlaced=known is not None and known.video.interlaced)
+    context = Context(
+        seed=seed, quick=quick, sensor=known, interlaced=known is not None and known.video.interlaced, progress=progress
+    )
     if kind == "bars":
         target = {"bars": target["bars"], "frequency_cy_per_px": target["frequency"]}
     asked = {"method": method, "within_percent": within, "context": context, **target}

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from charact.cli.output import bad_input_ends, show
+from charact.cli.progress import progress_bar
 
 
 def is_picture(path: Path) -> bool:
@@ -42,10 +43,11 @@ def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, see
         if not path.exists():
             raise BadInput(f"the file of frames must exist, got {path}")
         session = bare_session(path)
-        context = context_of(session, quick=quick, seed=seed)
-        if method == "auto":
-            result = bloom.measure_frame(session, context=context)
-        else:
-            result = bloom.measure(session, method=method, within_percent=within, context=context)
+        with progress_bar(events=events) as progress:
+            context = context_of(session, quick=quick, seed=seed, progress=progress)
+            if method == "auto":
+                result = bloom.measure_frame(session, context=context)
+            else:
+                result = bloom.measure(session, method=method, within_percent=within, context=context)
         further = f"charact import frames {path} mine, then charact measure mine"
         show(result, given=str(path), as_json=as_json, events=events, next_verb=further)

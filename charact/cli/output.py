@@ -115,10 +115,12 @@ def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cy
 
 def _line(m: "Measurement", frequency: Frequency, *, directed: bool) -> str:
     """Return one measurement's line; `directed` names its direction."""
+    from charact.method.stopwatch import time_text
+
     where = _at(m, frequency)
     where += f" along {m.orientation_deg:.3g} deg" if directed and m.orientation_deg is not None else ""
     where += f" of {m.stack}" if m.stack else ""
-    spent = f", {m.seconds:.1f} s" if m.seconds is not None else ""
+    spent = f", {time_text(m.seconds)}" if m.seconds is not None else ""
     if m.value is None:
         return f"{m.quantity}{where}: refused: {m.reason} ({m.method}{spent})"
     return f"{m.quantity}{where} {number_of(m, frequency)}, {_verdict(m)}, {m.method}{spent}"

@@ -23,6 +23,7 @@ def methods(as_json: options.Json = False) -> None:
     from charact import bloom, mtf, noise  # noqa: F401  (importing registers)
     from charact.method import METHODS
     from charact.method.registry import chart_table
+    from charact.method.stopwatch import time_text
 
     rows = []
     for method in METHODS.values():
@@ -41,7 +42,7 @@ def methods(as_json: options.Json = False) -> None:
         print(json.dumps({"methods": rows}))
         return
     for row in rows:
-        cost = f"{row['error_percent']:.3g} % in {row['seconds']:.2g} s" if "seconds" in row else "not charted"
+        cost = f"{row['error_percent']:.3g} % in {time_text(row['seconds'])}" if "seconds" in row else "not charted"
         print(f"{row['kind']:6} {row['name']:16} {cost:22} {', '.join(row['quantities'])}\n{'':24}{row['scope']}")
 
 

@@ -7,6 +7,7 @@ from importlib import resources
 from typing import Any
 
 from charact.method.cluster import Spread
+from charact.method.stopwatch import timed
 from charact.method.threads import on_one_thread
 from charact.method.tolerance import meets
 from labdata.errors import BadInput
@@ -91,10 +92,10 @@ METHODS: dict[tuple[str, str], Method] = {}
 def register(
     kind: str, name: str, *, quantities: tuple[str, ...], scope: str, preferred: bool = False
 ) -> Callable[[Any], Any]:
-    """Register a function as a method of a kind under a name; it works on one thread of linear algebra."""
+    """Register a function as a method of a kind under a name: timed, on one thread of the linear algebra library."""
 
     def enter(function: Callable[..., Result]) -> Callable[..., Result]:
-        function = on_one_thread(function)
+        function = on_one_thread(timed(function))
         METHODS[kind, name] = Method(
             kind=kind, name=name, quantities=quantities, scope=scope, preferred=preferred, function=function
         )

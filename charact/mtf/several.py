@@ -9,6 +9,7 @@ import numpy as np
 
 import charact
 from charact.method import Context
+from charact.method.stopwatch import timed
 from charact.mtf.bars.joint import of_frame
 from charact.mtf.find import find_bar_groups, find_edges, find_pinholes
 from charact.mtf.measuring import measure
@@ -30,6 +31,7 @@ class Target:
     told: dict[str, Any] = field(default_factory=dict)
 
 
+@timed
 def measure_all(
     kind: str,
     stack: FrameStack,
@@ -160,7 +162,7 @@ def _no_bars(bars: int, stack: FrameStack) -> Result:
         "a frequency, or a region and a frequency, say where to look"
     )
     one = refused(
-        "mtf", "1", reason, method="find", flags=("no-target",), region=(0, 0, *stack.shape[1:]), seconds=0.0,
+        "mtf", "1", reason, method="find", flags=("no-target",), region=(0, 0, *stack.shape[1:]),
         provenance=Provenance(version=charact.__version__),
     )  # fmt: skip
     return Result(measurements=(one,))

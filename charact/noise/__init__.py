@@ -1,6 +1,7 @@
 """Noise against gain, from dark and evenly lit frames."""
 
 from charact.method import Context, choose
+from charact.method.stopwatch import timed
 from charact.noise.gain import covariance_sum, lag_window, near_zero, variance
 from charact.noise.light.separation_pulses import with_pulses
 from labdata.errors import BadInput
@@ -10,6 +11,7 @@ from labdata.session import Session
 __all__ = ["covariance_sum", "lag_window", "measure", "near_zero", "variance"]
 
 
+@timed
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
     """Measure noise and gain from the darks and flats of a session, the 3-D noise of each, and the law of
     single photoelectrons in the darks of an intensified camera.

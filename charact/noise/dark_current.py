@@ -1,13 +1,13 @@
 """Dark current: how fast the level of darks rises with the exposure, and at how many degrees it doubles."""
 
 from dataclasses import dataclass
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.method.stopwatch import timed
 from charact.noise.checks import QUANTISED_DN2, unsteadiness
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain.standard import QUANTISATION_DN2
@@ -51,6 +51,7 @@ class Slope:
     findings: tuple[Finding, ...]
 
 
+@timed
 def dark_current(darks: list[Level], result: Result, *, context: Context) -> Result:
     """Return the dark current of a series of exposures, and the temperature difference that doubles it.
 
@@ -70,7 +71,6 @@ def dark_current(darks: list[Level], result: Result, *, context: Context) -> Res
     """
     if not darks:
         return Result()
-    began = perf_counter()
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     rng = np.random.default_rng([context.seed, 11])
     slopes = [found for group in _groups(darks) if (found := _slope(group, rng)) is not None]
@@ -85,8 +85,7 @@ def dark_current(darks: list[Level], result: Result, *, context: Context) -> Res
     best = max(slopes, key=lambda slope: slope.exposures)
     out = [_current(best, "DN/s", best.draws, (), **fields), *_electrons(best, result, rng, **fields)]
     out.append(_doubling(slopes, rng, **fields))
-    seconds = perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in out))
+    return Result(measurements=tuple(out))
 
 
 def _groups(darks: list[Level]) -> list[list[Level]]:

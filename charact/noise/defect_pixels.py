@@ -1,14 +1,14 @@
 """How many pixels of a camera are defective, in the dark and in the light."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from charact.method import Context
+from charact.noise.cube.cube import Cube
 from charact.noise.gain.series import CLIPPED_SHARE
 from charact.noise.provenance import provenance
-from charact.noise.stack.defects import FAR, RESTLESS, Defects
+from charact.noise.stack.defects import FAR, RESTLESS
 from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, Result, measured, refused
 
@@ -28,12 +28,12 @@ def defect_pixels(levels: list[Level], *, context: Context) -> Result:
     flats = [level for level in known if level.kind == "flat"]
     chosen = [max(darks, key=lambda d: (d.conditions.exposure_s or 0.0, d.frames))] if darks else []
     chosen += [max(flats, key=lambda f: f.mean_dn)] if flats else []
-    return Result(measurements=tuple(_counted(level, level.cube.defects, fields) for level in chosen if level.cube))
+    return Result(measurements=tuple(_counted(level, level.cube, fields) for level in chosen if level.cube))
 
 
-def _counted(level: Level, found: Defects, fields: dict[str, Any]) -> Measurement:
-    """The number of defective pixels of a stack."""
-    began = perf_counter()
+def _counted(level: Level, cube: Cube, fields: dict[str, Any]) -> Measurement:
+    """The number of defective pixels of a stack, which its cube told."""
+    found = cube.defects
     each = f"{len(found.bright)} bright, {len(found.faint)} faint, {len(found.restless)} restless"
     rule = f"a mean beyond {found.threshold_dn:.3g} DN of the others, {FAR:g} robust standard deviations"
     notes = [f"{each}; {rule}, or changes {RESTLESS:g} times as large as theirs"]
@@ -44,4 +44,4 @@ def _counted(level: Level, found: Defects, fields: dict[str, Any]) -> Measuremen
     low, high = found.least, found.most
     around = [(float(min(low[i], found.count)), float(max(high[i], found.count))) for i in (0, 1)]
     return measured("defect_pixels", "px", float(found.count), *around, notes=tuple(notes),
-                    stack=level.label, seconds=perf_counter() - began, **fields)  # fmt: skip
+                    stack=level.label, seconds=cube.seconds, **fields)  # fmt: skip

@@ -1,6 +1,5 @@
 """Whether darks and flats can give a gain at all, and what is said where they cannot."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -43,9 +42,3 @@ def without_flats(darks, series: Series | None, single: list[str], *, quantity=(
         reason = "there are no flats"
     out = [refused(quantity[0], quantity[1], reason, **fields)]
     return out + (dark_quantities(tuple(darks), flags=(), **fields) if darks else [])
-
-
-def timed(measurements: list[Measurement], began: float) -> tuple[Measurement, ...]:
-    """Put the time since the beginning on every measurement, s."""
-    seconds = perf_counter() - began
-    return tuple(m.with_(seconds=seconds) for m in measurements)

@@ -10,6 +10,7 @@ from typing import Any
 
 from charact import __version__
 from charact.method.registry import chart_table
+from charact.method.stopwatch import time_text
 from charact.report.numerals import interval_text, plain, plus_minus, rounded, titled, value_text
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
@@ -96,7 +97,7 @@ def places(m: Measurement) -> dict[str, str]:
         row, col, height, width = m.region
         found["region"] = f"rows {row}–{row + height - 1}, cols {col}–{col + width - 1}"
     if m.seconds is not None:
-        found["time"] = f"{m.seconds:.2g} s"
+        found["time"] = time_text(m.seconds)
     return found
 
 
@@ -244,7 +245,7 @@ def charted(result: Result) -> list[dict[str, str]]:
             "method": row["method"],
             "used": "yes" if row["method"] in used else "no",
             "error": f"{row['error_percent']:.2g} %",
-            "seconds": f"{row['seconds']:.2g} s",
+            "seconds": time_text(row["seconds"]),
             "cases": plain(row.get("cases")),
             "silent": plain(row.get("silent")),
         }

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.method.stopwatch import Stopwatch
 from charact.validation.frames import Chosen, choose, simulated
 from charact.validation.overlay import overlays, pairs
 from charact.validation.portrait import Portrait, portrait_of, statistics
@@ -55,7 +55,7 @@ def validate(
     BadInput
         If the session lacks darks or flats, or was not taken by an image-intensified camera.
     """
-    began = perf_counter()
+    watch = Stopwatch()
     if session.sensor is None:
         raise BadInput(f"a validation needs a session of a described sensor, got none in {session.name!r}")
     progress("measured frames", 0.0)
@@ -79,7 +79,7 @@ def validate(
         sensor=sensor.name,
         seed=seed,
         draws=DRAWS,
-        seconds=perf_counter() - began,
+        seconds=watch.seconds(),
         statistics=run.statistics(measured, many),
         controls=(
             Control(name="null", title=NULL, statistics=run.statistics(null, many)),

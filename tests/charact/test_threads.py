@@ -6,6 +6,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from charact.method.registry import METHODS, register
 from charact.method.threads import on_one_thread
+from labdata.measurement import Result
 
 
 def threads() -> set[int]:
@@ -34,7 +35,9 @@ def test_a_method_that_fails_gives_the_threads_back(two_threads):
 
 
 def test_a_registered_method_works_so(two_threads):
-    register("kind of this test", "counting", quantities=("mtf50",), scope="Counts threads.")(threads)
+    register("kind of this test", "counting", quantities=("mtf50",), scope="Counts threads.")(
+        lambda: Result(evidence={"threads": {"counts": threads()}})
+    )
     method = METHODS.pop(("kind of this test", "counting"))
-    assert method.function() == {1}
+    assert method.function().evidence["threads"]["counts"] == {1}
     assert threads() == {2}

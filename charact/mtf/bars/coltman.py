@@ -1,6 +1,5 @@
 """Coltman's reading of bar targets: the series of square-wave contrasts over groups, or its first term of one group."""
 
-import time
 from collections.abc import Mapping
 
 import numpy as np
@@ -58,7 +57,6 @@ def bars_coltman(
     Coltman, J. Opt. Soc. Am. 44, 468 (1954). The step of a large area is the light of the whole target over the area
     of its bars, N w a unit length.
     """
-    began = time.perf_counter()
     used = stack if region is None else stack.region(*region)
     frequency = float(frequency_cy_per_px)
     common = {
@@ -69,16 +67,15 @@ def bars_coltman(
     }
     mean = used.data.mean(axis=0, dtype=np.float64)
     read = _read(mean, int(bars), frequency, context.pitch_ratio)
-    seconds = time.perf_counter() - began
     if read is None or not read[0] > LEAST_SIGNAL * read[1]:
         reason = f"no target: no modulation by {bars} bars at {frequency:g} cy/px stands out of the noise"
-        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), seconds=seconds, **common),))
+        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), **common),))
     value, sd, target = read
     near = target.box((mean.shape[0], mean.shape[1]), 1.0)
     one = from_sd(
         "mtf", "1", value, sd, flags=("model-misfit", *flags_of_codes(used, near, context)),
         notes=("First term of Coltman's series, for comparison only.",),
-        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, seconds=seconds, **common,
+        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
     )  # fmt: skip
     return Result(measurements=(one,))
 

@@ -1,7 +1,5 @@
 """The plain method for bar targets: the contrast of the averaged profile times pi/4, as it is read by eye."""
 
-import time
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,7 +48,6 @@ def bars_contrast(
     Coltman (J. Opt. Soc. Am. 44, 468, 1954), first term of the series: right for infinite square waves beyond a third
     of the cut-off only.
     """
-    began = time.perf_counter()
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
     frequency = float(frequency_cy_per_px)
@@ -65,13 +62,12 @@ def bars_contrast(
     read = None if target is None else _read(mean, target)
     if target is None or read is None or read[0] < LEAST_SIGNAL * read[1]:
         reason = f"no target: no contrast of {bars} bars at {frequency:g} cy/px stands out of the noise"
-        spent = time.perf_counter() - began
-        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), seconds=spent, **common),))
+        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), **common),))
     value, sd = read
     flags = ("model-misfit", *code_flags(used.data[:, target.box(mean.shape, 1.0)], context.full_scale_dn))
     one = from_sd(
         "mtf", "1", value, sd, flags=flags, notes=("Contrast reading, for comparison only.",),
-        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, seconds=time.perf_counter() - began, **common,
+        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
     )  # fmt: skip
     return Result(measurements=(one,))
 

@@ -1,7 +1,5 @@
 """The forward method for bar targets: the exact spectrum of N finite bars, fitted to the pixels."""
 
-import time
-
 import numpy as np
 
 import charact
@@ -63,12 +61,11 @@ def bars_forward(
     fitted to the pixels as they are sampled. Of a camera described, whose halo is wide and known, whole targets are
     summed instead; what its tails carry beyond the window is a parameter with a prior from the camera's ranges.
     """
-    began = time.perf_counter()
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
     found = found_in(used, int(bars), float(frequency_cy_per_px), context)
     if isinstance(found, str):
-        return _nothing(found, where, float(frequency_cy_per_px), context, began)
+        return _nothing(found, where, float(frequency_cy_per_px), context)
     # The share lost beyond the window and the exponent of a family lean on their bounds without harm.
     flags = (*found.flags, *(flag for flag in found.posterior.flags if flag != "prior-bound"))
     if np.quantile(found.mtf, 0.025) > 1.0:
@@ -91,16 +88,15 @@ def bars_forward(
             seed=context.seed,
             settings={"quick": context.quick, "bars": bars, "margin_px": found.margin_px},
         ),
-        seconds=time.perf_counter() - began,
     )
     return Result(measurements=(measurement,), evidence={"bars": profile(used, found.target, measurement.value or 0.0)})
 
 
-def _nothing(reason: str, where: Region, frequency: float, context: Context, began: float) -> Result:
+def _nothing(reason: str, where: Region, frequency: float, context: Context) -> Result:
     provenance = Provenance(version=charact.__version__, seed=context.seed)
     flags = ("aliased",) if reason.startswith("not identifiable") else ("no-target",)
     one = refused(
         "mtf", "1", reason, method=METHOD, flags=flags, region=where, frequency_cy_per_px=frequency,
-        seconds=time.perf_counter() - began, provenance=provenance,
+        provenance=provenance,
     )  # fmt: skip
     return Result(measurements=(one,))

@@ -3,7 +3,6 @@
 A user meets it where several groups are measured: in one frame (`charact mtf bars FILE`) and in one session.
 """
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ from scipy.stats import chi2
 
 import charact
 from charact.method import Context
+from charact.method.stopwatch import timed
 from charact.mtf.bars.joint_form import Form
 from charact.mtf.curve import REPORTED, curve_of, falls_to
 from charact.posterior import maximum, sample, weighed
@@ -158,6 +158,7 @@ def _apart_deg(one_deg: float | None, other_deg: float | None) -> float:
     return min(apart, 180.0 - apart)
 
 
+@timed
 def joint(measurements: Sequence[Measurement], *, context: Context) -> Result:
     """Fit one curve, c^((f/f2)^n) times what is known of the camera, to several groups of bars of one direction.
 
@@ -184,7 +185,6 @@ def joint(measurements: Sequence[Measurement], *, context: Context) -> Result:
     Likelihood normal in each group's MTF, whose error is near linear in it. More groups than the form has parameters
     tell whether they are of one member of the family: `model-misfit` where chi squared has a chance under 0.001.
     """
-    began = time.perf_counter()
     groups = [group_of(one) for one in measurements if one.status == "ok" and one.value is not None]
     provenance = Provenance(
         version=charact.__version__, seed=context.seed, settings={"quick": context.quick, "groups": len(groups)}
@@ -208,7 +208,7 @@ def joint(measurements: Sequence[Measurement], *, context: Context) -> Result:
     mtf50 = _half(form.mtf(posterior.draws, FINE), groups, common)
     curve = curve_of(REPORTED, curves)
     return Result(
-        measurements=(mtf50.with_(seconds=time.perf_counter() - began),),
+        measurements=(mtf50,),
         curves={"mtf": curve},
         evidence={"bar groups": _evidence(groups, curve)},
     )

@@ -1,7 +1,5 @@
 """The quick method for edges: one form, exp(-(f/fc)^n), fitted to the profile by Gauss-Newton."""
 
-import time
-
 import numpy as np
 
 from charact.method import Context, register
@@ -55,16 +53,15 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
     Mean of a pixel at distance d: level + step (E(d - shift) - 1/2) + slopes, E the edge spread of aperture x video x
     exp(-ln 2 (f/f2)^n).
     """
-    began = time.perf_counter()
     edge = find_edge(stack, region, context, quickly=True, fields_apart=True)
     if isinstance(edge, NoEdge):
-        return nothing(METHOD, edge.reason, edge.where, context, began)
+        return nothing(METHOD, edge.reason, edge.where, context)
     known = known_of(edge.picture, edge.profile.angle_rad, context)
     fitter, form = FamilyFitter(edge.profile, known), Family(core="exponential")
     fit = fitter.fit(form, np.concatenate([[0.0], form.start(fitter.guess())]), EVEN_PER_PX)
     reason = no_edge(fit.chi2, fitter.power, fit.free) or too_blurred(edge.profile, float(np.exp(fit.point[1])))
     if reason:
-        return nothing(METHOD, reason, edge.where, context, began)
+        return nothing(METHOD, reason, edge.where, context)
     posterior = laplace(
         lambda theta: np.zeros(len(theta)),
         names=("edge_shift_px", *form.parameters),
@@ -88,4 +85,4 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
         notes=(within_note(edge.profile),),
         flags=("model-misfit",) if departs(fitter, fit) else (),
     )
-    return result_of(outcome, context, began)
+    return result_of(outcome, context)

@@ -1,6 +1,5 @@
 """The forward method for edges: the whole profile fitted with the noise that is in it, and the posterior of its MTF."""
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,13 +64,12 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     Mean of a pixel at distance d: level + step (E(d) - 1/2) + slopes, E the edge spread of
     aperture x video x exp(-ln 2 (f/f2)^n) x departure x halo. Levels, step and slopes are marginalised in closed form.
     """
-    began = time.perf_counter()
     edge = find_edge(stack, region, context, fields_apart=True)
     if isinstance(edge, NoEdge):
-        return nothing(METHOD, edge.reason, edge.where, context, began)
+        return nothing(METHOD, edge.reason, edge.where, context)
     found = _fitted(edge, context)
     if isinstance(found, str):
-        return nothing(METHOD, found, edge.where, context, began)
+        return nothing(METHOD, found, edge.where, context)
     model, known = found.fit.model, found.known
     response = curvature(found.fit, found.edge.profile)
     odds = curved_ln_odds(growth_of(found.edge.profile))
@@ -86,7 +84,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
         settings={"widest_px": WIDEST_PX},
         notes=(within_note(found.edge.profile),) if model.halo is None else (),
     )
-    return result_of(outcome, context, began)
+    return result_of(outcome, context)
 
 
 @dataclass(frozen=True, kw_only=True)

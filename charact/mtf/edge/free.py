@@ -5,7 +5,6 @@ symmetric, all of which the data choose by their evidence. The profile is linear
 form and nothing has to be climbed.
 """
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -66,22 +65,21 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     by evidence (MacKay, Neural Computation 4, 1992, 415). Light beyond the region is taken to lie anywhere between
     none and twice what the outer half of the region holds.
     """
-    began = time.perf_counter()
     edge = find_edge(stack, region, context, fields_apart=True)
     if isinstance(edge, NoEdge):
-        return nothing(METHOD, edge.reason, edge.where, context, began)
+        return nothing(METHOD, edge.reason, edge.where, context)
     known = known_of(edge.picture, edge.profile.angle_rad, context)
     edge, spreads = _fitted(edge, known)
     best = spreads.settings[0]
     reason = no_edge(best.chi2, spreads.power, spreads.free)
     if reason:
-        return nothing(METHOD, reason, edge.where, context, began)
+        return nothing(METHOD, reason, edge.where, context)
     posterior = spreads.posterior(context.seed)
     transfers = Transfers(places=spreads.places, draws=posterior.draws, known=known, seed=context.seed)
     half = np.argmax(transfers.mtf(np.linspace(0.005, 1.5, 300)).mean(axis=0) < 0.5) * 0.005 + 0.005
     reason = too_blurred(edge.profile, float(half))
     if reason:
-        return nothing(METHOD, reason, edge.where, context, began)
+        return nothing(METHOD, reason, edge.where, context)
     outcome = Outcome(
         method=METHOD,
         edge=edge,
@@ -94,7 +92,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
         settings={"width_px": round(best.width_px, 3), "tail": best.tail, "smooth_over_px": round(best.smooth_px, 3)},
         notes=(within_note(edge.profile),),
     )
-    return result_of(outcome, context, began)
+    return result_of(outcome, context)
 
 
 def _fitted(edge: FoundEdge, known: Known) -> tuple[FoundEdge, LineSpreads]:

@@ -1,6 +1,5 @@
 """The parametric method for edges: forms of the point spread, fitted to the profile and weighed by their evidence."""
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -83,16 +82,15 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     Mean of a pixel at distance d: level + step (E(d - shift) - 1/2) + slopes, E the edge spread of aperture x video x
     form. The draws are those of every form in proportion to its evidence.
     """
-    began = time.perf_counter()
     edge = find_edge(stack, region, context, quickly=True, fields_apart=True)
     if isinstance(edge, NoEdge):
-        return nothing(METHOD, edge.reason, edge.where, context, began)
+        return nothing(METHOD, edge.reason, edge.where, context)
     known = known_of(edge.picture, edge.profile.angle_rad, context)
     fitter, fits = _fitted(edge, known, context)
     edge, profile, best = replace(edge, profile=fitter.profile), fitter.profile, fits[0].fit
     reason = no_edge(best.chi2, fitter.power, best.free) or too_blurred(profile, float(np.exp(best.point[1])))
     if reason:
-        return nothing(METHOD, reason, edge.where, context, began)
+        return nothing(METHOD, reason, edge.where, context)
     drawn = _drawn(fitter, fits, context, parabolic=context.quick)
     if context.quick and _unsure(drawn[0], known):
         drawn = _drawn(fitter, fits, context, parabolic=False)
@@ -113,7 +111,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
         notes=(_forms_note(fits), within_note(profile)),
         flags=_flags(fitter, fits),
     )
-    return result_of(outcome, context, began)
+    return result_of(outcome, context)
 
 
 def _fitted(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitter, list[Weighed]]:

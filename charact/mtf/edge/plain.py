@@ -4,7 +4,6 @@ Such an estimator gathers pixels by their distance from a straight line and tran
 normalised to the light inside its window; its intervals are jackknifed over blocks of rows.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -92,13 +91,12 @@ def measured_plainly(plain: PlainMethod, stack: FrameStack, region: Region | Non
     stack, region, context
         As every method gets them.
     """
-    began = time.perf_counter()
     edge = find_edge(stack, region, context)
     provenance = Provenance(version=charact.__version__, settings=dict(plain.settings))
     common = {"method": plain.name, "region": edge.where, "provenance": provenance}
     reason = edge.reason if isinstance(edge, NoEdge) else _unusable(edge)
     if reason is not None or isinstance(edge, NoEdge):
-        return _nothing(str(reason), common, began)
+        return _nothing(str(reason), common)
     picture, profile = edge.picture, edge.profile
     response = plain.estimate(picture, edge.rows.line)
     common |= {
@@ -107,9 +105,8 @@ def measured_plainly(plain: PlainMethod, stack: FrameStack, region: Region | Non
         "notes": (*edge.notes, *response.notes, "Normalised to the light inside the region."),
     }
     measurements = [*_measurements(plain, response, common), _angle(edge, common)]
-    seconds = time.perf_counter() - began
     return Result(
-        measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+        measurements=tuple(measurements),
         curves={"mtf": _curve(response)},
         evidence={
             "edge-spread": {
@@ -264,12 +261,7 @@ def _curve(response: Response) -> Curve:
     )
 
 
-def _nothing(reason: str, common: dict, began: float) -> Result:
+def _nothing(reason: str, common: dict) -> Result:
     flags = ("no-target",) if reason.startswith("no target") else ("low-signal",)
     units = {"mtf50": "cy/px", "mtf10": "cy/px", "edge_angle": "deg"}
-    seconds = time.perf_counter() - began
-    return Result(
-        measurements=tuple(
-            refused(q, unit, reason, flags=flags, seconds=seconds, **common) for q, unit in units.items()
-        )
-    )
+    return Result(measurements=tuple(refused(q, unit, reason, flags=flags, **common) for q, unit in units.items()))

@@ -1,6 +1,5 @@
 """What an edge's fit gives away: measurements, curve and evidence, from the draws of its MTF."""
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -78,7 +77,7 @@ class Outcome:
     flags: tuple[str, ...] = ()
 
 
-def result_of(outcome: Outcome, context: Context, began: float) -> Result:
+def result_of(outcome: Outcome, context: Context) -> Result:
     """Return measurements, curve and evidence of a fitted edge."""
     edge = outcome.edge
     # One evaluation serves the pinned frequencies, the curve and where to look for the levels.
@@ -92,9 +91,8 @@ def result_of(outcome: Outcome, context: Context, began: float) -> Result:
         *(_pinned(f, pinned[:, index], common) for index, f in enumerate(PINNED)),
         edge_angle(edge, common),
     ]
-    seconds = time.perf_counter() - began
     return Result(
-        measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+        measurements=tuple(measurements),
         curves={"mtf": _curve(curve)},
         evidence={"edge-spread": _edge_spread(edge.picture, edge.profile, outcome.fitted)},
     )
@@ -276,11 +274,10 @@ def _edge_spread(picture: Picture, profile: Profile, fitted: edge_checks.Fitted)
     }
 
 
-def nothing(method: str, reason: str, where: Region, context: Context, began: float) -> Result:
+def nothing(method: str, reason: str, where: Region, context: Context) -> Result:
     """Return the refusal of all that an edge gives."""
     flags = ("no-target",) if reason.startswith("no target") else ("window-too-small",)
     provenance = Provenance(version=charact.__version__, seed=context.seed)
-    seconds = time.perf_counter() - began
-    common = {"method": method, "flags": flags, "region": where, "seconds": seconds, "provenance": provenance}
+    common = {"method": method, "flags": flags, "region": where, "provenance": provenance}
     units = {"mtf50": "cy/px", "mtf10": "cy/px", "edge_angle": "deg"}
     return Result(measurements=tuple(refused(name, unit, reason, **common) for name, unit in units.items()))

@@ -6,7 +6,6 @@ show.
 """
 
 from dataclasses import replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -96,15 +95,14 @@ def noise_spectrum_free(session: Session, *, context: Context) -> Result:
 
 
 def _measured(session: Session, shapes: tuple[Shape, ...], method: str, context: Context, *, beside: bool) -> Result:
-    began = perf_counter()
     fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
     chosen = chosen_of(session, context)
     reason = _too_little(chosen)
     if reason is not None:
-        return _refusal(reason, fields, began)
+        return _refusal(reason, fields)
     spectrum = spectrum_of(session, chosen, context)
     if not np.mean(spectrum.power_dn2) > 1.001 * np.mean(spectrum.dark_dn2):
-        return _refusal("the flats are no noisier than their darks: no light scintillates in them", fields, began)
+        return _refusal("the flats are no noisier than their darks: no light scintillates in them", fields)
     context.progress("noise spectrum of the flats", 0.5)
     known = known_of(context)
     peaks = sorted((peak_of(spectrum, known, shape) for shape in shapes), key=lambda p: -p.log_evidence)
@@ -113,7 +111,7 @@ def _measured(session: Session, shapes: tuple[Shape, ...], method: str, context:
         return _refusal(
             f"the noise is white (evidence of blur exp({gained:.2g})): nothing blurs after the gain, or the flats are "
             "too few to show it",
-            fields, began,
+            fields,
         )  # fmt: skip
     found = _drawn(peaks, context)
     flags, notes = findings_of(spectrum, chosen, found.peaks[0], context)
@@ -128,9 +126,7 @@ def _measured(session: Session, shapes: tuple[Shape, ...], method: str, context:
     if beside:
         free = _drawn([peak_of(spectrum, known, FreeForm())], _quickly(context))
         drawn_curves = {**drawn_curves, **{f"{name}_free": curve for name, curve in curves(spectrum, free).items()}}
-    seconds = perf_counter() - began
-    measured = tuple(m.with_(seconds=seconds) for m in result.measurements)
-    return Result(measurements=measured, curves=drawn_curves, evidence={"post-gain-noise": evidence(spectrum, found)})
+    return replace(result, curves=drawn_curves, evidence={"post-gain-noise": evidence(spectrum, found)})
 
 
 def _too_little(chosen: Chosen) -> str | None:
@@ -140,12 +136,10 @@ def _too_little(chosen: Chosen) -> str | None:
     return f"no flat of two frames or more lies inside the linear range; left out: {left}"
 
 
-def _refusal(reason: str, fields: dict[str, Any], began: float) -> Result:
-    seconds = perf_counter() - began
+def _refusal(reason: str, fields: dict[str, Any]) -> Result:
     return Result(
         measurements=tuple(
-            refused("post_gain_mtf50", "cy/px", reason, orientation_deg=angle, seconds=seconds, **fields)
-            for angle in (0.0, 90.0)
+            refused("post_gain_mtf50", "cy/px", reason, orientation_deg=angle, **fields) for angle in (0.0, 90.0)
         )
     )
 

@@ -1,6 +1,5 @@
 """The forward method for points: the pixels of a point source fitted with the noise of whole pulses of light."""
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,12 +79,11 @@ def point_forward(
     pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f s)^2) x [(1 - q) + q H_halo].
     Light and pedestal are marginalised in closed form.
     """
-    began = time.perf_counter()
     if pinhole_px is not None and not 0 <= pinhole_px < 50:
         raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
-    task = Task(context=context, where=where, began=began, pinhole_px=pinhole_px)
+    task = Task(context=context, where=where, pinhole_px=pinhole_px)
     if min(used.shape[1:]) < LEAST_PX:
         return task.nothing(f"a point needs a region of at least {LEAST_PX} x {LEAST_PX} px, got {where[2:]}",
                             "window-too-small")  # fmt: skip
@@ -159,11 +157,10 @@ def _posterior(found: PointFit, context: Context) -> Posterior:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What was asked, and when."""
+    """What was asked."""
 
     context: Context
     where: Region
-    began: float
     pinhole_px: float | None
 
     @property
@@ -174,8 +171,7 @@ class Task:
 
     def nothing(self, reason: str, flag: str) -> Result:
         """Return the refusal of all that a point gives."""
-        seconds = time.perf_counter() - self.began
-        common = {"method": METHOD, "flags": (flag,), "region": self.where, "seconds": seconds}
+        common = {"method": METHOD, "flags": (flag,), "region": self.where}
         return Result(measurements=tuple(
             refused(name, "cy/px", reason, orientation_deg=angle, provenance=self.provenance, **common)
             for name in QUANTITIES for angle in (0.0, 90.0)
@@ -203,9 +199,8 @@ class Task:
             measurements += [_level(quantity, level, fine, posterior, {**common, "orientation_deg": angle})
                              for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1))]  # fmt: skip
             curves[name] = curve_of(REPORTED, found.model.mtf(posterior.draws, REPORTED, vertical=vertical))
-        seconds = time.perf_counter() - self.began
         return Result(
-            measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+            measurements=tuple(measurements),
             curves=curves,
             evidence={"point-profile": point_checks.evidence(found, window)},
         )

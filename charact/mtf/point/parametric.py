@@ -1,6 +1,5 @@
 """The parametric method for points: forms of the point spread, fitted to pixels and weighed by their evidence."""
 
-import time
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,8 +95,7 @@ def point_parametric(
     and the shift from the best place are marginalised in closed form; pixels at full scale enter by the probability
     of being at least there. The draws are those of every form in proportion to its evidence.
     """
-    began = time.perf_counter()
-    task = _Task(context=context, region=region or (0, 0, *stack.shape[1:]), began=began, pinhole=_pinhole(pinhole_px))
+    task = _Task(context=context, region=region or (0, 0, *stack.shape[1:]), pinhole=_pinhole(pinhole_px))
     if regions is not None and not regions:
         raise BadInput("several sources need at least one region, got none")
     parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
@@ -175,11 +173,10 @@ def _wides(sites: list[Site], parts: list[FrameStack], context: Context) -> tupl
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
-    """What was asked, and when."""
+    """What was asked."""
 
     context: Context
     region: Region
-    began: float
     pinhole: float | tuple[float, float]
 
     @property
@@ -190,9 +187,8 @@ class _Task:
 
     def nothing(self, reason: str, flag: str) -> Result:
         """Return the refusal of all that a point gives."""
-        seconds = time.perf_counter() - self.began
         return Result(measurements=tuple(
-            refused(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), seconds=seconds, **self._common)
+            refused(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), **self._common)
             for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
         ))  # fmt: skip
 
@@ -236,8 +232,7 @@ class _Task:
                 for index, f in enumerate(PINNED)
             ]
             curves[name] = curve_of(REPORTED, reported)
-        seconds = time.perf_counter() - self.began
-        return Result(measurements=tuple(m.with_(seconds=seconds) for m in measurements), curves=curves)
+        return Result(measurements=tuple(measurements), curves=curves)
 
     def _posterior(self, fitter: PointFitter, one: Weighed, number: int) -> Posterior:
         """Draw from one form's posterior, quickly by importance alone."""

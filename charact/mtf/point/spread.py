@@ -1,6 +1,5 @@
 """The plain method for points: the Fourier transform of the spot, its background subtracted, over its light."""
 
-import time
 from typing import Any
 
 import numpy as np
@@ -66,7 +65,6 @@ def point_spread(
     -----
     MTF(f) = |sum v exp(-2 pi i f x)| / sum v over a disc of 8 px, v above the mean of the ring from 8 to 14 px.
     """
-    began = time.perf_counter()
     used = stack if region is None else stack.region(*region)
     settings = {"half_px": HALF_PX, "pinhole_px": pinhole_px}
     common: dict[str, Any] = {
@@ -95,8 +93,7 @@ def point_spread(
         )
         found += one
         curves[name] = curve
-    seconds = time.perf_counter() - began
-    return Result(measurements=tuple(m.with_(seconds=seconds) for m in found), curves=curves)
+    return Result(measurements=tuple(found), curves=curves)
 
 
 def _places(shape: tuple[int, int], source: point_source.Source, context: Context) -> tuple[Array, Array]:

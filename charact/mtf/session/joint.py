@@ -1,6 +1,5 @@
 """One MTF fitted to all targets of a session: edges, bars, points, and the noise of flats as a bound."""
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,6 +8,7 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context
+from charact.method.stopwatch import timed
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.forms.families import Core, HaloPrior
 from charact.mtf.optics import halo_diameters_px
@@ -55,6 +55,7 @@ class Joint:
         ])  # fmt: skip
 
 
+@timed
 def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
     """Fit one MTF to what all targets of a session told and test whether they told of one.
 
@@ -81,7 +82,6 @@ def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Resu
     those of every form of the core in proportion to its evidence (Laplace). Where chi squared of all targets has a
     chance under 0.05 a note says so and names the one that differs most; under 0.01 the flag is `model-misfit`.
     """
-    began = time.perf_counter()
     sound, bounds = told(result, kinds, context)
     if len({one.target for one in sound}) < 2:
         return Result()
@@ -109,9 +109,8 @@ def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Resu
         ]
         name = "mtf_joint_vertical" if vertical else "mtf_joint"
         curves[name] = curve_of(REPORTED, found.mtf(np.maximum(REPORTED, 1e-6), vertical))
-    seconds = time.perf_counter() - began
     return Result(
-        measurements=tuple(m.with_(seconds=seconds) for m in measurements),
+        measurements=tuple(measurements),
         curves=curves,
         evidence={"joint MTF": _evidence(found, sound)},
     )

@@ -1,12 +1,12 @@
 """One stack as a cube of frames, rows and columns: its seven components of noise, and what spoils them."""
 
 from dataclasses import dataclass
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.method.stopwatch import Stopwatch
 from charact.noise.cube.components import Component, components
 from charact.noise.cube.contrasts import contrasts
 from charact.noise.cube.irregular import alternating_rows, few_pixels, uneven
@@ -59,7 +59,7 @@ def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
     frames, rows, cols = stack.shape
     if frames < LEAST_FRAMES or min(rows // (2 if context.interlaced else 1), cols) < LEAST_PIXELS:
         return None
-    began = perf_counter()
+    watch = Stopwatch()
     found = contrasts(stack, interlaced=context.interlaced)
     parts = components(found)
     shaded = tuple(uneven(found))
@@ -80,5 +80,5 @@ def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
         column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
         fields=len(found.by_row),
         defects=defects,
-        seconds=perf_counter() - began,
+        seconds=watch.seconds(),
     )

@@ -1,6 +1,5 @@
 """3-D noise of every dark and flat: what differs from frame to frame, row to row, column to column, and jointly."""
 
-from time import perf_counter
 from typing import Any
 from zlib import crc32
 
@@ -8,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.method.stopwatch import Stopwatch
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.cube.components import OWN, Component
 from charact.noise.cube.cube import LEAST_FRAMES, LEAST_PIXELS, Cube
@@ -71,7 +71,7 @@ def _all_refused(reason: str, fields: dict[str, Any]) -> tuple[Measurement, ...]
 
 def _of_level(level: Level, cube: Cube, context: Context, fields: dict[str, Any]) -> Result:
     """The seven components of one stack."""
-    began = perf_counter()
+    watch = Stopwatch()
     parts = cube.components
     if parts["tvh"].variance_dn2 <= 0:
         reason = f"no pixel of {level.label} changes for itself from frame to frame"
@@ -82,7 +82,7 @@ def _of_level(level: Level, cube: Cube, context: Context, fields: dict[str, Any]
     findings["t"] += _unsteady(cube.means)
     common = _of_all(level, cube, draws["tvh"])
     out = [_measurement(name, parts[name], draws[name], common + findings[name], fields) for name in NAMES]
-    seconds = cube.seconds + perf_counter() - began
+    seconds = cube.seconds + watch.seconds()
     return Result(
         measurements=tuple(m.with_(seconds=seconds) for m in out),
         evidence={f"three-dimensional-noise:{level.label}": _evidence(level, cube)},

@@ -1,13 +1,13 @@
 """What single photoelectrons in dark frames tell: background illumination, pulse height and its spread."""
 
 from collections import Counter
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.method.stopwatch import timed
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.events.evidence import pulse_evidence
 from charact.noise.events.frames import MOST_FRAMES, QUICK_VALUES, DarkFrames, dark_frames, large_enough, pulses_seen
@@ -71,20 +71,20 @@ def pulses_of_darks(session: Session, darks: list[Level], *, context: Context) -
     return measure_events(session.stack(order[-1].label), context=context) if order else Result()
 
 
+@timed
 def measure_events(dark: StackEntry, *, context: Context) -> Result:
     """Measure the law of single photoelectrons in a dark stack."""
-    began = perf_counter()
     context.progress("single photoelectrons in the darks", 0.95)
     fields: dict[str, Any] = {"method": METHOD, "stack": dark.label, "provenance": provenance(context)}
     found = _found(_frames(dark), dark.conditions, context)
     if isinstance(found, str):
         out = [refused(name, unit, found, **fields)
                for name, unit in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px"))]  # fmt: skip
-        return Result(measurements=_timed(out, began))
+        return Result(measurements=tuple(out))
     findings = pulse_findings(found)
     fields |= {"flags": flags_of(findings), "notes": notes_of(findings)}
     out = _measurements(found, dark.conditions, context, fields)
-    return Result(measurements=_timed(out, began), evidence={"pulse-heights": pulse_evidence(found)})
+    return Result(measurements=tuple(out), evidence={"pulse-heights": pulse_evidence(found)})
 
 
 def _frames(dark: StackEntry) -> FrameStack:
@@ -126,11 +126,6 @@ def unusable(frames: DarkFrames) -> str | None:
     if not pulses_seen(frames):
         return "noise alone explains the darks: filtered pixels are as often far below their mean as above it"
     return None
-
-
-def _timed(measurements: list[Measurement], began: float) -> tuple[Measurement, ...]:
-    seconds = perf_counter() - began
-    return tuple(m.with_(seconds=seconds) for m in measurements)
 
 
 def unseen(found: PulseFit) -> str | None:

@@ -1,7 +1,6 @@
 """Gain of a camera that blurs after its gain: from the covariance summed over pixels and exposures."""
 
 from dataclasses import replace
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from charact.noise.provenance import provenance
 from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
 from charact.noise.stack.level import Level
 from charact.noise.sweep.sweep import gain_sweep
-from charact.noise.verdict import problem, timed, without_flats
+from charact.noise.verdict import problem, without_flats
 from labdata.measurement import Measurement, Result, from_draws, refused
 from labdata.session import Session
 
@@ -68,10 +67,9 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
 
 def measured(session: Session, *, context: Context, method: str, estimate: Estimate | None = None) -> Result:
     """Return all that darks and flats tell, the covariance gain by an estimate of one's own; None: by the model."""
-    began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
     fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
-    result = _of_levels(session, darks, flats, single, context, fields, estimate, began)
+    result = _of_levels(session, darks, flats, single, context, fields, estimate)
     result += three_dimensional([*darks, *flats], context=context)
     result += dark_current(darks, result, context=context) + defect_pixels([*darks, *flats], context=context)
     result += gain_sweep(darks, flats, context=context)
@@ -80,20 +78,20 @@ def measured(session: Session, *, context: Context, method: str, estimate: Estim
 
 
 def _of_levels(session: Session, darks: list[Level], flats: list[Level], single: list[str], context: Context,
-               fields: dict[str, Any], estimate: Estimate | None, began: float) -> Result:  # fmt: skip
+               fields: dict[str, Any], estimate: Estimate | None) -> Result:  # fmt: skip
     """Gains and all that follows from them, or why there are none."""
     small = too_small([*darks, *flats])
     if small is not None:
         out = [refused(name, unit, small, **fields) for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))]
         out += dark_quantities(tuple(darks), flags=(), **fields) if darks else []
-        return Result(measurements=timed(out, began))
+        return Result(measurements=tuple(out))
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
         out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
         # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
-        return Result(measurements=timed([*out, *alone.measurements], began), evidence=alone.evidence)
-    return _of_series(session, series, context, fields, estimate, began)
+        return Result(measurements=(*out, *alone.measurements), evidence=alone.evidence)
+    return _of_series(session, series, context, fields, estimate)
 
 
 def too_small(levels: list[Level]) -> str | None:
@@ -107,8 +105,8 @@ def too_small(levels: list[Level]) -> str | None:
     )
 
 
-def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None,
-               began: float) -> Result:  # fmt: skip
+def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None
+               ) -> Result:  # fmt: skip
     """All quantities of a series of flats."""
     context.progress("posterior of the covariance gain", 0.9)
     pooled = one_gain(series, context=context, quick=context.quick, estimate=estimate)
@@ -146,7 +144,7 @@ def _of_series(session: Session, series: Series, context: Context, fields: dict[
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=own_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
     evidence = _evidence(pooled, gain) | ({"predictive-frames": predictive_evidence(told)} if told else {})
-    return Result(measurements=timed(out, began), evidence=evidence)
+    return Result(measurements=tuple(out), evidence=evidence)
 
 
 def _told(session: Session, pooled: OneGain, gain: standard.Line | None, context: Context) -> list[Told]:

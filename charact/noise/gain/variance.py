@@ -1,6 +1,5 @@
 """The plain way: gain from the variance of pixels, as for a camera whose noise is white (EMVA 1288 Release 4)."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from charact.noise.gain.series import read_levels, series_of
 from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
 from charact.noise.provenance import provenance
 from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
-from charact.noise.verdict import lit, problem, timed, without_flats
+from charact.noise.verdict import lit, problem, without_flats
 from labdata.measurement import Result, from_draws
 from labdata.session import Session
 
@@ -42,13 +41,12 @@ def variance(session: Session, *, context: Context) -> Result:
     context
         Seed and settings.
     """
-    began = perf_counter()
     darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
     cubes = three_dimensional([*darks, *flats], context=context) + defect_pixels([*darks, *flats], context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
-        result = Result(measurements=timed(without_flats(darks, series, single, **fields), began)) + cubes
+        result = Result(measurements=tuple(without_flats(darks, series, single, **fields))) + cubes
         return result + dark_current(darks, result, context=context)
     neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
     findings = series_findings(series, context=context)
@@ -65,5 +63,5 @@ def variance(session: Session, *, context: Context) -> Result:
     out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
                               **fields)  # fmt: skip
     evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}
-    result = Result(measurements=timed(out, began), evidence=evidence) + cubes
+    result = Result(measurements=tuple(out), evidence=evidence) + cubes
     return result + dark_current(darks, result, context=context)

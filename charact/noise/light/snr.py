@@ -1,12 +1,12 @@
 """Signal-to-noise ratio against the light, for every gain of a session, and the light at which it is one."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.method.stopwatch import timed
 from charact.noise.checks import coarse, exposure_findings, series_findings
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain.series import GAINS, Series, gain_of, series_of
@@ -20,7 +20,7 @@ from charact.noise.light.model import DRAWS, LIT, Levels
 from charact.noise.light.stated import Light, gathering_s, light_of_series, response_draws
 from charact.noise.provenance import provenance
 from charact.noise.stack.level import Level
-from charact.noise.verdict import problem, timed
+from charact.noise.verdict import problem
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement, Result, from_sd, refused
 
@@ -34,6 +34,7 @@ AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, noise that
 AXES = "noise of whole rows, columns and frames is left out of the area: too few frames to see it"
 
 
+@timed
 def snr_against_light(darks: list[Level], flats: list[Level], *, context: Context) -> Result:
     """Return signal-to-noise ratios of a pixel and of an area at every level, and the minimum illumination of each.
 
@@ -55,12 +56,11 @@ def snr_against_light(darks: list[Level], flats: list[Level], *, context: Contex
     Noise is that of one exposure from which a mean dark is taken away. The minimum illumination also counts unequal
     pixels, and its interval the uncertainty of the light, common to the session; see `charact.noise.light.stated`.
     """
-    began = perf_counter()
     groups: dict[tuple, list[Level]] = {}
     for flat in flats:
         groups.setdefault(gain_of(flat.conditions), []).append(flat)
     parts = [_of_gain(series_of(group, darks), len(groups) > 1, context) for group in groups.values()]
-    measurements = timed([one for found, _ in parts for one in found], began)
+    measurements = tuple(one for found, _ in parts for one in found)
     gains = [evidence for _, evidence in parts if evidence is not None]
     return Result(measurements=measurements, evidence={"snr-light": light_evidence(gains)} if gains else {})
 

@@ -1,12 +1,12 @@
 """Noise against gain: a joint analysis of the flats and darks of a session over all settings of its gain."""
 
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.method.stopwatch import timed
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain import standard
@@ -19,7 +19,6 @@ from charact.noise.sweep.knee import STATED_PE, Knee, knee_of, missed
 from charact.noise.sweep.knob import Knob
 from charact.noise.sweep.law import BLUR
 from charact.noise.sweep.settings import Setting, Sweep, sweep_of
-from charact.noise.verdict import timed
 from labdata.measurement import Measurement, Result, from_draws, from_sd, refused
 
 Array = NDArray[np.float64]
@@ -30,6 +29,7 @@ DROWNS = "the settings lie too close together, or the gain does not follow them:
 ABSOLUTE = "F2 itself takes a known flux or the pulse heights of single photoelectrons"
 
 
+@timed
 def gain_sweep(darks: list[Level], flats: list[Level], *, context: Context) -> Result:
     """Return what a sweep of the gain tells; nothing where the gain was not changed.
 
@@ -46,12 +46,8 @@ def gain_sweep(darks: list[Level], flats: list[Level], *, context: Context) -> R
         Law of the gain, knee of read noise and scintillation, saturation of the plate, excess noise of each setting
         over that of one; gain, blur, read noise and response of each setting, whose `stack` is its brightest flat.
     """
-    began = perf_counter()
     sweep = sweep_of(darks, flats, context=context)
-    if sweep is None:
-        return Result()
-    found = of_sweep(sweep, context=context)
-    return Result(measurements=timed(list(found.measurements), began), evidence=found.evidence)
+    return Result() if sweep is None else of_sweep(sweep, context=context)
 
 
 def of_sweep(sweep: Sweep, *, context: Context) -> Result:

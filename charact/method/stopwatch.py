@@ -1,0 +1,125 @@
+"""The time that a measurement takes, taken around the call that makes it, less what numba compiles within that call.
+
+Taken out is all that numba does once in a process: compiling (half a minute on a fresh machine), loading what an
+earlier process compiled and kept (0.4 s for the functions of an edge), and waiting until another thread has compiled.
+Left in is what else a first call does, such as importing parts of SciPy, 0.3 s.
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from time import perf_counter
+from typing import ParamSpec
+
+from numba.core import event
+
+from labdata.measurement import Result
+
+Arguments = ParamSpec("Arguments")
+
+# numba holds its lock while it compiles, loads or saves; it compiles only what it could not load.
+LOCKED, COMPILES = "numba:compiler_lock", "numba:compile"
+# Compiling for longer than this is told, s.
+LONG_S = 2.0
+COMPILING = "compiling, once on this machine"
+# Up to so many of a unit a time is told in it: more would be three digits.
+MOST_OF_UNIT = 99.5
+UNITS = (("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0))
+
+
+class Stopwatch:
+    """Time since it was made, less what numba compiled in this thread since."""
+
+    def __init__(self) -> None:
+        self._compiled_s, self._made_s = _HERE.seconds(), perf_counter()
+
+    def seconds(self) -> float:
+        """Seconds since it was made, compiling not counted."""
+        return perf_counter() - self._made_s - self.compiled_s()
+
+    def compiled_s(self) -> float:
+        """Seconds of compiling since it was made."""
+        return _HERE.seconds() - self._compiled_s
+
+
+def timed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Return a function whose measurements, refused ones too, say how long the call took, compiling not counted.
+
+    A measurement that says so already keeps its time: a timed call within this one made it, and knows it better.
+    Compiling for more than some two seconds is told to the progress of its keyword `context`, once a call.
+    """
+
+    @wraps(function)
+    def timing(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        watch, outer = Stopwatch(), _HERE.call
+        if outer is None:
+            _HERE.call = _Call(watch, getattr(kwargs.get("context"), "progress", None))
+        try:
+            result = function(*args, **kwargs)
+        finally:
+            _HERE.call = outer
+        seconds = watch.seconds()
+        return replace(
+            result,
+            measurements=tuple(m if m.seconds is not None else m.with_(seconds=seconds) for m in result.measurements),
+        )
+
+    return timing
+
+
+def time_text(seconds: float) -> str:
+    """Return a time with two significant digits in the unit that fits it: "9.4 ms", "0.45 s", "12 s", "2.1 min"."""
+    name, unit = next((one for one in UNITS if seconds < MOST_OF_UNIT * one[1]), UNITS[-1])
+    return f"{seconds / unit:.2g} {name}"
+
+
+class _Call:
+    """The outermost timed call of a thread, and whom it tells of its progress."""
+
+    def __init__(self, watch: Stopwatch, progress: Callable[[str, float], None] | None) -> None:
+        self._watch, self._progress = watch, progress
+
+    def tell(self) -> None:
+        """Tell once that numba compiles, if it has for long."""
+        if self._progress is not None and self._watch.compiled_s() > LONG_S:
+            progress, self._progress = self._progress, None
+            progress(COMPILING, 0.0)
+
+
+class _Here(threading.local):
+    """What numba does in this thread, and for which call."""
+
+    call: _Call | None = None
+    depth: int = 0
+    since_s: float = 0.0
+    before_s: float = 0.0
+
+    def seconds(self) -> float:
+        """Seconds of compiling in this thread so far."""
+        return self.before_s + (perf_counter() - self.since_s if self.depth else 0.0)
+
+
+_HERE = _Here()
+
+
+class _Listener(event.Listener):
+    """Counts the time between the first of numba's nested events and its end; each comes in the thread it is of."""
+
+    def on_start(self, event: event.Event) -> None:
+        if _HERE.depth == 0:
+            _HERE.since_s = perf_counter()
+        _HERE.depth += 1
+        if event.kind == COMPILES and _HERE.call is not None:
+            _HERE.call.tell()
+
+    def on_end(self, event: event.Event) -> None:
+        # What was under way when this module was imported ends without having begun here.
+        if _HERE.depth == 1:
+            _HERE.before_s = _HERE.seconds()
+        _HERE.depth = max(_HERE.depth - 1, 0)
+
+
+_LISTENER = _Listener()
+for _kind in (LOCKED, COMPILES):
+    event.register(_kind, _LISTENER)
