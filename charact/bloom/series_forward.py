@@ -109,12 +109,12 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     if isinstance(found, str):
         return _Told(measurements=_refused(found, fields), evidence={})
     series, group = found
-    context.progress("forms of the source's light", 0.5)
+    context.progress("forms of the source's light", 0.9)
     radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
     forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor,
                        first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
     best = forms[0]
-    context.progress("posterior of the series", 0.8)
+    context.progress("posterior of the series", 0.95)
     posterior = _posterior(best, context)
     reason = why_no_halo(forms)
     own = own_diameters(best) if reason is None else None

@@ -36,19 +36,35 @@ def test_a_halo_that_is_not_sound_tells_nothing(context: Context, halo) -> None:
     assert _knowing_halo(context, Result(measurements=(halo,))) is context
 
 
-@pytest.mark.parametrize(("volts", "known"), [(700, True), (720, False)])
-def test_the_dark_under_an_edge_s_settings_is_its_black(tmp_path: Path, volts: int, known: bool, seed: int) -> None:
+def edge_and_dark(folder: Path, volts: int, seed: int) -> None:
+    """Keep a session of an edge at 700 V and a dark in a folder."""
     rng = np.random.default_rng(seed)
-    np.save(tmp_path / "edge.npy", EdgeScene(rows=90, cols=90, snr=60.0).frames_drawn(rng).data)
-    np.save(tmp_path / "dark.npy", rng.poisson(10.0, (4, 90, 90)).astype(np.uint8))
+    np.save(folder / "edge.npy", EdgeScene(rows=90, cols=90, snr=60.0).frames_drawn(rng).data)
+    np.save(folder / "dark.npy", rng.poisson(10.0, (4, 90, 90)).astype(np.uint8))
     stacks = (("edge", 700), ("dark", volts))
-    (tmp_path / "session.toml").write_text(
+    (folder / "session.toml").write_text(
         'name = "s"\n'
         + "".join(
             f'[[stack]]\nlabel = "{kind}"\nkind = "{kind}"\nframes = "{kind}.npy"\nmcp_v = {voltage}\n'
             for kind, voltage in stacks
         )
     )
+
+
+def test_what_an_analysis_says_of_its_progress_is_told_within_its_part(tmp_path: Path, seed: int) -> None:
+    edge_and_dark(tmp_path, 700, seed)
+    told: list[tuple[str, float]] = []
+    measure(tmp_path, quick=True, progress=lambda sentence, share: told.append((sentence, share)))
+    sentences = [sentence for sentence, _ in told]
+    edge = sentences.index("MTF of edge")
+    assert sentences[:2] == ["noise against gain", "noise of dark"]
+    assert all(0.0 <= share < 0.5 for _, share in told[:edge])
+    assert all(0.5 <= share <= 1.0 for _, share in told[edge:])
+
+
+@pytest.mark.parametrize(("volts", "known"), [(700, True), (720, False)])
+def test_the_dark_under_an_edge_s_settings_is_its_black(tmp_path: Path, volts: int, known: bool, seed: int) -> None:
+    edge_and_dark(tmp_path, volts, seed)
     (mtf50,) = [m for m in measure(tmp_path, quick=True).find("mtf50") if m.stack == "edge"]
     dark = np.load(tmp_path / "dark.npy").mean()
     assert (f"No light is at {dark:.4g} DN." in mtf50.notes) == known

@@ -103,7 +103,7 @@ def _measured(session: Session, shapes: tuple[Shape, ...], method: str, context:
     spectrum = spectrum_of(session, chosen, context)
     if not np.mean(spectrum.power_dn2) > 1.001 * np.mean(spectrum.dark_dn2):
         return _refusal("the flats are no noisier than their darks: no light scintillates in them", fields)
-    context.progress("noise spectrum of the flats", 0.5)
+    context.progress("noise spectrum of the flats", 0.9)
     known = known_of(context)
     peaks = sorted((peak_of(spectrum, known, shape) for shape in shapes), key=lambda p: -p.log_evidence)
     gained = peaks[0].log_evidence - white_log_probability(peaks[0])
