@@ -13,9 +13,9 @@ from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.scene import load_scene
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.dome import dome
-from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import Lighting
 from simulate.radiance.transport.points import Coats
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.description import Camera, LampPost, Object, Pose, Scene, Surface
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint

@@ -1,6 +1,22 @@
 """How far light is followed."""
 
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+# More lamps than this are not all asked at places that an eye does not see: one is drawn.
+ASKED_LAMPS = 2
+
+
+class Named(Protocol):
+    """A light with a name."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        ...
+
+
+Light = TypeVar("Light", bound=Named)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,3 +48,7 @@ class Effort:
     def gathers(self) -> bool:
         """Whether anything is gathered at all."""
         return self.hidden_sky or self.bounces > 0
+
+    def kept(self, lights: tuple[Light, ...]) -> tuple[Light, ...]:
+        """Return the lights that have influence."""
+        return tuple(light for light in lights if light.name not in self.left_out)

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import R2, Even, evenly, fraction
-from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.leaving import around, lit
 from simulate.radiance.transport.local_fit import Nodes, all_alike
 from simulate.radiance.transport.points import Points
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.transport.workers import Run
 from simulate.radiance.world.viewpoint import Viewpoint
 
@@ -77,9 +78,7 @@ class Field:
         """
         at = (np.floor(row), np.floor(col)) if self.fine else (row / STEP - 0.5, col / STEP - 0.5)
         light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
-        for which, _ in points.glossy:
-            has[which] = False
-        shares = np.flatnonzero(has)
+        shares = np.flatnonzero(has & points.matt)
         light = light[shares]
         if not self.stage.lighting.dome.dark:
             light += self.stage.lighting.dome.irradiance(points.normal[shares])
@@ -168,13 +167,9 @@ def _seen(stage: Stage, view: Viewpoint, known: Array, step: int) -> _Seen:
     origin, towards = view.rays(step * (row + 0.5), step * (col + 0.5))
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
-    place = origin[met] + hit.range_m[met, None] * towards[met]
     share = known[np.minimum(step * row[met], view.shape[0] - 1), np.minimum(step * col[met], view.shape[1] - 1)]
-    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met], share)
-    matt = np.ones(len(met), bool)
-    for which, _ in points.glossy:
-        matt[which] = False
-    kept = np.flatnonzero(matt)
+    points = stage.points(hit, origin, towards, met, share)
+    kept = np.flatnonzero(points.matt)
     return _Seen(points.some(kept), row[met[kept]], col[met[kept]], shape)
 
 
@@ -227,7 +222,7 @@ class _Budget:
         # Of light as white as the weights, as the field's errors are stated.
         reflected = stage.coats.matt(points) @ weight / max(float(weight.sum()), 1e-30)
         sky = 0.0 if stage.lighting.dome.dark else stage.lighting.dome.irradiance(points.normal) @ weight
-        direct = stage.lit(points, effort, np.random.default_rng(0)).total() @ weight
+        direct = lit(stage, points, effort, np.random.default_rng(0)).total() @ weight
         return cls(allowed, reflected, direct + reflected * sky)
 
     def excess(self, change: Array, variance: Array) -> Array:
@@ -278,7 +273,7 @@ def _gathered(
         part = np.arange(start, min(start + count, len(nodes)))
         rng = np.random.default_rng([*seed, start])
         here, shared = start_from.of(nodes[part], places, rng), even.some(part).shared_by(places)
-        light = stage.around(here, effort, rng, rays=shared.rays, even=shared).total()
+        light = around(stage, here, effort, rng, rays=shared.rays, even=shared).total()
         light *= np.float32(np.pi)
         if not sky.dark:
             light -= sky.irradiance(here.normal)

@@ -37,7 +37,7 @@ class Parts:
 
 
 def bounced(name: str) -> tuple[int, str]:
-    """Return how often the light of a part (`Stage.leaving`) was reflected elsewhere, and what it comes from."""
+    """Return how often the light of a part (`leaving.leaving`) was reflected elsewhere, and what it comes from."""
     if not name.startswith("bounce "):
         return 0, name
     order, source = name.removeprefix("bounce ").split(" of ", 1)

@@ -1,6 +1,6 @@
 """Light by way of matt surfaces, followed by compiled loops: rays from place to place until nothing counts any more.
 
-What `gather` does in batches for all kinds of surfaces is done here, a wave of rays at a time, where places are matt.
+What `gather.any_surface` does in batches is done here, a wave of rays at a time, where places are matt.
 Rays that meet a surface which is not matt are handed back from where they met it.
 """
 

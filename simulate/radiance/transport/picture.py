@@ -19,17 +19,18 @@ from simulate.radiance.transport.allotment import Rays, allotted, further
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import R2, fraction
 from simulate.radiance.transport.field import Field, field
-from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.leaving import leaving
 from simulate.radiance.transport.panes import MOST, SPLIT, Met, Panes, chosen, mirrored
 from simulate.radiance.transport.parts import Parts
 from simulate.radiance.transport.points import Points
 from simulate.radiance.transport.small_sources import add_small_sources
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.transport.truth import Truth, truth
 from simulate.radiance.transport.workers import Run, one_by_one
 from simulate.radiance.world.viewpoint import Viewpoint
 
 Array = NDArray[np.floating]
-# Points that share what they gather, and the irradiance that they get, see `Stage.leaving`.
+# Points that share what they gather, and the irradiance that they get, see `leaving`.
 Shared = tuple[NDArray[np.int64], NDArray[np.float32]]
 Sharing = Callable[[Points, NDArray[np.int64]], Shared]
 # Share of the variance allowed that is left to light that pixels share: it costs most. The rest is for their own rays.
@@ -165,10 +166,10 @@ def along(
     share: Sharing | None = None,
     behind: int = 0,
 ) -> Parts:
-    """Return the radiance along rays of unit direction (ray, 3), in parts of shape (ray, band), as `Stage.leaving`.
+    """Return the radiance along rays of unit direction (ray, 3), in parts of shape (ray, band), as `leaving`.
 
     Besides the sources, parts are "in view": sky and glow that the ray meets, and "air": what air adds on the way, less
-    what it takes of all the rest. Points of rays (their numbers) may `share` what they gather, see `Stage.leaving`.
+    what it takes of all the rest. Points of rays (their numbers) may `share` what they gather, see `leaving`.
     Rays that meet a pane go on both ways, through and mirrored; `behind` a few panes they take one by chance.
     """
     hit = stage.surfaces.tracer.hits(origin, towards)
@@ -191,13 +192,11 @@ def along(
     met = np.flatnonzero(here & (hit.face != NOTHING))
     away = np.flatnonzero(here & (hit.face == NOTHING))
     parts.add("in view", away, stage.lighting.dome.radiance(towards[away]))
-    place = origin[met] + hit.range_m[met, None] * towards[met]
-    open_sky = None if known is None else known[met]
-    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met], open_sky)
+    points = stage.points(hit, origin, towards, met, None if known is None else known[met])
     glows, glow = stage.emitted(points)
     parts.add("in view", met[glows], glow)
     shared = None if share is None else share(points, met)
-    stage.leaving(points, effort, rng, rays=gathered, into=(parts, met), shared=shared)
+    leaving(stage, points, effort, rng, rays=gathered, into=(parts, met), shared=shared)
     if stage.air.absorbs and "air" not in effort.left_out:
         _through_air(stage, parts, hit.range_m[met], towards[met], met)
     return parts
@@ -361,8 +360,7 @@ def sky_known(stage: Stage, view: Viewpoint, seed: int) -> NDArray[np.float32]:
     origin, towards = view.rays(pixel // columns + jitter[0], pixel % columns + jitter[1])
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
-    place = origin[met] + hit.range_m[met, None] * towards[met]
-    points = stage.coats.points(stage.surfaces, hit.face[met], place, towards[met])
+    points = stage.points(hit, origin, towards, met)
     hidden = np.zeros(len(pixel))
     for _ in range(OPEN_TRIES):
         direction, _ = stage.coats.drawn(points, rng.random((len(met), 2)), rng)

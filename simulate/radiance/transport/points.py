@@ -53,6 +53,14 @@ class Points:
     def __len__(self) -> int:
         return len(self.face)
 
+    @property
+    def matt(self) -> NDArray[np.bool_]:
+        """Whether each is on a matt surface, shape (point,)."""
+        found = np.ones(len(self), np.bool_)
+        for which, _ in self.glossy:
+            found[which] = False
+        return found
+
     def whitened(self) -> "Points":
         """Return the same places with a matt surface that reflects all light."""
         return replace(self, material=np.full(len(self), WHITE), glossy=())

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.transport import direct
-from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import DiscLight, LampLight
 from simulate.radiance.transport.panes import Panes, mirrored
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.viewpoint import Viewpoint
 
 Array = NDArray[np.floating]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport import direct
-from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.viewpoint import Viewpoint
 
 Array = NDArray[np.floating]
@@ -103,8 +103,7 @@ def _band(stage: Stage, view: Viewpoint, start: int, stop: int) -> dict[str, NDA
     hit = surfaces.tracer.hits(origin, towards)
     met = np.flatnonzero(hit.face != NOTHING)
     face = hit.face[met]
-    place = origin[met] + hit.range_m[met, None] * towards[met]
-    points = stage.coats.points(surfaces, face, place, towards[met])
+    points = stage.points(hit, origin, towards, met)
     count = len(hit.face)
     material, thing = np.full(count, -1, np.int16), np.full(count, -1, np.int32)
     material[met], thing[met] = surfaces.material_of[face], surfaces.object_of[face]

@@ -17,9 +17,9 @@ from simulate.economy import Effect, Plan, plan_of
 from simulate.radiance.transport.allotment import Rays
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.eye import KNOWN, Eye
-from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.parts import bounced
 from simulate.radiance.transport.picture import along
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
 

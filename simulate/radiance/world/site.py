@@ -19,10 +19,10 @@ from simulate.radiance.spectral_grid import spectral_grid
 from simulate.radiance.spectrum import Spectrum
 from simulate.radiance.transport import dome
 from simulate.radiance.transport.air import Air, air
-from simulate.radiance.transport.gather import Stage
 from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Panels, Pattern, panels_of
 from simulate.radiance.transport.panes import Panes
 from simulate.radiance.transport.points import Coats, frames
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.build import built
 from simulate.radiance.world.description import LampPost, Scene, Surface, Weather
 from simulate.radiance.world.measured_surface import read_measured

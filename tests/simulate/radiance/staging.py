@@ -10,9 +10,10 @@ from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.dome import black, dome
 from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.leaving import leaving
 from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Pattern, panels_of
 from simulate.radiance.transport.points import Coats
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.shapes import Mesh
 from simulate.radiance.world.surfaces import surfaces
 
@@ -80,7 +81,7 @@ def irradiance(stage: Stage, places, normal, *, seed=1, effort=DIRECT, rays=16, 
     hit = stage.surfaces.tracer.hits(places + 1e-2 * normals, -normals)
     share = np.full(len(places), known, np.float32)
     points = stage.coats.points(stage.surfaces, hit.face, places, -normals, share)
-    light = stage.leaving(points, effort, np.random.default_rng(seed), rays=rays).total()[:, 0]
+    light = leaving(stage, points, effort, np.random.default_rng(seed), rays=rays).total()[:, 0]
     return light / stage.coats.rho_by_pi[points.material, 0]
 
 

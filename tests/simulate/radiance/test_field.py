@@ -10,9 +10,10 @@ from simulate.radiance.transport.allotment import Rays
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import TILE, evenly
 from simulate.radiance.transport.field import STEP, field
-from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.leaving import leaving
 from simulate.radiance.transport.local_fit import Nodes
 from simulate.radiance.transport.picture import picture
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.transport.workers import one_by_one, workers
 from simulate.radiance.world.shapes import box, plane
 from simulate.radiance.world.viewpoint import Viewpoint
@@ -209,7 +210,7 @@ def test_light_asked_for_in_parts_and_all_at_once_is_the_same(seed, known):
     face, share = np.zeros(count, np.int64), np.full(count, known, np.float32)
     points = replace(stage.coats.points(stage.surfaces, face, place, -tilted, share), normal=tilted)
     lit = [
-        stage.leaving(points, Effort(bounces=0), np.random.default_rng(seed), rays=8, split=split).total()
+        leaving(stage, points, Effort(bounces=0), np.random.default_rng(seed), rays=8, split=split).total()
         for split in (True, False)
     ]
     assert lit[1] == pytest.approx(lit[0], rel=1e-4, abs=1e-5)

@@ -8,6 +8,7 @@ from scipy.integrate import dblquad, quad
 
 from simulate.radiance.lamps.distribution import Cosine, Isotropic, Spot, Table
 from simulate.radiance.transport.effort import Effort
+from simulate.radiance.transport.leaving import leaving
 from simulate.radiance.transport.lights import LampLight, Pattern
 from simulate.radiance.transport.lit_places import RINGS, Beams
 from simulate.radiance.world.shapes import plane
@@ -64,7 +65,7 @@ def test_a_patch_that_a_lamp_almost_touches_is_found(height_m):
 def test_light_and_gathering_share_what_both_find(aside_m):
     """Places as far from the patch as the lamp is find it as surely as the lamp does, whatever the angle."""
     stage = low_room((lamp((0, 0, 0.1), radius=0.0),), above_m=0.2)
-    stage.__dict__["_beams"] = replace(stage._beams, worth=np.ones(1, np.bool_))
+    stage.__dict__["beams"] = replace(stage.beams, worth=np.ones(1, np.bool_))
     place = [aside_m, 0.0, 0.2]
     found = irradiance(stage, np.tile(place, (6000, 1)), (0, 0, -1), effort=ONCE)
     direct = irradiance(stage, [place], (0, 0, -1), effort=replace(ONCE, bounces=0))
@@ -81,11 +82,11 @@ def test_what_hides_a_part_of_a_lamp_hides_as_much_of_its_light_from_the_floor(s
         ("crumb", "crumb", at(plane(side_m, side_m), aside_m, 0, 0.09)),
     ]
     shaded = staged(parts, {"floor": FLOOR, "ceiling": 0.5, "crumb": 0.0}, lamps=bare.lighting.lamps)
-    assert shaded._beams.worth.all()
+    assert shaded.beams.worth.all()
     places = np.tile([0.0, 0.0, ABOVE_M], (MANY, 1))
     points = shaded.coats.points(shaded.surfaces, np.full(MANY, 2), places, np.tile([0, 0, 1.0], (MANY, 1)))
     by = {
-        split: shaded.leaving(points, ONCE, np.random.default_rng(3), rays=16, split=split).total()[:, 0]
+        split: leaving(shaded, points, ONCE, np.random.default_rng(3), rays=16, split=split).total()[:, 0]
         for split in (True, False)
     }
     apart = by[False].mean() - by[True].mean()
@@ -101,7 +102,7 @@ def test_lamps_left_out_are_not_drawn():
 
 
 def test_lamps_far_from_everything_are_left_to_gathering():
-    beams = low_room((lamp((0, 0, 0.03)), lamp((0, 0, 1.0))))._beams
+    beams = low_room((lamp((0, 0, 0.03)), lamp((0, 0, 1.0)))).beams
     chance, _, _ = beams.arrays((lamp((0, 0, 0.03)), lamp((0, 0, 1.0))), np.ones(2, np.bool_))
     assert chance.tolist() == [1.0, 0.0]
 

@@ -9,9 +9,11 @@ from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.transport.compiled_lights import lamp_arrays, lamp_pattern
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import Even
-from simulate.radiance.transport.gather import Stage
+from simulate.radiance.transport.gather.matt import plain
 from simulate.radiance.transport.lanes import WAVE
+from simulate.radiance.transport.leaving import leaving
 from simulate.radiance.transport.lights import LampLight, Pattern
+from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.shapes import box, plane
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
@@ -95,14 +97,14 @@ def test_loops_find_what_batches_find(case, known, seed):
     """Light asked for in parts is gathered in batches: over 300 places the means agree to four standard errors."""
     stage, rng = crowded(case), np.random.default_rng(seed)
     if "close" in case:
-        assert stage._beams.worth.tolist() == case["close"]
+        assert stage.beams.worth.tolist() == case["close"]
     place = np.column_stack([rng.uniform(-2.0, 2.0, (300, 2)), np.zeros(300)])
     down, share = np.broadcast_to([0.0, 0.0, -1.0], place.shape), np.full(300, known, np.float32)
     points = stage.coats.points(stage.surfaces, np.zeros(300, np.int64), place, down, share)
     found = np.array(
         [
             [
-                stage.leaving(points, case["effort"], rng, rays=case.get("rays", 16), split=split).total()[:, 0]
+                leaving(stage, points, case["effort"], rng, rays=case.get("rays", 16), split=split).total()[:, 0]
                 for split in (True, False)
             ]
             for _ in range(24)
@@ -136,7 +138,7 @@ def loops_alone(
         -np.tile(up, (many, 1)),
         np.zeros(many, np.float32),
     )
-    found, _ = stage._plain(ONCE, None).irradiance(
+    found, _ = plain(stage, ONCE, None).irradiance(
         points, even, known=points.known, hidden_sky=hidden_sky,
         depth=0, bounces=1, roulette_from=None, asked_lamps=2, seed=1,
     )  # fmt: skip

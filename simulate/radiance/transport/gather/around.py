@@ -6,8 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.transport.panes import Passed
-from simulate.radiance.transport.points import Points
+from simulate.radiance.trace import NOTHING, Hits
+from simulate.radiance.transport.asked import Asked
+from simulate.radiance.transport.panes import Passed, passed
+from simulate.radiance.transport.points import Coats, Points
+from simulate.radiance.transport.stage import Stage
 
 Array = NDArray[np.floating]
 
@@ -52,6 +55,17 @@ class Around:
         """Whether panes mirrored rays."""
         return self._of_glass(np.zeros(len(self.face), np.bool_), lambda glass: glass.turned)
 
+    def weight(self, coats: Coats, which: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return BRDF times cosine over density and number of rays, of some rays, shape (ray, band)."""
+        weight = coats.value(self.many.some(which), self.direction[which])
+        weight *= self.factor[which, None].astype(np.float32)
+        return weight
+
+    def there(self, stage: Stage) -> Points:
+        """Return what the rays that met something met."""
+        hit = Hits(self.face, self.range_m)
+        return stage.points(hit, self.last_start_m, self.last_direction, self.met, self.many.known[self.met])
+
     def weaken(self, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
         """Weaken the light of some rays (ray, band) by the panes that they met."""
         if self.glass is not None:
@@ -64,3 +78,32 @@ class Around:
         found = plain.copy()
         found[self.glass.which] = own(self.glass)
         return found
+
+
+def sent(stage: Stage, asked: Asked) -> Around:
+    """Send rays from places as they reflect, half of those of a gloss by it, and find what they meet."""
+    tracer, rays = stage.surfaces.tracer, asked.rays
+    many = asked.points if rays == 1 else asked.points.some(np.repeat(np.arange(len(asked.points)), rays))
+    direction, density = stage.coats.drawn(many, asked.stretches.pairs().reshape(-1, 2), asked.rng)
+    cosine = np.einsum("ij,ij->i", many.normal, direction)
+    gives = (cosine > 0.0) & (density > 0.0)
+    factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives)
+    start = tracer.above(many.face, many.place_m, many.normal)
+    hit = tracer.hits(start, direction)
+    glass = None
+    if stage.coats.panes is not None:
+        glass = passed(stage.coats.panes, tracer, start, direction, hit.range_m, asked.rng)
+        hit.face[glass.which], hit.range_m[glass.which] = glass.face, glass.range_m
+    missed = hit.face == NOTHING
+    return Around(
+        many,
+        start,
+        direction,
+        density,
+        factor,
+        hit.face,
+        hit.range_m,
+        np.flatnonzero(~missed & gives),
+        missed & gives,
+        glass,
+    )
