@@ -15,7 +15,7 @@ from simulate.iiccd.eye import eye_of
 from simulate.radiance.transport.eye import KNOWN, Eye
 from simulate.radiance.transport.picture import Picture, picture
 from simulate.radiance.transport.workers import workers
-from simulate.radiance.world.description import Scene
+from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.plan import LightPlan, exact, planned
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint

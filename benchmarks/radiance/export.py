@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from benchmarks.radiance.scenes import Case
 from simulate.radiance.lamps import Cosine, Isotropic, Lamp, Spot
 from simulate.radiance.lamps.distribution import Distribution
-from simulate.radiance.world.description import LampPost
+from simulate.radiance.world.description.lamp_post import LampPost
 
 # Rows and columns of the sky's table: finer than ours, so that the path tracer's own interpolation adds nothing.
 SKY_SHAPE = (2048, 720)

@@ -16,7 +16,11 @@ from simulate.radiance.transport.dome import dome
 from simulate.radiance.transport.lights import Lighting
 from simulate.radiance.transport.points import Coats
 from simulate.radiance.transport.stage import Stage
-from simulate.radiance.world.description import Camera, LampPost, Object, Pose, Scene, Surface
+from simulate.radiance.world.description.camera import Camera
+from simulate.radiance.world.description.lamp_post import LampPost
+from simulate.radiance.world.description.material import Surface
+from simulate.radiance.world.description.objects import Object, Pose
+from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
 

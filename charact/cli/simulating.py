@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from simulate.economy import Plan
     from simulate.night import Night, Seen
     from simulate.radiance.scene import LabScene
-    from simulate.radiance.world.description import Scene
+    from simulate.radiance.world.description.scene import Scene
 
     Description = Sensor | SolidStateCamera
 
@@ -167,7 +167,7 @@ def night_of(asked: Asked, description: "Description", conditions: Conditions) -
     from simulate.cameras import camera_of
     from simulate.night import Night
     from simulate.radiance.scene import load_scene
-    from simulate.radiance.world.description import Scene
+    from simulate.radiance.world.description.scene import Scene
 
     scene = load_scene(asked.source) if is_scene(asked.source) else None
     if not isinstance(scene, Scene):

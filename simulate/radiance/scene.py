@@ -10,7 +10,7 @@ from labdata.errors import BadInput
 from simulate.radiance.materials.material import Material
 
 if TYPE_CHECKING:
-    from simulate.radiance.world.description import Scene
+    from simulate.radiance.world.description.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +141,7 @@ def _read(path: Path) -> "LabScene | Scene":
     mapping = read_toml(path)
     if "camera" not in mapping:
         return from_mapping(mapping, LabScene, where=path.name)
-    from simulate.radiance.world.description import Scene
+    from simulate.radiance.world.description.scene import Scene
 
     place = mapping.get("place")
     if isinstance(place, dict) and isinstance(place.get("time"), datetime):

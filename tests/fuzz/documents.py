@@ -25,7 +25,7 @@ from labdata.sensors import load_camera, load_sensor
 from labdata.session import MANIFEST, open_session
 from labdata.tube_dose import Dose
 from simulate.radiance.scene import load_scene
-from simulate.radiance.world.description import Scene
+from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.site import built
 
 VALUES = (

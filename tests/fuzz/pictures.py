@@ -26,7 +26,8 @@ from labdata.store.layout import METADATA
 from simulate.radiance.scene import load_scene
 from simulate.radiance.world.build import KINDS as MESHES
 from simulate.radiance.world.build import built
-from simulate.radiance.world.description import Object, Scene
+from simulate.radiance.world.description.objects import Object
+from simulate.radiance.world.description.scene import Scene
 from tests.fuzz.documents import mangled
 from tests.labdata import dng
 

@@ -19,7 +19,12 @@ from simulate.radiance.sky.ephemeris import Place
 from simulate.radiance.sky.night_sky import NightSky
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.picture import along
-from simulate.radiance.world.description import Camera, LampPost, Object, Scene, Surface, Where
+from simulate.radiance.world.description.camera import Camera
+from simulate.radiance.world.description.lamp_post import LampPost
+from simulate.radiance.world.description.material import Surface
+from simulate.radiance.world.description.objects import Object
+from simulate.radiance.world.description.scene import Scene
+from simulate.radiance.world.description.surroundings import Where
 
 # Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show half the usual field.
 SHAPE, FIELD = (6, 8), 0.5

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.world.description import METRE, Object, Pose, Scene
+from simulate.radiance.world.description.objects import METRE, Object, Pose
+from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.material_map import mapped
 from simulate.radiance.world.shapes import Mesh, shape
 from simulate.radiance.world.surfaces import Surfaces, surfaces

@@ -24,7 +24,10 @@ from simulate.radiance.transport.panes import Panes
 from simulate.radiance.transport.points import Coats, frames
 from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.build import built
-from simulate.radiance.world.description import LampPost, Scene, Surface, Weather
+from simulate.radiance.world.description.lamp_post import LampPost
+from simulate.radiance.world.description.material import Surface
+from simulate.radiance.world.description.scene import Scene
+from simulate.radiance.world.description.surroundings import Weather
 from simulate.radiance.world.measured_surface import read_measured
 from simulate.radiance.world.surfaces import Surfaces
 

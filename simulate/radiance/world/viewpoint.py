@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.description import must_be_positive
 from labdata.errors import BadInput
 
 Array = NDArray[np.floating]
@@ -32,8 +33,7 @@ class Scan:
     turn_deg_per_s: float = 0.0
 
     def __post_init__(self) -> None:
-        if not self.line_time_s > 0.0:
-            raise BadInput(f"line_time_s must be positive, got {self.line_time_s:g}")
+        must_be_positive(self, "line_time_s")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,8 @@ from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.panes import Panes
 from simulate.radiance.transport.picture import along
 from simulate.radiance.transport.small_sources import add_small_sources
-from simulate.radiance.world.description import Scene, Surface
+from simulate.radiance.world.description.material import Surface
+from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.shapes import Mesh, shape
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.surfaces import surfaces

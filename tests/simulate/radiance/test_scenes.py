@@ -14,7 +14,8 @@ from simulate.radiance.transport.eye import Eye
 from simulate.radiance.transport.picture import Rays, along, picture
 from simulate.radiance.transport.truth import truth
 from simulate.radiance.world.build import built, placed
-from simulate.radiance.world.description import Pose, Scene
+from simulate.radiance.world.description.objects import Pose
+from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.plan import planned
 from simulate.radiance.world.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
 from simulate.radiance.world.site import Site

@@ -1,0 +1,67 @@
+"""A lamp at a place, as a table of a scene's file says it."""
+
+from dataclasses import dataclass
+
+from labdata.errors import BadInput
+
+BEAMS = ("isotropic", "cosine", "spot")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampPost:
+    """A lamp at a place.
+
+    Parameters
+    ----------
+    label
+        Its name.
+    kind
+        Kind of its spectrum (`simulate.radiance.lamps.KINDS`), or a .csv file of two columns relative to the scene's.
+    position_m
+        Place (east, north, up), m.
+    lumens
+        Luminous flux, lm; None: that of its photometric file.
+    aim_m
+        Place at which its axis points, m; straight down without one.
+    beam
+        "isotropic", "cosine" (a matt emitter), "spot", or a photometric .ies file relative to the scene's.
+    heading_deg
+        Where the plane C0 of a photometric file lies, clockwise from north, deg.
+    half_angle_deg
+        Of a spot: where its intensity has fallen to half, deg from the axis.
+    radius_m
+        Radius of what shines, m.
+    temperature_k
+        Of an incandescent lamp, K.
+    near_infrared_share
+        Power of near-infrared lines over that of the visible, dimensionless; None: that of its kind.
+    """
+
+    label: str
+    kind: str
+    position_m: tuple[float, float, float]
+    lumens: float | None = None
+    aim_m: tuple[float, float, float] | None = None
+    beam: str = "isotropic"
+    heading_deg: float = 0.0
+    half_angle_deg: float = 20.0
+    radius_m: float = 0.05
+    temperature_k: float = 2856.0
+    near_infrared_share: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.beam not in BEAMS and not self.measured:
+            raise BadInput(f"a beam must be one of {', '.join(BEAMS)} or an .ies file, got {self.beam!r}")
+        if self.lumens is None and not self.measured:
+            raise BadInput(f"lumens must be given for a lamp without a photometric file, got none for {self.label!r}")
+        if self.lumens is not None and not self.lumens >= 0.0:
+            raise BadInput(f"lumens must not be negative, got {self.lumens:g} of {self.label!r}")
+        if not self.radius_m > 0.0:
+            raise BadInput(f"radius_m must be positive, got {self.radius_m:g} of {self.label!r}")
+        if self.aim_m == self.position_m:
+            raise BadInput(f"a lamp must aim at another place than its own, got {self.label!r}")
+
+    @property
+    def measured(self) -> bool:
+        """Whether its beam is a photometric file."""
+        return self.beam.lower().endswith(".ies")

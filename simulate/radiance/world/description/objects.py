@@ -1,0 +1,85 @@
+"""What stands in a scene: shapes and mesh files, and how their copies stand: tables of the scene's file."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from labdata.description import must_be_positive
+from labdata.errors import BadInput
+
+Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
+METRE: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """How a copy of an object stands.
+
+    Parameters
+    ----------
+    position_m
+        Where its origin is (east, north, up), m.
+    heading_deg
+        Where its own +y points, clockwise from north, deg.
+    pitch_deg, roll_deg
+        Turn about its own x (nose up) and then, before it, about its own y, deg.
+    scale
+        Size over that described, dimensionless.
+    """
+
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    heading_deg: float = 0.0
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        must_be_positive(self, "scale")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Object(Pose):
+    """Something with a surface: a shape or a mesh file, standing once or several times.
+
+    Parameters
+    ----------
+    label
+        Its name.
+    material
+        Name of its material.
+    shape, size_m
+        A shape of `simulate.radiance.world.shapes` and its sizes, m; or else:
+    file, unit
+        A mesh file (.obj, .ply, .stl, .glb), relative to the scene's file, and the unit of its numbers.
+    map, map_materials
+        Of a plane: a picture whose numbers say which of these materials lies where, see
+        `simulate.radiance.world.material_map`; in place of `material`.
+    gaps
+        Share of its surface that is open, as between leaves, dimensionless: triangles are left out of every copy alike.
+    instances
+        Poses of copies; without any it stands once, as its own pose says.
+    """
+
+    label: str
+    material: str = ""
+    shape: str | None = None
+    size_m: tuple[float, ...] = ()
+    file: str | None = None
+    unit: Unit | None = None
+    map: str | None = None
+    map_materials: tuple[str, ...] = ()
+    gaps: float = 0.0
+    instances: tuple[Pose, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.shape is None) == (self.file is None):
+            raise BadInput(f"an object must have either a shape or a file, got {self.label!r}")
+        if (self.map is None) != (not self.map_materials) or (self.map is None) == (not self.material):
+            raise BadInput(f"an object must have either a material or a map and its materials, got {self.label!r}")
+        if self.map is not None and self.shape != "plane":
+            raise BadInput(f"a material map must lie on a plane, got {self.label!r}")
+        if not 0.0 <= self.gaps < 1.0:
+            raise BadInput(f"gaps must lie in [0, 1), got {self.gaps:g} of {self.label!r}")
+        if self.file is not None and self.unit is None:
+            raise BadInput(f"a mesh file has no unit of its own: unit must be one of {', '.join(METRE)}, "
+                           f"got none for {self.label!r}")  # fmt: skip

@@ -1,0 +1,63 @@
+"""A scene out of doors: its tables together, and what one must know of the other."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from labdata.errors import BadInput
+from simulate.radiance.world.description.camera import Camera
+from simulate.radiance.world.description.lamp_post import LampPost
+from simulate.radiance.world.description.material import Surface
+from simulate.radiance.world.description.objects import Object
+from simulate.radiance.world.description.surroundings import Sky, Weather, Where
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A scene out of doors.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    camera, place, weather, sky
+        Where one looks from, where and when it is, what the air is like and what shines in it; without a place there is
+        no sky, only lamps.
+    material, object, lamp
+        Tables of materials, objects and lamps.
+    folder
+        Where its files lie.
+    """
+
+    name: str
+    camera: Camera
+    place: Where | None = None
+    weather: Weather = field(default_factory=Weather)
+    sky: Sky = field(default_factory=Sky)
+    material: tuple[Surface, ...] = ()
+    object: tuple[Object, ...] = ()
+    lamp: tuple[LampPost, ...] = ()
+    folder: str = "."
+
+    def __post_init__(self) -> None:
+        for kind, things in (("material", self.material), ("object", self.object), ("lamp", self.lamp)):
+            labels = [thing.label for thing in things]
+            twice = sorted({label for label in labels if labels.count(label) > 1})
+            if twice:
+                raise BadInput(f"labels of {kind}s must differ, got {twice[0]!r} twice")
+        known = {surface.label for surface in self.material}
+        for thing in self.object:
+            for name in thing.map_materials or (thing.material,):
+                if name not in known:
+                    raise BadInput(
+                        f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
+                        f"got {name!r} of {thing.label!r}"
+                    )
+        numbers = [*self.camera.position_m, *(x for thing in self.object for x in thing.position_m)]
+        if not all(math.isfinite(number) for number in numbers):
+            raise BadInput("places in a scene must be finite")
+
+    def file(self, name: str) -> Path:
+        """Return the path of a file that the scene names."""
+        path = Path(name)
+        return path if path.is_absolute() else Path(self.folder) / path
