@@ -34,6 +34,11 @@ class Hits:
     face: NDArray[np.int64]
     range_m: NDArray[np.float64]
 
+    @property
+    def met(self) -> NDArray[np.int64]:
+        """Numbers of the rays that hit something."""
+        return np.flatnonzero(self.face != NOTHING)
+
 
 @dataclass(frozen=True)
 class Tracer:

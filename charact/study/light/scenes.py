@@ -17,8 +17,8 @@ from simulate.radiance.lamps import KINDS
 from simulate.radiance.materials.library import material, material_names
 from simulate.radiance.sky.ephemeris import Place
 from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.transport.along import along
 from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.picture import along
 from simulate.radiance.world.description.camera import Camera
 from simulate.radiance.world.description.lamp_post import LampPost
 from simulate.radiance.world.description.material import Surface

@@ -12,12 +12,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.transport.tiles import Tiles, with_neighbours
 from simulate.radiance.transport.truth import Truth
 
 Array = NDArray[np.floating]
-# Side of a tile, px, and tiles along the shorter side of a small picture, whose pixels have less in common; pixels of
-# each that are tried, those at edges that are tried besides, and rays of each.
-TILE, TILES, TRIED, TRIED_EDGES, TRIES = 8, 16, 4, 2, 2
+# Side of a tile, px; pixels of each that are tried, those at edges that are tried besides, and rays of each.
+TILE, TRIED, TRIED_EDGES, TRIES = 8, 4, 2, 2
 # A trial costs so large a share of the rays that it asks for, in so many rounds at most: rare bright rays hide long.
 TRIAL_SHARE, ROUNDS = 0.1, 1024
 # However few rays a small picture asks for: a bright thing that one gathering ray in a hundred meets must be met.
@@ -97,10 +97,11 @@ def allotted(here: Truth, rays: Rays, trial: Trial, seed: int) -> NDArray[np.int
     if rays.allowed is None:
         return least.astype(np.int32)
     tried = _Tried(here, edges, rays.allowed)
-    rng = np.random.default_rng([seed, 0])
+    rng, tiles = np.random.default_rng([seed, 0]), Tiles.of(edges.shape, TILE)
+    edge = np.flatnonzero(edges)
     for round_number in range(1, ROUNDS + 1):
-        at_edges = np.concatenate([_one_edge_each(edges, rng) for _ in range(TRIED_EDGES)])
-        pixel = np.concatenate([_some(edges.shape, rng), at_edges])
+        at_edges = np.concatenate([tiles.one_of_each(rng.permutation(edge)) for _ in range(TRIED_EDGES)])
+        pixel = np.concatenate([tiles.some_pixels(TRIED, rng), at_edges])
         tried.add(pixel, *trial(pixel, TRIES))
         tried.add(at_edges, *trial(at_edges, TRIES, together=True), together=True)
         wanted = _shared_out(*tried.variances(), least, rays)
@@ -179,8 +180,9 @@ class _Tried:
         self._object = 1 + (here.object + 1) % OBJECTS
         self._kind = np.where(edges, 0, self._object)
         self._edges, self._allowed = edges, allowed
+        self._tiles = Tiles.of(edges.shape, TILE)
         # Number of trials, sums of their signals and of their variances.
-        self._sums = np.zeros((3, OBJECTS + 2, *_tiles(edges.shape)))
+        self._sums = np.zeros((3, OBJECTS + 2, *self._tiles.count))
 
     def add(
         self,
@@ -193,27 +195,27 @@ class _Tried:
     ) -> None:
         """Add trials of pixels (pixel,), of weights if not of 1, all at edges where their rays went to one place."""
         kind = np.full(len(pixel), TOGETHER) if together else self._kind.ravel()[pixel]
-        place = (kind, *_tile_of(pixel, self._kind.shape))
+        place = (kind, *self._tiles.holding(pixel))
         counts = np.ones(len(pixel)) if weight is None else weight
         for sums, values in zip(self._sums, (1.0, np.maximum(signal, 0.0), single), strict=True):
             np.add.at(sums, place, counts * values)
 
     def variance(self) -> Array:
         """Return variances of single rays over what is allowed, of each pixel's own kind, shape (row, col)."""
-        down, across = np.indices(self._edges.shape) // _side(self._edges.shape)
+        down, across = self._tiles.of_pixels
         return self._shares()[self._kind, down, across]
 
     def variances(self) -> tuple[Array, Array]:
         """Return variances of single rays over what is allowed, in plain places and at edges, shape (row, col)."""
         share = self._shares()
-        down, across = np.indices(self._edges.shape) // _side(self._edges.shape)
+        down, across = self._tiles.of_pixels
         at_edge, together = share[0, down, across], share[TOGETHER, down, across]
         plain = np.where(self._edges, together, share[self._object, down, across])
         return plain, np.where(self._edges, LINE * np.maximum(at_edge - together, 0.0), 0.0)
 
     def _shares(self) -> Array:
         """Return variances of single rays over what is allowed, by kind and tile."""
-        count, signal, variance = (_with_neighbours(sums) for sums in self._sums)
+        count, signal, variance = (with_neighbours(sums) for sums in self._sums)
         # Where a kind was not tried around: all kinds there; where nothing was, everything.
         of_all = count.sum(axis=0) > 0.5
         mean, spread = (
@@ -227,41 +229,3 @@ class _Tried:
         # Where nothing is allowed, as in the dark, nothing is asked for: no rays would do.
         limit = self._allowed(mean)
         return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
-
-
-def _with_neighbours(grid: Array) -> Array:
-    """Sum of each tile (kind, down, across) and the eight around it."""
-    wide = np.pad(grid, ((0, 0), (1, 1), (1, 1)))
-    down = wide[:, :-2] + wide[:, 1:-1] + wide[:, 2:]
-    return down[:, :, :-2] + down[:, :, 1:-1] + down[:, :, 2:]
-
-
-def _side(shape: tuple[int, ...]) -> int:
-    """Side of a tile, px."""
-    return int(np.clip(min(shape) // TILES, 1, TILE))
-
-
-def _tiles(shape: tuple[int, ...]) -> tuple[int, int]:
-    side = _side(shape)
-    return -(-shape[0] // side), -(-shape[1] // side)
-
-
-def _tile_of(pixel: NDArray[np.int64], shape: tuple[int, ...]) -> tuple[NDArray, NDArray]:
-    side = _side(shape)
-    return pixel // shape[1] // side, pixel % shape[1] // side
-
-
-def _some(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.int64]:
-    """Numbers of a few pixels of each tile."""
-    side = _side(shape)
-    corner = np.stack(np.meshgrid(*(side * np.arange(n) for n in _tiles(shape)), indexing="ij"), axis=-1)
-    at = corner.reshape(-1, 1, 2) + rng.integers(0, side, (corner[..., 0].size, TRIED, 2))
-    at = np.minimum(at, np.array(shape) - 1)
-    return (at[..., 0] * shape[1] + at[..., 1]).ravel()
-
-
-def _one_edge_each(edges: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.int64]:
-    """One pixel at an edge of each tile that has any."""
-    pixel = rng.permutation(np.flatnonzero(edges))
-    down, across = _tile_of(pixel, edges.shape)
-    return pixel[np.unique(down * _tiles(edges.shape)[1] + across, return_index=True)[1]]

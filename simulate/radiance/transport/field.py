@@ -15,7 +15,6 @@ from math import gcd
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.even import R2, Even, evenly, fraction
 from simulate.radiance.transport.leaving import around, lit
@@ -126,7 +125,7 @@ def field(
     places = _Places(stage, view, seen, white, fine)
     grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal, white.face)
     budget = None if allowed is None else _Budget.of(stage, seen.points, effort, allowed, weight)
-    light = np.zeros((2, len(white), len(stage.coats.wavelength_nm)), np.float32)
+    light = np.zeros((2, len(white), stage.bands), np.float32)
     sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
     while True:
         for part in (0, 1):
@@ -166,7 +165,7 @@ def _seen(stage: Stage, view: Viewpoint, known: Array, step: int) -> _Seen:
     row, col = (axis.ravel() for axis in np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
     origin, towards = view.rays(step * (row + 0.5), step * (col + 0.5))
     hit = stage.surfaces.tracer.hits(origin, towards)
-    met = np.flatnonzero(hit.face != NOTHING)
+    met = hit.met
     share = known[np.minimum(step * row[met], view.shape[0] - 1), np.minimum(step * col[met], view.shape[1] - 1)]
     points = stage.points(hit, origin, towards, met, share)
     kept = np.flatnonzero(points.matt)
@@ -197,7 +196,7 @@ class _Places:
         at = fraction(start + R2[:, None, None] * np.arange(each)).reshape(2, -1)
         origin, towards = self.view.rays(self.seen.row[nodes] + at[0], self.seen.col[nodes] + at[1])
         hit = self.stage.surfaces.tracer.hits(origin, towards)
-        met = np.flatnonzero(hit.face != NOTHING)
+        met = hit.met
         place = origin[met] + hit.range_m[met, None] * towards[met]
         face = hit.face[met]
         normal, _ = self.stage.surfaces.tracer.facing(face, towards[met])
@@ -281,7 +280,7 @@ def _gathered(
 
     count = max(1, BATCH // even.rays)
     found = list(run(gathered, list(range(0, len(nodes), count))))
-    return np.concatenate(found) if found else np.zeros((0, len(stage.coats.wavelength_nm)), np.float32)
+    return np.concatenate(found) if found else np.zeros((0, stage.bands), np.float32)
 
 
 def _evened(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run) -> NDArray[np.float32]:

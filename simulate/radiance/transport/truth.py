@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport import direct
 from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.viewpoint import Viewpoint
@@ -101,7 +100,7 @@ def _band(stage: Stage, view: Viewpoint, start: int, stop: int) -> dict[str, NDA
     origin, towards = view.rays(row.ravel(), col.ravel())
     surfaces = stage.surfaces
     hit = surfaces.tracer.hits(origin, towards)
-    met = np.flatnonzero(hit.face != NOTHING)
+    met = hit.met
     face = hit.face[met]
     points = stage.points(hit, origin, towards, met)
     count = len(hit.face)

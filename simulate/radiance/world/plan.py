@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from simulate.economy import Effect, Plan, plan_of
 from simulate.radiance.transport.allotment import Rays
+from simulate.radiance.transport.along import along
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.eye import KNOWN, Eye
 from simulate.radiance.transport.parts import bounced
-from simulate.radiance.transport.picture import along
 from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
@@ -167,7 +167,7 @@ def planned(site: Site, view: Viewpoint, eye: Eye, tolerance: float, seed: int) 
     """
     stage = site.on(site.bands(eye.response_nm, eye.response, COARSEST))
     tried = trial(stage, view, eye, seed)
-    chosen = plan_of(_effects(tried, eye, view, len(stage.coats.wavelength_nm)), SHARE * tolerance)
+    chosen = plan_of(_effects(tried, eye, view, stage.bands), SHARE * tolerance)
     bright = float(np.percentile(tried.signal, 100.0 - BRIGHTEST)) if len(tried.signal) else 0.0
     error = float(
         np.clip(BANDS * tolerance * float(eye.grain(bright, smooth=True)) / max(bright, 1e-30), FINEST, COARSEST)
@@ -199,7 +199,7 @@ def _shared(view: Viewpoint) -> int | None:
 def exact(site: Site, view: Viewpoint, eye: Eye, seed: int) -> tuple[LightPlan, Stage]:
     """Return the plan that leaves nothing out, and the scene on its bands: for reference, and slow."""
     stage = site.on(site.bands(eye.response_nm, eye.response, FINEST))
-    effects = _effects(trial(stage, view, eye, seed), eye, view, len(stage.coats.wavelength_nm))
+    effects = _effects(trial(stage, view, eye, seed), eye, view, stage.bands)
     return LightPlan(
         wavelength_nm=stage.coats.wavelength_nm,
         spectral_error=FINEST,

@@ -7,10 +7,10 @@ import pytest
 
 from simulate.radiance.brdf import Glossy
 from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.transport.along import along
 from simulate.radiance.transport.bright_sky import BrightSky
 from simulate.radiance.transport.dome import dome
 from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.picture import along
 from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.shapes import plane
 from tests.simulate.radiance.staging import OVERCAST, UNIFORM, at, inside_out, staged, upright

@@ -11,9 +11,9 @@ from labdata.border import from_mapping
 from labdata.errors import BadInput
 from simulate.radiance.materials.pane import clearest, pane_shares
 from simulate.radiance.scene import load_scene
+from simulate.radiance.transport.along import along
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.panes import Panes
-from simulate.radiance.transport.picture import along
 from simulate.radiance.transport.small_sources import add_small_sources
 from simulate.radiance.world.description.material import Surface
 from simulate.radiance.world.description.scene import Scene

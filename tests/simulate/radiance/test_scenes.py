@@ -9,9 +9,11 @@ from labdata.errors import BadInput
 from simulate.radiance.brdf import Metal
 from simulate.radiance.materials.reflectance import grey
 from simulate.radiance.scene import load_bench, load_scene
+from simulate.radiance.transport.allotment import Rays
+from simulate.radiance.transport.along import along
 from simulate.radiance.transport.effort import Effort
 from simulate.radiance.transport.eye import Eye
-from simulate.radiance.transport.picture import Rays, along, picture
+from simulate.radiance.transport.picture import picture
 from simulate.radiance.transport.truth import truth
 from simulate.radiance.world.build import built, placed
 from simulate.radiance.world.description.objects import Pose

@@ -5,8 +5,8 @@ import pytest
 
 from simulate.radiance.brdf import Glossy, Metal
 from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.transport.along import along
 from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.picture import along
 from simulate.radiance.world.shapes import Mesh, box, disc, plane, sphere
 from tests.simulate.radiance.staging import (
     OVERCAST,
