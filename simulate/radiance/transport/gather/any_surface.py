@@ -37,7 +37,7 @@ def _add_glow(stage: Stage, asked: Asked, there: Points, around: Around, weight:
         return
     ray = around.met[glows]
     leaving = np.einsum("ij,ij->i", there.normal[glows], -around.last_direction[ray])
-    way = around.range_m[ray] + around.gone_m[ray]
+    way = around.hit.range_m[ray] + around.gone_m[ray]
     share = direct.found_by_gathering(panels, there.face[glows], way, leaving, around.density[ray], asked.rays)
     # What panes mirror is found by gathering alone.
     share = np.where(around.turned[ray], 1.0, share)

@@ -24,8 +24,7 @@ class Around:
     direction: Array
     density: Array
     factor: Array
-    face: NDArray[np.int64]
-    range_m: Array
+    hit: Hits
     met: NDArray[np.int64]
     open: NDArray[np.bool_]
     glass: Passed | None = None
@@ -33,7 +32,7 @@ class Around:
     @property
     def glazed(self) -> NDArray[np.bool_]:
         """Whether rays met panes."""
-        return self._of_glass(np.zeros(len(self.face), np.bool_), lambda glass: np.ones(len(glass.which), np.bool_))
+        return self._of_glass(np.zeros(len(self.direction), np.bool_), lambda glass: np.ones_like(glass.turned))
 
     @property
     def last_start_m(self) -> Array:
@@ -48,12 +47,12 @@ class Around:
     @property
     def gone_m(self) -> Array:
         """Ways before the last legs, m."""
-        return self._of_glass(np.zeros(len(self.face)), lambda glass: glass.gone_m)
+        return self._of_glass(np.zeros(len(self.direction)), lambda glass: glass.gone_m)
 
     @property
     def turned(self) -> NDArray[np.bool_]:
         """Whether panes mirrored rays."""
-        return self._of_glass(np.zeros(len(self.face), np.bool_), lambda glass: glass.turned)
+        return self._of_glass(np.zeros(len(self.direction), np.bool_), lambda glass: glass.turned)
 
     def weight(self, coats: Coats, which: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return BRDF times cosine over density and number of rays, of some rays, shape (ray, band)."""
@@ -63,8 +62,7 @@ class Around:
 
     def there(self, stage: Stage) -> Points:
         """Return what the rays that met something met."""
-        hit = Hits(self.face, self.range_m)
-        return stage.points(hit, self.last_start_m, self.last_direction, self.met, self.many.known[self.met])
+        return stage.points(self.hit, self.last_start_m, self.last_direction, self.met, self.many.known[self.met])
 
     def weaken(self, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
         """Weaken the light of some rays (ray, band) by the panes that they met."""
@@ -101,8 +99,7 @@ def sent(stage: Stage, asked: Asked) -> Around:
         direction,
         density,
         factor,
-        hit.face,
-        hit.range_m,
+        hit,
         np.flatnonzero(~missed & gives),
         missed & gives,
         glass,
