@@ -39,6 +39,8 @@ class FocusReader(AbstractContextManager["FocusReader"]):
         self._frames: deque[NDArray] = deque(maxlen=AVERAGED_FRAMES)
         self._window = region
         self._reading: Future[Focus] | None = None
+        # Frames since those of the last reading that the best was held against, and whether the one begun shares none.
+        self._unread, self._reads_new = 0, False
         self.newest: Focus | None = None
         """The last reading."""
         self.best = BestHeld()
@@ -61,8 +63,11 @@ class FocusReader(AbstractContextManager["FocusReader"]):
         if self._frames and self._frames[-1].shape != frame.shape:
             self._frames.clear()
         self._frames.append(frame)
+        self._unread += 1
         self.take_up()
         if self._reading is None and len(self._frames) == AVERAGED_FRAMES:
+            self._reads_new = self._unread >= AVERAGED_FRAMES
+            self._unread = 0 if self._reads_new else self._unread
             self._reading = self._executor.submit(read_focus, np.stack(self._frames), self._window, self._context)
 
     def take_up(self) -> bool:
@@ -70,7 +75,7 @@ class FocusReader(AbstractContextManager["FocusReader"]):
         if self._reading is None or not self._reading.done():
             return False
         focus, self._reading = self._reading.result(), None
-        self.newest, self.best = focus, self.best.after(focus)
+        self.newest, self.best = focus, self.best.after(focus) if self._reads_new else self.best
         if self._asked is None:
             found = focus.region if focus.mtf50_cy_per_px is not None else None
             self._window = None if found is None else window_about(found)

@@ -82,7 +82,8 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
     if context.sensor is not None:
         draws = drawn(context.sensor.video.conversion_gain_dn_per_e, rng, count)
         return Floor(draws=draws, seen=False, source="the sensor's conversion gain", why_unseen=why)
-    most = max(power, 0.0) + 2.0 * sd if white else float(np.median(posterior["covariance_gain"]))
+    # A covariance that falls with the light tells no gain, and leaves no room for K.
+    most = max(power, 0.0) + 2.0 * sd if white else max(float(np.median(posterior["covariance_gain"])), 0.0)
     source = f"anything from none to {most:.2g} DN, the power left at high frequency"
     return Floor(draws=rng.uniform(0.0, most, count), seen=False, source=source, why_unseen=why)
 

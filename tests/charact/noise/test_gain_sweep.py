@@ -233,6 +233,14 @@ def test_a_gain_that_something_else_holds_is_flagged(pulses, in_memory, seed):
     assert "agc" in one(measured(told), "gain_exponent").flags
 
 
+def test_a_covariance_that_falls_with_the_light_is_no_gain_and_no_crash(pulses, in_memory):
+    """Light held at one mean: by chance of this seed the brighter flats have the smaller covariance."""
+    pinned = swept(pulses, in_memory, 434601851, exponent=0.0, seen=lambda light: 10.0)
+    result = measured(pinned)
+    assert one(result, "gain_exponent").status != "ok"
+    assert all(m.status != "ok" for m in result.find("covariance_gain") if m.value is None or m.value <= 0.0)
+
+
 def test_steps_of_the_digitiser_larger_than_the_noise_widen_the_gain_and_flag_it(pulses, in_memory, seed):
     """Read noise of 0.15 DN under steps of 1 DN: variance at the lowest gain is off by what the steps add."""
     session = swept(pulses, in_memory, seed, read_noise_dn=0.15, lights=(3.0, 10.0))

@@ -32,19 +32,19 @@ def drawn(move, seed, *, steps=1500, ensembles=2, walkers=16):
 @pytest.mark.parametrize(
     "move",
     [
-        DifferentialEvolution(2),
+        DifferentialEvolution(40),
         IndependentDraws(MEAN[None] + SCALES, 2.0 * np.diag(SCALES**2)),
         IndependentDraws(np.zeros((1, 3)), np.eye(3), SKEWED),
     ],
     ids=["differential evolution", "independent draws about a place beside the peak", "independent draws of scores"],
 )
 def test_a_move_leaves_mean_variance_and_fourth_moment_of_a_gaussian_as_they_are(move, seed):
-    _, chain = drawn(move, seed)
-    for power, moment, variance in ((1, 0.0, 1.0), (2, 1.0, 2.0), (4, 3.0, 96.0)):
-        series = chain**power
-        tau = emcee.autocorr.integrated_time(np.moveaxis(series, 0, 1).reshape(1500, 32, 3), quiet=True)
-        error = np.sqrt(variance * tau / (series.size / 3))
-        assert np.all(np.abs(series.mean((0, 1, 2)) - moment) < 4.5 * error)
+    """By the scatter of ensembles that know nothing of each other: a chain that missed its tails underrates its error."""
+    _, chain = drawn(move, seed, steps=600, ensembles=40)
+    for power, moment in ((1, 0.0), (2, 1.0), (4, 3.0)):
+        means = (chain**power).mean((1, 2))
+        error = means.std(0, ddof=1) / np.sqrt(len(means))
+        assert np.all(np.abs(means.mean(0) - moment) < 4.5 * error)
 
 
 @pytest.mark.filterwarnings("ignore")
