@@ -183,7 +183,7 @@ def test_a_surer_edge_has_the_skew_of_its_posterior_from_the_curvature_alone(see
 
 def test_an_interval_too_wide_for_its_tails_is_flagged(seed):
     frame = 1000.0 + 2000.0 * edges.frame_of(gaussian(0.7), 120, 100, angle_deg=6.0)
-    for noise in (200.0, 2000.0):
+    for noise in (200.0, 3000.0):
         noisy = frame + noise * np.random.default_rng(seed).standard_normal(frame.shape)
         found = measured(noisy, "edge-parametric").find("mtf50")[0]
         low, high = found.interval68
