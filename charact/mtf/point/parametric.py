@@ -202,7 +202,7 @@ class _Task:
             *point_distrust.flags(sites, fitter, found, pedestals),
             *(("several-targets",) if crowded else ()),
             *(("too-few-frames",) if sites[0].window.frames < 2 else ()),
-            *(flag for flag in drawn[0].flags if flag not in ("prior-bound", "several-modes")),
+            *(flag for one in drawn for flag in one.flags if flag not in ("prior-bound", "several-modes")),
         )
         common = {
             **self._common,

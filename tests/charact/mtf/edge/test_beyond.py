@@ -135,11 +135,19 @@ def test_what_a_fit_would_be_in_other_light_is_about_what_it_becomes(seed):
     assert fitter.under(even, EVEN_PER_PX) is even
 
 
-@pytest.mark.parametrize("core", ["exponential", "moffat"])
-def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(core, seed):
-    stack = replace(PLAIN, snr=10.0).frames_drawn(np.random.default_rng(seed))
-    forms = edge_parametric(stack, context=QUICK).find("mtf50")[0].provenance.settings["forms"]
-    assert forms["gaussian"] > forms[core] > edge_forms.LEAST_SHARE
+def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(seed):
+    """Of 30 drawings of a Gaussian's edge each leaves wings some share; one favours them, but not their mean."""
+    rng = np.random.default_rng(seed)
+    shares = []
+    for _ in range(30):
+        stack = replace(PLAIN, snr=10.0).frames_drawn(rng)
+        forms = edge_parametric(stack, context=QUICK).find("mtf50")[0].provenance.settings["forms"]
+        shares.append([forms.get(core, 0.0) for core in ("gaussian", "exponential", "moffat")])
+    gaussian, exponential, moffat = np.mean(shares, axis=0)
+    assert gaussian > moffat > 5 * edge_forms.LEAST_SHARE and gaussian > exponential > 5 * edge_forms.LEAST_SHARE
+    assert np.min(shares, axis=0).max() > 0.0 and np.all(
+        np.sum(np.array(shares)[:, 1:], axis=1) > edge_forms.LEAST_SHARE
+    )
 
 
 def test_forms_are_weighed_by_their_evidence_to_a_power():
