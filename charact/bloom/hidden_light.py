@@ -51,7 +51,8 @@ class Source:
     shape
         "point" or "patch".
     light_dn_px
-        Its light, DN times pixels, of every draw of the spread, shape (draw,); NaN where it could not be told.
+        Its light without its glare, DN times pixels, of every draw of the spread, shape (draw,); NaN where it could not
+        be told.
     reason
         Why not; empty where it could.
     region, lit

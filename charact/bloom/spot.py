@@ -159,10 +159,12 @@ def agreed(own: Place, places: list[Place], image: Array) -> Place:
     """The place that the stacks share, unless this one's light is elsewhere.
 
     The clearest stack knows it best, for there the source is neither faint nor a blob. Where two blobs have run into
-    one, the shared place still lies inside; where the source has moved, it does not.
+    one, the shared place still lies inside; where the source has moved, it does not. Places come in the order of the
+    light: two sources at the highest code look alike, and the faintest stack shows best which is the brighter one.
     """
-    whole = [place for place in places if not place.cut and place.significance > 2 * DETECTED]
-    anchor = max(whole or places, key=lambda place: place.significance)
+    clear = [place for place in places if place.significance > 2 * DETECTED]
+    whole = [place for place in clear if not place.cut]
+    anchor = max(whole or clear[:1] or places, key=lambda place: place.significance)
     same = [one for one in places if np.hypot(one.row - anchor.row, one.col - anchor.col) < NEAR_PX]
     best = max(same, key=lambda place: (place.settled, place.significance))
     if best.significance <= 2 * DETECTED or not lit_at(image, own, best):

@@ -78,17 +78,23 @@ def candidates(
     least = min(one.bic for one in out)
     out = [shaken(one) if one.form.halo == "disc" and one.bic < least + WORTHWHILE else one for one in out]
     out = sorted((refined(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic)
-    return sorted([*out, *_tired(out[0])], key=lambda one: one.bic)
+    # A plate that tires changes which core fits best: the best form of each is tried with one.
+    cores = {one.form.core: one for one in reversed(out) if one.bic < least + WORTHWHILE}
+    tiring = [found for one in cores.values() for found in _tired(one, out[0].bic)]
+    return sorted([*out, *tiring], key=lambda one: one.bic)
 
 
-def _tired(best: Candidate) -> list[Candidate]:
-    """The best form with a plate that tires, where one level's core and another's halo can tell it."""
+def _tired(best: Candidate, least: float) -> list[Candidate]:
+    """A core's best form with a plate that tires, where one level's core and another's halo can tell it.
+
+    It must be clearly better than the least criterion of any form without.
+    """
     if best.form.halo != "disc" or len(best.problem.series.labels) < LEAST_LEVELS:
         return []
     found = tired(best.problem, best.peak)
     first = _candidate(*found) if found else best
     fitted_on = [refined(first)] if first.bic < best.bic else []
-    return [one for one in fitted_on if one.bic < best.bic - CLEARLY_BETTER]
+    return [one for one in fitted_on if one.bic < least - CLEARLY_BETTER]
 
 
 def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Candidate]) -> list[Array]:

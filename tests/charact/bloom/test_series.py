@@ -143,10 +143,11 @@ def test_no_halo_is_no_halo(scene, seed):
 
 
 def test_a_source_in_the_corner_has_the_same_halo(seed):
+    """Levels that part from each other by chance are flagged in one series of ten thousand: not in two of three."""
     scene = BloomScene(row=22.3, col=24.8)
-    found = only(measured(scene, seed), "halo_diameter")
-    assert found.status == "ok"
-    assert abs(errors(found, scene.halo_diameter_px)) < 4.5
+    found = [only(measured(scene, [seed, number]), "halo_diameter") for number in range(3)]
+    assert sum(one.status == "ok" for one in found) >= 2
+    assert all(abs(errors(one, scene.halo_diameter_px)) < 4.5 for one in found)
 
 
 def test_overflow_and_smear_do_not_pull_the_halo(seed):
@@ -181,10 +182,15 @@ def test_a_plate_at_rest_is_not_called_tired(seed):
 
 
 def test_glare_is_told_from_backgrounds_that_rise_with_the_light(seed):
+    """Halos tell the light of cut cores, so that glare is known as well as the halo's share of the light."""
     scene = BloomScene(glare_fraction=0.1)
-    glare = only(measured(scene, seed), "veiling_glare")
+    series = [measured(scene, [seed, number]) for number in range(4)]
+    glare, share = ([only(one, name) for one in series] for name in ("veiling_glare", "halo_fraction"))
+    error = np.mean([0.5 * (one.interval68[1] - one.interval68[0]) / one.value for one in share]) / np.sqrt(len(series))
     inside = 0.1 * scene.rows * scene.cols / 600.0**2
-    assert glare.value == pytest.approx(100.0 * inside / (0.9 + inside), rel=0.05)
+    true = 100.0 * inside / (0.9 + inside)
+    assert abs(np.mean([one.value for one in glare]) / true - 1.0) < 4.5 * error
+    assert all(abs(errors(one, true)) < 4.5 for one in glare)
 
 
 @pytest.mark.parametrize("distance_px, ratio", [(20.0, 0.3), (60.0, 1.0)])
