@@ -39,7 +39,7 @@ def drawn(move, seed, *, steps=1500, ensembles=2, walkers=16):
     ids=["differential evolution", "independent draws about a place beside the peak", "independent draws of scores"],
 )
 def test_a_move_leaves_mean_variance_and_fourth_moment_of_a_gaussian_as_they_are(move, seed):
-    """By the scatter of ensembles that know nothing of each other: a chain that missed its tails underrates its error."""
+    """By the scatter of ensembles side by side: a chain that missed its tails underrates its error."""
     _, chain = drawn(move, seed, steps=600, ensembles=40)
     for power, moment in ((1, 0.0), (2, 1.0), (4, 3.0)):
         means = (chain**power).mean((1, 2))
