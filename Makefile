@@ -109,9 +109,12 @@ gain-map: $(READY)
 bloom-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bloom.coverage
 
-# Where halo and bloom diameters break: 2,000 series of known truth; half an hour on two cores.
+# Where halo and bloom diameters break: 2,000 series of known truth; half an hour on two cores. Broken off, it goes on from
+# build/bloom_map.json.
 bloom-map: $(READY)
-	$(BIN)/python -m charact.study.bloom.map
+	mkdir -p build
+	$(BIN)/python -m charact.study.bloom.map --out build/bloom_map.json
+	mv build/bloom_map.json charact/study/tables/bloom_map.json
 	$(BIN)/python -m charact.study.bloom.map_figure
 
 # Edge methods beside other programs and the Cramer-Rao bound, on the edge that those were measured on: table and chart.
