@@ -127,7 +127,7 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     flags += several_flag(group)
     said += spread_told(best, posterior, flags, notes, fields)
     said += glare_told(best, posterior, group, flags, notes, fields)
-    said += plate_told(best, posterior, flags, notes, fields)
+    said += plate_told(forms, posterior, flags, notes, fields)
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
     return _Told(measurements=said, evidence=evidence, best=best, group=group)
 

@@ -97,6 +97,24 @@ def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap
     assert abs(share.value - 0.1) < 4.5 * 0.5 * (share.interval68[1] - share.interval68[0])
 
 
+@pytest.mark.parametrize("specimen_number", [1, 2, 3])
+def test_without_the_camera_described_a_plate_that_tires_is_told_widely_or_not_at_all(specimen_number, seed):
+    """Cores of other forms ask for other densities: what is told holds the truth within twice its interval."""
+    sensor = specimen(load_sensor("pulnix-ag5745ef3"), seed + specimen_number)
+    session = series(sensor, LIGHTS_TO_TIRE_LUX, seed, frames=12, depletes=True)
+    context = Context(seed=1, quick=True, interlaced=True, full_scale_dn=255.0)
+    (found,) = bloom.measure(session, method="series-forward", context=context).find("plate_saturation_density")
+    camera = IntensifiedCamera(sensor)
+    plate = camera.plate(SETTINGS)
+    at_half_gain_pe = plate.saturation_e_per_s_cm2 * plate.field_s * truth.field_pixel_area_cm2(camera) / plate.gain
+    density_dn = at_half_gain_pe * truth.quantities(sensor, SETTINGS)["photoelectron_gain"]
+    if found.value is None:
+        assert found.reason
+        return
+    low, high = found.interval95
+    assert found.value - 2 * (found.value - low) < density_dn < found.value + 2 * (high - found.value)
+
+
 def landing_places(diameter_px, elastic_share, pitch_ratio, rng, electrons=2_000_000):
     """Share of bounced electrons in each pixel about their source, from the closed forms of their landing radii.
 

@@ -78,8 +78,9 @@ def candidates(
     least = min(one.bic for one in out)
     out = [shaken(one) if one.form.halo == "disc" and one.bic < least + WORTHWHILE else one for one in out]
     out = sorted((refined(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic)
-    # A plate that tires changes which core fits best: the best form of each is tried with one.
-    cores = {one.form.core: one for one in reversed(out) if one.bic < least + WORTHWHILE}
+    # A plate that tires changes which core fits best: each is tried with one; a described tube's core is known.
+    near = [one for one in reversed(out) if one.bic < least + WORTHWHILE]
+    cores = {one.form.core: one for one in near if sensor is None or one.form.core == "tube"}
     tiring = [found for one in cores.values() for found in _tired(one, out[0].bic)]
     return sorted([*out, *tiring], key=lambda one: one.bic)
 
@@ -87,9 +88,11 @@ def candidates(
 def _tired(best: Candidate, least: float) -> list[Candidate]:
     """A core's best form with a plate that tires, where one level's core and another's halo can tell it.
 
-    It must be clearly better than the least criterion of any form without.
+    It must be clearly better than the least criterion of any form without. Of cores that are cut at every level only
+    the wings are seen, and a plate would make up for what is wrong with their form.
     """
-    if best.form.halo != "disc" or len(best.problem.series.labels) < LEAST_LEVELS:
+    series = best.problem.series
+    if best.form.halo != "disc" or len(series.labels) < LEAST_LEVELS or series.cut[:, 0].all():
         return []
     found = tired(best.problem, best.peak)
     first = _candidate(*found) if found else best

@@ -27,6 +27,8 @@ LEFT_OUT = {
     "veiling_glare": (0.05, 3.0),
     "plate_saturation_density": (0.03, 6.0),
 }
+# Distance in ln of the densities that two forms of the core ask for beyond which neither is told.
+MOST_UNLIKE = float(np.log(4.0))
 # A best fit so near a bound, as a share of the range, is pressed against it.
 AT_BOUND = 1e-3
 # Draws for which the glare is worked out, and what belongs to it as well.
@@ -163,22 +165,48 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
 
 
-def plate_told(best: Candidate, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
+def plate_told(forms: list[Candidate], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
            fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Density of light at which the plate's gain has halved, and what is left of each level's light behind it."""
+    """Density of light at which the plate's gain has halved, and what is left of each level's light behind it.
+
+    Cores of different forms ask for densities that differ by factors: how far apart they lie is an error of each.
+    """
+    best = forms[0]
     if not isinstance(best.problem, TiringProblem):
         reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
+        return [refused("plate_saturation_density", "DN", reason, **fields)]
+    unlike = _unlike_cores(forms)
+    if unlike > MOST_UNLIKE:
+        reason = (
+            f"forms of the core ask for densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
+        )
         return [refused("plate_saturation_density", "DN", reason, **fields)]
     load = best.form.names.index("plate_load")
     if leans_on_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
         flags = (*flags, "prior-bound")
-    density = 1.0 / np.maximum(posterior["plate_load"], 1e-9)
+    # Of two cores as likely, their distance over root two is the error of either.
+    rng = np.random.default_rng([posterior.seed, 2])
+    factors = np.exp(unlike / np.sqrt(2.0) * rng.standard_normal(len(posterior.draws)))
+    points = posterior.draws.copy()
+    points[:, load] = np.clip(points[:, load] / factors, *best.form.bounds[load])
+    density = 1.0 / np.maximum(points[:, load], 1e-9)
     density = density * _as_told(best, "plate_saturation_density", len(density), posterior)
     out = [from_draws("plate_saturation_density", "DN", density, flags=flags, notes=notes, **fields)]
-    left = best.problem.compression(posterior.draws[:DERIVED])
+    left = best.problem.compression(points[:DERIVED])
     for label, draws in zip(best.problem.series.labels, left, strict=True):
         out.append(from_draws("core_compression", "1", draws, flags=flags, stack=label, **fields))
     return out
+
+
+def _unlike_cores(forms: list[Candidate]) -> float:
+    """Return how far apart, in ln, the densities lie that cores of other forms ask for from that of the best."""
+    loads = [
+        float(one.peak.point[one.form.names.index("plate_load")])
+        for one in forms
+        if isinstance(one.problem, TiringProblem)
+    ]
+    ln = np.log(np.maximum(loads, 1e-9))
+    return float(np.abs(ln - ln[0]).max())
 
 
 def _background_sd(solved: Solved) -> Array:
