@@ -76,6 +76,14 @@ def test_the_halo_is_four_gaps_wide_over_two_decades_of_light(seed):
         assert abs(own - known) < 4.5 * (above - below) / 3.92
 
 
+def density_at_half_gain_dn(sensor):
+    """Light per pixel at which the plate's gain has halved, DN."""
+    camera = IntensifiedCamera(sensor)
+    plate = camera.plate(SETTINGS)
+    at_half_gain_pe = plate.saturation_e_per_s_cm2 * plate.field_s * truth.field_pixel_area_cm2(camera) / plate.gain
+    return at_half_gain_pe * truth.quantities(sensor, SETTINGS)["photoelectron_gain"]
+
+
 def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap(seed):
     """The strip current limits a place: density, share of the halo and gap from one series of over three decades."""
     sheet = load_sensor("pulnix-ag5745ef3")
@@ -83,10 +91,7 @@ def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap
     session = series(sensor, LIGHTS_TO_TIRE_LUX, seed, frames=12, depletes=True)
     context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
     result = bloom.measure(session, method="series-forward", context=context)
-    camera = IntensifiedCamera(sensor)
-    plate = camera.plate(SETTINGS)
-    at_half_gain_pe = plate.saturation_e_per_s_cm2 * plate.field_s * truth.field_pixel_area_cm2(camera) / plate.gain
-    density_dn = at_half_gain_pe * truth.quantities(sensor, SETTINGS)["photoelectron_gain"]
+    density_dn = density_at_half_gain_dn(sensor)
     (found,) = result.find("plate_saturation_density")
     assert abs(found.value - density_dn) < 0.25 * density_dn
     assert abs(found.value - density_dn) < 4.5 * 0.5 * (found.interval68[1] - found.interval68[0])
@@ -104,10 +109,7 @@ def test_without_the_camera_described_a_plate_that_tires_is_told_widely_or_not_a
     session = series(sensor, LIGHTS_TO_TIRE_LUX, seed, frames=12, depletes=True)
     context = Context(seed=1, quick=True, interlaced=True, full_scale_dn=255.0)
     (found,) = bloom.measure(session, method="series-forward", context=context).find("plate_saturation_density")
-    camera = IntensifiedCamera(sensor)
-    plate = camera.plate(SETTINGS)
-    at_half_gain_pe = plate.saturation_e_per_s_cm2 * plate.field_s * truth.field_pixel_area_cm2(camera) / plate.gain
-    density_dn = at_half_gain_pe * truth.quantities(sensor, SETTINGS)["photoelectron_gain"]
+    density_dn = density_at_half_gain_dn(sensor)
     if found.value is None:
         assert found.reason
         return
