@@ -18,8 +18,8 @@ from charact.robust import median
 Array = NDArray[np.float64]
 
 REACH = 14  # px; correlations beyond are taken as none
-# Standard errors from which on a departure from the smooth form counts.
-STANDS_OUT = 3.5
+# Standard errors from which on a departure from the smooth form counts, and a correlation where the form does not hold.
+STANDS_OUT, STANDS_OUT_ALONE = 3.5, 2.5
 # Lags that tell best whether the form holds, px, and the mean square of its departures there, in errors, if it does.
 NEAR_PX, MISFIT = 2, 2.5
 # Squared residuals count for no more than so many variances.
@@ -141,14 +141,11 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
     near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= NEAR_PX
+    tied = np.sqrt(np.sum(_smoothed(form) ** 2) / np.maximum(pairs, 1))
     if np.mean((left / error)[near] ** 2) > MISFIT:
-        # No smooth form is that of this noise: what stands out of the error of white noise counts as it is.
-        keep = np.abs(_smoothed(correlation)) > 2.5 / 3.0 / np.sqrt(np.maximum(pairs, 1))
-        form = np.zeros_like(form)
-        form[reach_row, reach_col] = 1.0
-        left = correlation
+        # No smooth form is that of this noise: what stands out counts as it is.
+        keep = np.abs(_smoothed(correlation - taken)) > STANDS_OUT_ALONE * tied
     else:
-        tied = np.sqrt(np.sum(_smoothed(form) ** 2) / np.maximum(pairs, 1))
         keep = np.abs(_smoothed(left)) > STANDS_OUT * tied
     keep[reach_row, reach_col] = False
     taper = np.outer(_taper(take_row, REACH), _taper(take_col, REACH))

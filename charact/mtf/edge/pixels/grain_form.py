@@ -16,7 +16,10 @@ STARTS_PX = (0.7, 1.2, 2.4)
 WORTH_CHI2 = 25.0
 # Width of the bins that take most of the noise along the edge with them, px.
 STRIP_PX = 1.0
-ITERATIONS = 8
+ITERATIONS = 30
+# Gain in chi squared that ends the fit; damping of its steps, least and most, and by how much it changes (Levenberg 1944,
+# doi 10.1090/qam/10666).
+LEAST_GAIN, LEAST_DAMPING, MOST_DAMPING, DAMPED = 0.1, 1e-3, 100.0, 10.0
 
 
 def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Array]:
@@ -101,15 +104,24 @@ def _fitted(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Arra
     theta = starts[np.argmin(np.sum(_solved(starts, data, lags, strip, weight)[1] ** 2, axis=1))]
     little = np.concatenate([np.zeros((1, 3)), 1e-4 * np.eye(3)])
     amplitude, left = _solved(theta + little, data, lags, strip, weight)
+    damping = LEAST_DAMPING
     for _ in range(ITERATIONS):
         slopes = (left[1:] - left[0]) / 1e-4
         normal = slopes @ slopes.T
-        step = -np.linalg.solve(normal + 1e-3 * np.diag(np.diag(normal)) + 1e-12 * np.eye(3), slopes @ left[0])
+        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-12 * np.eye(3), slopes @ left[0])
         trial = np.clip(theta + np.clip(step, -0.5, 0.5), low, high)
         there = _solved(trial + little, data, lags, strip, weight)
-        if np.sum(there[1][0] ** 2) > np.sum(left[0] ** 2) - 1e-2:
-            break
-        theta, (amplitude, left) = trial, there
+        gain = np.sum(left[0] ** 2) - np.sum(there[1][0] ** 2)
+        if gain > 0.0:
+            theta, (amplitude, left) = trial, there
+            damping = max(damping / DAMPED, LEAST_DAMPING)
+            if gain < LEAST_GAIN:
+                break
+        else:
+            # Too far along a ridge of lengths and exponent: the next step is shorter and steeper.
+            damping *= DAMPED
+            if damping > MOST_DAMPING:
+                break
     without = data - strip * (strip @ data / max(strip @ strip, 1e-300))
     worth = float(np.sum(without**2) - np.sum(left[0] ** 2))
     return (theta, amplitude[0]) if worth > WORTH_CHI2 and amplitude[0, 0] > 0 else None
