@@ -17,8 +17,8 @@ WORTH_CHI2 = 25.0
 # Width of the bins that take most of the noise along the edge with them, px.
 STRIP_PX = 1.0
 ITERATIONS = 30
-# Gain in chi squared that ends the fit; damping of its steps, least and most, and by how much it changes (Levenberg 1944,
-# doi 10.1090/qam/10666).
+# Gain in chi squared that ends the fit; damping of its steps (Levenberg 1944, doi 10.1090/qam/10666), least and most, and
+# by how much it changes.
 LEAST_GAIN, LEAST_DAMPING, MOST_DAMPING, DAMPED = 0.1, 1e-3, 100.0, 10.0
 
 
