@@ -17,8 +17,8 @@ WORTH_CHI2 = 25.0
 # Width of the bins that take most of the noise along the edge with them, px.
 STRIP_PX = 1.0
 ITERATIONS = 30
-# Gain in chi squared that ends the fit; damping of its steps (Levenberg 1944, doi 10.1090/qam/10666), least and most, and
-# by how much it changes.
+# Gain in chi squared that ends the fit, and damping of its steps: least, most and by how much it changes (Levenberg
+# 1944, doi 10.1090/qam/10666).
 LEAST_GAIN, LEAST_DAMPING, MOST_DAMPING, DAMPED = 0.1, 1e-3, 100.0, 10.0
 
 
@@ -97,15 +97,23 @@ def _solved(theta: Array, data: Array, lags: Array, strip: Array, weight: Array)
 
 def _fitted(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array] | None:
     """Return ln lengths and exponent, share and what bins took; None where the correlation is not worth it."""
-    low = np.array([np.log(LENGTH_PX[0]), np.log(LENGTH_PX[0]), EXPONENT[0]])
-    high = np.array([np.log(LENGTH_PX[1]), np.log(LENGTH_PX[1]), EXPONENT[1]])
     strip = strip * weight
     starts = np.array([[np.log(length), np.log(length), EXPONENT_PRIOR[0]] for length in STARTS_PX])
-    theta = starts[np.argmin(np.sum(_solved(starts, data, lags, strip, weight)[1] ** 2, axis=1))]
+    start = starts[np.argmin(np.sum(_solved(starts, data, lags, strip, weight)[1] ** 2, axis=1))]
+    theta, amplitude, left = _climbed(start, data, lags, strip, weight)
+    without = data - strip * (strip @ data / max(strip @ strip, 1e-300))
+    worth = float(np.sum(without**2) - np.sum(left**2))
+    return (theta, amplitude) if worth > WORTH_CHI2 and amplitude[0] > 0 else None
+
+
+def _climbed(theta: Array, data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array, Array]:
+    """Return the peak near a start by damped Gauss-Newton steps: lengths and exponent, share and loss, what is left."""
+    low = np.array([np.log(LENGTH_PX[0]), np.log(LENGTH_PX[0]), EXPONENT[0]])
+    high = np.array([np.log(LENGTH_PX[1]), np.log(LENGTH_PX[1]), EXPONENT[1]])
     little = np.concatenate([np.zeros((1, 3)), 1e-4 * np.eye(3)])
-    amplitude, left = _solved(theta + little, data, lags, strip, weight)
-    damping = LEAST_DAMPING
+    here, damping = _solved(theta + little, data, lags, strip, weight), LEAST_DAMPING
     for _ in range(ITERATIONS):
+        left = here[1]
         slopes = (left[1:] - left[0]) / 1e-4
         normal = slopes @ slopes.T
         step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-12 * np.eye(3), slopes @ left[0])
@@ -113,8 +121,7 @@ def _fitted(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Arra
         there = _solved(trial + little, data, lags, strip, weight)
         gain = np.sum(left[0] ** 2) - np.sum(there[1][0] ** 2)
         if gain > 0.0:
-            theta, (amplitude, left) = trial, there
-            damping = max(damping / DAMPED, LEAST_DAMPING)
+            theta, here, damping = trial, there, max(damping / DAMPED, LEAST_DAMPING)
             if gain < LEAST_GAIN:
                 break
         else:
@@ -122,6 +129,4 @@ def _fitted(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Arra
             damping *= DAMPED
             if damping > MOST_DAMPING:
                 break
-    without = data - strip * (strip @ data / max(strip @ strip, 1e-300))
-    worth = float(np.sum(without**2) - np.sum(left[0] ** 2))
-    return (theta, amplitude[0]) if worth > WORTH_CHI2 and amplitude[0, 0] > 0 else None
+    return theta, here[0][0], here[1][0]
