@@ -7,6 +7,7 @@ from pathlib import Path
 
 from charact.method import Context
 from charact.method.cluster import Spread
+from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 from labdata.parameter import Parameter
 from labdata.session import Session, StackEntry, open_session
@@ -168,24 +169,29 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
 
 
 def _best_point(session: Session, within_percent: float, context: Context) -> Result:
-    """The MTF of the point source that its method distrusts least, of several the one known best."""
-    from charact import mtf
+    """The MTF of the point source that its method distrusts least, of several the one with most light.
 
-    found = []
+    Not the one with the narrowest interval: that is the one whose halo, by chance, came out small and its MTF high.
+    """
+    from charact import mtf
+    from charact.mtf.point.source import light_of
+
+    found: list[tuple[tuple[int, int], FrameStack, Result]] = []
     for entry in session.of_kind("point"):
-        target = entry.target
+        target, stack = entry.target, entry.read()
         one = mtf.measure(
-            "point", entry.read(), region=target.region, within_percent=within_percent, context=context,
+            "point", stack, region=target.region, within_percent=within_percent, context=context,
             pinhole_px=target.pinhole_px,
         )  # fmt: skip
-        found.append(labelled(one, entry.label))
-    return min(found, key=lambda result: _distrust(result.measurements))
+        found.append((_distrust(one.measurements), stack, labelled(one, entry.label)))
+    least = min(distrust for distrust, _, _ in found)
+    trusted = [(stack, result) for distrust, stack, result in found if distrust == least]
+    return max(trusted, key=lambda one: light_of(one[0].data))[1] if len(trusted) > 1 else trusted[0][1]
 
 
-def _distrust(measurements: tuple[Measurement, ...]) -> tuple[int, int, float]:
+def _distrust(measurements: tuple[Measurement, ...]) -> tuple[int, int]:
     refusals = sum(m.status == "refused" for m in measurements)
-    widths = [m.interval95[1] - m.interval95[0] for m in measurements if m.interval95]
-    return refusals, sum(len(m.flags) for m in measurements), min(widths, default=float("inf"))
+    return refusals, sum(len(m.flags) for m in measurements)
 
 
 def labelled(result: Result, label: str) -> Result:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.forms import transfer as forms
 from charact.mtf.forms.families import GlarePrior, HaloPrior, Wide
+from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.picture import Picture
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ class Known:
     along_px, across_px
         Aperture along that grid axis and across it, in pitches of that axis.
     video
-        (bandwidth MHz, pixel clock MHz, order) of the filter along the picture's columns' direction, or None.
+        Filter along the picture's columns' direction, or None.
     mirrored
         Whether the picture runs against the read-out.
     """
@@ -32,7 +33,7 @@ class Known:
     angle_rad: float
     along_px: float
     across_px: float
-    video: tuple[float, float, int] | None
+    video: VideoFilter | None
     mirrored: bool
 
     def __call__(self, frequency: Array) -> NDArray[np.complex128]:
@@ -40,8 +41,16 @@ class Known:
         plain = forms.aperture(frequency, self.angle_rad, self.along_px, self.across_px).astype(complex)
         if self.video is None:
             return plain
-        response = forms.video(frequency * np.cos(self.angle_rad), *self.video)
-        return plain * (np.conj(response) if self.mirrored else response)
+        return plain * self._as_read(self.video(frequency * np.cos(self.angle_rad)))
+
+    def bend(self, frequency: Array) -> NDArray[np.complex128] | None:
+        """Return how ln of the known part moves with ln of the bandwidth, see `VideoFilter.bend`; None: it does not."""
+        if self.video is None or not self.video.parameters:
+            return None
+        return self._as_read(self.video.bend(frequency * np.cos(self.angle_rad)))
+
+    def _as_read(self, transfer: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return np.conj(transfer) if self.mirrored else transfer
 
 
 def known_of(picture: Picture, angle_rad: float, context: Context) -> Known:
@@ -50,9 +59,7 @@ def known_of(picture: Picture, angle_rad: float, context: Context) -> Known:
     along, across = (
         (rows_summed, picture.pitch_ratio) if picture.transposed else (1.0, rows_summed * picture.pitch_ratio)
     )
-    video = None
-    if context.sensor is not None and not picture.transposed:
-        video = context.sensor.video.low_pass
+    video = None if picture.transposed else VideoFilter.of(context.sensor)
     return Known(angle_rad=angle_rad, along_px=along, across_px=across, video=video, mirrored=picture.mirrored)
 
 

@@ -13,7 +13,7 @@ from charact.mtf.edge.pixels.find import WIDEST_PX, FoundEdge, NoEdge, find_edge
 from charact.mtf.edge.pixels.profile import refined, with_shading
 from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
-from charact.mtf.optics import Known, halo_of, known_of
+from charact.mtf.optics import halo_of, known_of
 from charact.mtf.region import Region
 from charact.posterior import draw, weighed
 from labdata.frames import FrameStack
@@ -70,7 +70,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     found = _fitted(edge, context)
     if isinstance(found, str):
         return nothing(METHOD, found, edge.where, context)
-    model, known = found.fit.model, found.known
+    model = found.fit.model
     response = curvature(found.fit, found.edge.profile)
     odds = curved_ln_odds(growth_of(found.edge.profile))
     posterior = bent(_posterior(found.fit, context), response, odds, context.seed)
@@ -80,7 +80,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
         fitted=found.fit.fitted,
         response=response,
         posterior=posterior,
-        mtf=lambda frequency: model.mtf(posterior.draws, frequency, np.abs(known(frequency))),
+        mtf=lambda frequency: model.mtf(posterior.draws, frequency),
         settings={"widest_px": WIDEST_PX},
         notes=(within_note(found.edge.profile),) if model.halo is None else (),
     )
@@ -92,7 +92,6 @@ class _Found:
     """An edge found and fitted."""
 
     edge: FoundEdge
-    known: Known
     fit: EdgeFit
 
 
@@ -108,7 +107,7 @@ def _fitted(edge: FoundEdge, context: Context) -> _Found | str:
     reason = no_edge(first.chi2, first.chi2_without, first.free) or too_blurred(profile, float(np.exp(first.point[1])))
     if reason:
         return reason
-    return _Found(edge=replace(edge, profile=profile), known=known, fit=first)
+    return _Found(edge=replace(edge, profile=profile), fit=first)
 
 
 def _posterior(fit: EdgeFit, context: Context) -> Posterior:

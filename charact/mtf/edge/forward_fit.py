@@ -13,6 +13,7 @@ from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
 from charact.mtf.edge.response import Response, response_curvature
 from charact.mtf.forms.families import Wide
+from charact.mtf.optics import Known
 from charact.posterior import maximum
 
 Array = NDArray[np.float64]
@@ -59,13 +60,13 @@ class EdgeFit:
         return Fitted(model=model, amplitude=amplitude, chi2=self.chi2, free=self.free)
 
 
-def fit(profile: Profile, fixed_at, *, halo: Wide | None, halo_certain: bool) -> EdgeFit:
+def fit(profile: Profile, known: Known, *, halo: Wide | None, halo_certain: bool) -> EdgeFit:
     """Fit a profile without and with a halo, under even and under uneven light, and return the most probable.
 
     Parameters
     ----------
-    fixed_at
-        Function from frequencies to the known complex part of the transfer.
+    known
+        Known part of the transfer.
     halo
         Prior of a halo; None: none can be told in this window.
     halo_certain
@@ -77,7 +78,7 @@ def fit(profile: Profile, fixed_at, *, halo: Wide | None, halo_certain: bool) ->
     found: list[EdgeFit] = []
     for kind in kinds:
         for slope in (EVEN_PER_PX, UNEVEN_PER_PX):
-            found.append(_fit(profile, fixed_at, kind, slope, found[-1] if found else None))
+            found.append(_fit(profile, known, kind, slope, found[-1] if found else None))
     return max(found, key=lambda one: one.log_evidence)
 
 
@@ -88,14 +89,13 @@ def refit(profile: Profile, found: EdgeFit) -> EdgeFit:
     return _climbed(model, found.point, found.slope_sd_per_px)
 
 
-def _fit(profile: Profile, fixed_at, halo: Wide | None, slope_sd_per_px: float, near: EdgeFit | None) -> EdgeFit:
+def _fit(profile: Profile, known: Known, halo: Wide | None, slope_sd_per_px: float, near: EdgeFit | None) -> EdgeFit:
     """Fit one kind of model, at each size of departure unless another fit has chosen it, and return the best."""
     grid = nodes(fine=halo is not None)
     evidence = profile.evidence(grid, slope_sd_per_px)
-    fixed = fixed_at(grid)
 
     def model(scale: float, departure: float) -> EdgeModel:
-        return EdgeModel(grid=grid, fixed=fixed, evidence=evidence, scale=scale, departure_sd=departure, halo=halo)
+        return EdgeModel(grid=grid, known=known, evidence=evidence, scale=scale, departure_sd=departure, halo=halo)
 
     starts = _starts(model(0.2, DEPARTURES[0]), near)
     scale = float(np.exp(starts[0][1])) if near is None else near.model.scale
@@ -136,8 +136,8 @@ def _starts(model: EdgeModel, near: EdgeFit | None) -> list[Array]:
     starts = []
     for part in (places[:, 1] < 0.5, places[:, 1] > 0.5):
         tails = low + places[part] * (high - low) * np.array([0.6, *[1.0] * (count - 1)])
-        cores = np.array(points)[:, :-count]
-        both = [np.concatenate([core, tail]) for core in cores for tail in tails]
+        cores = [(point[:PARAMETERS], point[PARAMETERS + count :]) for point in points]
+        both = [np.concatenate([core, tail, rest]) for core, rest in cores for tail in tails]
         starts.append(_best_of(model, np.array(both)))
     return starts
 

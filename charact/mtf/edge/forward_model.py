@@ -15,6 +15,8 @@ from charact.mtf.edge.fit.evidence import Evidence
 from charact.mtf.edge.fit.phases import turned
 from charact.mtf.forms import transfer as forms
 from charact.mtf.forms.families import EXPONENT, EXPONENT_PRIOR, HALF_FREQUENCY, Wide
+from charact.mtf.forms.video_filter import powers
+from charact.mtf.optics import Known
 
 Array = NDArray[np.float64]
 
@@ -37,8 +39,8 @@ class EdgeModel:
     ----------
     grid
         Nodes, shape (node,), cycles per pixel.
-    fixed
-        Known part of the transfer at the nodes: aperture and video filter, complex, shape (node,).
+    known
+        Known part of the transfer: aperture and video filter, whose bandwidth may be one more parameter.
     evidence
         The data.
     scale
@@ -50,7 +52,7 @@ class EdgeModel:
     """
 
     grid: Array
-    fixed: NDArray[np.complex128]
+    known: Known
     evidence: Evidence
     scale: float
     departure_sd: float
@@ -62,12 +64,12 @@ class EdgeModel:
         core = ("edge_shift_px", "ln_half_frequency", "exponent")
         departures = tuple(f"departure_{index}" for index in range(KNOTS.size))
         phases = tuple(f"phase_{index}" for index in range(PHASE_KNOTS.size))
-        return (*core, *departures, *phases, *(self.halo.parameters if self.halo else ()))
+        return (*core, *departures, *phases, *self._tail)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the parameters."""
-        tail = [unit for unit, _ in self.halo.parameters.values()] if self.halo else []
+        tail = [unit for unit, _ in self._tail.values()]
         return ("px", "ln(cy/px)", "1", *("1" for _ in KNOTS), *("rad" for _ in PHASE_KNOTS), *tail)
 
     @property
@@ -76,25 +78,41 @@ class EdgeModel:
         low, high = np.log(HALF_FREQUENCY)
         phases = [(-6.0 * sd, 6.0 * sd) for sd in PHASE_SD]
         core = [(-6.0, 6.0), (low, high), EXPONENT, *[(-6.0, 6.0)] * KNOTS.size, *phases]
-        tail = [bound for _, bound in self.halo.parameters.values()] if self.halo else []
-        return np.array([*core, *tail])
+        return np.array([*core, *(bound for _, bound in self._tail.values())])
+
+    @cached_property
+    def _tail(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of what only some cameras have: halo, then the video's bandwidth."""
+        return {**(self.halo.parameters if self.halo else {}), **self._video}
+
+    @property
+    def _video(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        return self.known.video.parameters if self.known.video else {}
 
     def start(self, half_frequency: float, exponent: float) -> Array:
         """Return a point from which to climb."""
-        tail = [0.6 * low + 0.4 * high for _, (low, high) in self.halo.parameters.values()] if self.halo else []
+        wide = [0.6 * low + 0.4 * high for _, (low, high) in self.halo.parameters.values()] if self.halo else []
+        tail = [*wide, *(0.0 for _ in self._video)]
         return np.array([0.0, np.log(half_frequency), exponent, *np.zeros(KNOTS.size + PHASE_KNOTS.size), *tail])
 
     def modulus(self, theta: Array, grid: Array | None = None) -> Array:
-        """Return the transfer without phase and without the fixed part, shape (n, node)."""
+        """Return the transfer over its known part, without phase, shape (n, node)."""
         f = self.grid if grid is None else grid
         log_core = forms.exponential(f, np.exp(theta[:, 1]), theta[:, 2])
         shapes = self._shapes if grid is None else self.departures(grid)
         log_core = log_core + self.departure_sd * theta[:, 3 : 3 + KNOTS.size] @ shapes
+        bend = self._bend if grid is None else self.known.bend(grid)
+        if bend is not None:
+            log_core = log_core + powers(theta[:, -1]) @ bend.real
         core = np.exp(log_core)
         if self.halo is None:
             return core
-        tail = theta[:, PARAMETERS:]
+        tail = theta[:, PARAMETERS : PARAMETERS + len(self.halo.parameters)]
         return core * (1.0 - tail[:, :1] + tail[:, :1] * self.halo.transfer(f, tail[:, 1:]))
+
+    @cached_property
+    def _bend(self) -> NDArray[np.complex128] | None:
+        return self.known.bend(self.grid)
 
     def departures(self, frequency: Array) -> Array:
         """Return the shapes of the departure, shape (knot, frequency)."""
@@ -111,16 +129,19 @@ class EdgeModel:
     def stacked(self, theta: Array) -> Array:
         """Return the transfer at the nodes, real and imaginary parts side by side, shape (n, 2 node)."""
         bend = theta[:, 3 + KNOTS.size : PARAMETERS] @ self._bends
+        if self._bend is not None:
+            bend = bend + powers(theta[:, -1]) @ self._bend.imag
         late = theta[:, :1] * self.grid - bend / (2.0 * np.pi)
         return turned(self.modulus(theta), late, self._fixed)
 
     @cached_property
     def _fixed(self) -> Array:
-        return np.stack([self.fixed.real, self.fixed.imag])
+        fixed = self.known(self.grid)
+        return np.stack([fixed.real, fixed.imag])
 
-    def mtf(self, theta: Array, grid: Array, fixed: Array) -> Array:
-        """Return the MTF at other frequencies, shape (n, frequency), given the modulus of the fixed part there."""
-        return np.abs(fixed) * self.modulus(theta, grid)
+    def mtf(self, theta: Array, grid: Array) -> Array:
+        """Return the MTF at other frequencies, shape (n, frequency)."""
+        return np.abs(self.known(grid)) * self.modulus(theta, grid)
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds."""
@@ -133,6 +154,8 @@ class EdgeModel:
         normal = normal - 0.5 * np.sum(theta[:, 3 : 3 + count] ** 2, axis=1) - 0.5 * count * np.log(2 * np.pi)
         if self.halo:
             normal = normal - np.log(np.prod([high - low for _, (low, high) in self.halo.parameters.values()]))
+        if self.known.video is not None and self._video:
+            normal = normal + self.known.video.log_prior(theta[:, -1])
         return np.where(inside, normal, -np.inf)
 
     def log_probability(self, theta: Array) -> Array:

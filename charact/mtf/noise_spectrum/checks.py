@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.noise_spectrum.data import Chosen, Spectrum
-from charact.mtf.noise_spectrum.folding import Shape
-from charact.mtf.noise_spectrum.model import COMMON, Peak, peak_of, scattering
+from charact.mtf.noise_spectrum.model import COMMON, Peak, Problem, peak_of, scattering
 from charact.noise.checks import QUANTISED_DN2
 from charact.posterior import predictive_check
 from labdata.measurement import Posterior
@@ -87,9 +86,8 @@ def _scattered(spectrum: Spectrum, peak: Peak) -> bool:
     if form is None:
         return False
 
-    def start(shape: Shape) -> Array:
-        half = np.exp(peak.point[len(COMMON)])
-        return np.concatenate([peak.point[: len(COMMON)], shape.start(half)])
+    def start(problem: Problem) -> Array:
+        return problem.started(peak.point[: len(COMMON)], float(np.exp(peak.point[len(COMMON)])))
 
     veiled = peak_of(spectrum, peak.problem.known, form, start=start)
     return _log_likelihood(veiled) - _log_likelihood(peak) > VEIL_LIKELIHOOD

@@ -19,7 +19,7 @@ from charact.mtf.noise_spectrum.free import FreeForm
 from charact.mtf.noise_spectrum.model import FAMILIES, Peak, known_of, peak_of, white_log_probability
 from charact.mtf.noise_spectrum.result import DRAWS, Drawn, curves, evidence, quantities
 from charact.noise.provenance import provenance
-from charact.posterior import laplace, sample
+from charact.posterior import draw, laplace
 from labdata.errors import BadInput
 from labdata.measurement import Result, refused
 from labdata.session import Session
@@ -156,7 +156,7 @@ def _drawn(peaks: list[Peak], context: Context) -> Drawn:
     share = share[kept] / share[kept].sum()
     own = [peak for peak, keep in zip(peaks, kept, strict=True) if keep]
     posteriors = tuple(
-        (laplace if context.quick else sample)(
+        (laplace if context.quick else draw)(
             peak.problem.log_probability, names=peak.problem.names, units=peak.problem.units, start=peak.point,
             covariance=peak.covariance, seed=context.seed, bounds=peak.problem.bounds, draws=DRAWS,
         )

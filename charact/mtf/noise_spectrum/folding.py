@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.forms import transfer as forms
+from charact.mtf.forms.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class Known:
     height_px
         Extent of a pixel as read along columns, column pitches; two rows where fields sum pairs of them.
     video
-        Bandwidth in MHz, pixel clock in MHz and order of the filter along rows, or None.
+        Filter along rows, or None.
     fibres
         Pitch of the taper's fibres, column pitches, and f0 of its interfaces exp(-(f/f0)^2), cycles per column pitch.
     anisotropy_sd
@@ -47,13 +48,22 @@ class Known:
     """
 
     height_px: float
-    video: tuple[float, float, int] | None
+    video: VideoFilter | None
     anisotropy_sd: float
     fibres: tuple[float, float] | None = None
 
     def electronics(self, column: Array) -> Array:
-        """Return |V| of the video at frequencies along rows; it acts on sampled pixels, so it has no replicas."""
-        return np.ones_like(column) if self.video is None else np.abs(forms.video(column, *self.video))
+        """Return |V| of the described video at frequencies along rows; it acts on pixels, so it has no replicas."""
+        return np.ones_like(column) if self.video is None else np.abs(self.video(column))
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of what is known within a range only, by name."""
+        return self.video.parameters if self.video else {}
+
+    def bend(self, column: Array) -> Array | None:
+        """Return how ln of |V| moves with the video's bandwidth, see `VideoFilter.bend`; None: it does not."""
+        return self.video.bend(column).real if self.video and self.video.parameters else None
 
     def aperture(self, column: Array, row: Array) -> Array:
         """Return |sinc sinc| of the pixel, and the taper where it is described."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.forms.families import Family, GlarePrior
+from charact.mtf.forms.video_filter import VideoFilter, powers
 from charact.mtf.noise_spectrum.data import Spectrum
 from charact.mtf.noise_spectrum.folding import Folding, Known, Shape, folding, sparser
 from charact.posterior import maximum
@@ -51,7 +52,7 @@ def known_of(context: Context) -> Known:
     pitch_um, taper = float(context.sensor.ccd.pitch_x_um), context.sensor.taper
     return Known(
         height_px=rows * context.pitch_ratio,
-        video=context.sensor.video.low_pass,
+        video=VideoFilter.of(context.sensor),
         anisotropy_sd=ROUND_SD,
         fibres=(float(taper.fibre_pitch_um) / pitch_um, float(taper.interface_mtf_lp_per_mm) * pitch_um * 1e-3),
     )
@@ -77,22 +78,42 @@ class Problem:
     def bounds(self) -> Array:
         """Bounds of all parameters, shape (parameter, 2)."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
-        return np.concatenate([[(level - 12.0, level + 6.0), WHITE, ANISOTROPY], self.shape.bounds])
+        video = [bound for _, bound in self.known.parameters.values()]
+        return np.array([(level - 12.0, level + 6.0), WHITE, ANISOTROPY, *self.shape.bounds, *video])
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all parameters."""
-        return (*COMMON, *self.shape.parameters)
+        return (*COMMON, *self.shape.parameters, *self.known.parameters)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Their units."""
-        return (*COMMON_UNITS, *(unit for unit, _ in self.shape.parameters.values()))
+        own = {**self.shape.parameters, **self.known.parameters}
+        return (*COMMON_UNITS, *(unit for unit, _ in own.values()))
+
+    def of_shape(self, theta: Array) -> Array:
+        """Return the form's parameters of all, shape (n, parameter)."""
+        return theta[:, len(COMMON) : len(COMMON) + len(self.shape.bounds)]
+
+    def of_folding(self, theta: Array) -> Array:
+        """Return the anisotropy and the form's parameters, shape (n, parameter)."""
+        return theta[:, len(COMMON) - 1 : len(COMMON) + len(self.shape.bounds)]
+
+    def passed(self, theta: Array, bend: Array | None) -> Array | float:
+        """Return |V| of the video over the described one where `known.bend` is given, shape (n, f)."""
+        return 1.0 if bend is None else np.exp(powers(theta[:, -1]) @ bend)
 
     def parts(self, theta: Array) -> tuple[Array, Array]:
         """Return the white part and that of the blurred pulses, each (n, cell), DN^2."""
-        white = theta[:, 1:2] * self._white_dn2
-        return white + self.spectrum.quantised_dn2, np.exp(theta[:, :1]) * self.folding.power(self.shape, theta[:, 2:])
+        passed = self.passed(theta, self._bend) ** 2
+        white = theta[:, 1:2] * self._white_dn2 * passed
+        pulses = np.exp(theta[:, :1]) * self.folding.power(self.shape, self.of_folding(theta)) * passed
+        return white + self.spectrum.quantised_dn2, pulses
+
+    @cached_property
+    def _bend(self) -> Array | None:
+        return self.known.bend(self.spectrum.column_cy_per_px)
 
     @cached_property
     def _white_dn2(self) -> Array:
@@ -118,13 +139,20 @@ class Problem:
         likelihood = self.log_likelihood(self.model(safe))
         # Anisotropies of an unknown camera and of a known one differ in width: normalised, should they be compared.
         round_ = -0.5 * (safe[:, 2] / self.known.anisotropy_sd) ** 2 - np.log(self.known.anisotropy_sd)
-        total = likelihood + self.shape.log_prior(safe[:, len(COMMON) :]) + round_
+        total = likelihood + self.shape.log_prior(self.of_shape(safe)) + round_
+        if self.known.video and self.known.parameters:
+            total = total + self.known.video.log_prior(safe[:, -1])
         return np.where(inside & np.isfinite(total), total, -np.inf)
 
     def centre(self) -> Array:
         """A point inside all bounds."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
-        return np.concatenate([[level, 0.1, 0.0], self.shape.start(0.2)])
+        return self.started(np.array([level, 0.1, 0.0]), 0.2)
+
+    def started(self, common: Array, half_frequency_cy_per_px: float) -> Array:
+        """Return a point of given common parameters, the form's where it begins, and the video as described."""
+        video = np.zeros(len(self.known.parameters))
+        return np.concatenate([common, self.shape.start(half_frequency_cy_per_px), video])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,13 +175,13 @@ class Peak:
     log_evidence: float
 
 
-def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[Shape], Array] | None = None) -> Peak:
+def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[Problem], Array] | None = None) -> Peak:
     """Climb to the best fit under a form: roughly, then with the replicas, cells and looks that belong to it."""
     whole = folding(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.row_pitch, known)
     problem = Problem(spectrum=spectrum, known=known, shape=shape, folding=whole, looks=spectrum.looks_lagged)
-    begin = start(shape) if start is not None else _start(problem)
+    begin = start(problem) if start is not None else _start(problem)
     # Heavy tails fold from afar: what a broad form leaves out, no likely form needs.
-    problem = replace(problem, folding=sparser(whole, shape, _broader(begin, shape)[2:]))
+    problem = replace(problem, folding=sparser(whole, shape, problem.of_folding(_broader(begin, shape)[None])[0]))
     point, covariance = maximum(problem.log_probability, begin, problem.bounds, iterations=25)
     for _ in range(2):
         problem = _refined(problem, whole, point)
@@ -174,11 +202,12 @@ def _start(problem: Problem) -> Array:
     """The best of a few half frequencies, with a fifth of white noise."""
     spectrum, candidates = problem.spectrum, []
     for half in (0.05, 0.1, 0.17, 0.3, 0.5):
-        shape = problem.shape.start(half)
-        folded = problem.folding.power(problem.shape, np.concatenate([[0.0], shape])[None])[0]
+        begin = problem.started(np.array([0.0, 0.1, 0.0]), half)
+        folded = problem.folding.power(problem.shape, problem.of_folding(begin[None]))[0]
         above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
         level = max(float(np.sum(problem.looks * 0.9 * above) / np.sum(problem.looks * folded)), 1e-9)
-        candidates.append(np.concatenate([[np.log(level), 0.1, 0.0], shape]))
+        begin[0] = np.log(level)
+        candidates.append(begin)
     points = np.clip(np.array(candidates), problem.bounds[:, 0], problem.bounds[:, 1])
     return points[int(np.argmax(problem.log_probability(points)))]
 
@@ -186,7 +215,7 @@ def _start(problem: Problem) -> Array:
 def _refined(problem: Problem, whole: Folding, point: Array) -> Problem:
     """Return the problem with the replicas, the means within cells and the looks of a fit."""
     spectrum = problem.spectrum
-    sparse = sparser(whole, problem.shape, point[2:])
+    sparse = sparser(whole, problem.shape, problem.of_folding(point[None])[0])
     within = _within(problem, point)
     white, pulses = problem.parts(point[None])
     share = (pulses / (spectrum.dark_dn2 + white + pulses))[0]
@@ -202,7 +231,7 @@ def _within(problem: Problem, point: Array) -> Array:
 
     def folded(column: Array, row: Array) -> Array:
         near = folding(column, row, spectrum.row_pitch, problem.known, replicas=1)
-        return near.power(problem.shape, point[None, 2:])[0]
+        return near.power(problem.shape, problem.of_folding(point[None]))[0]
 
     modes = np.mean(
         [

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.noise_spectrum.data import Spectrum
-from charact.mtf.noise_spectrum.model import COMMON, Peak
+from charact.mtf.noise_spectrum.model import Peak
 from labdata.measurement import Curve, Measurement, Posterior, Result, from_draws, refused
 
 Array = NDArray[np.float64]
@@ -60,12 +60,13 @@ def transfer_of(peak: Peak, draws: Array, frequency: Array, *, vertical: bool, p
         Row pitch over column pitch.
     """
     problem, none = peak.problem, np.zeros_like(frequency)
-    shape = draws[:, len(COMMON) :]
+    shape = problem.of_shape(draws)
     if vertical:
         along = frequency / pitch_ratio
         return problem.shape.modulus(shape, along * np.exp(-draws[:, 2:3])) * problem.known.aperture(none, along)
     core = problem.shape.modulus(shape, np.broadcast_to(frequency, (len(draws), len(frequency))))
-    return core * problem.known.aperture(frequency, none) * problem.known.electronics(frequency)
+    described = problem.known.aperture(frequency, none) * problem.known.electronics(frequency)
+    return core * described * problem.passed(draws, problem.known.bend(frequency))
 
 
 def quantities(spectrum: Spectrum, found: Drawn, own: dict[str, Any]) -> Result:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.curve import FINE, REPORTED, curve_of, falls_to
+from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import checks as point_checks
 from charact.mtf.point import source as point_source
@@ -133,7 +134,7 @@ def _optics(context: Context, pinhole_px: float) -> Optics:
     return Optics(
         width_px=1.0,
         height_px=rows * context.pitch_ratio,
-        video=context.sensor.video.low_pass,
+        video=VideoFilter.of(context.sensor),
         pinhole_px=pinhole_px,
         top=1.2,
     )

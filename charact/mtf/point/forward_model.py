@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.forms import transfer as forms
+from charact.mtf.forms.video_filter import VideoFilter, powers
 from charact.mtf.forms.wide_tables import sine_integral
 from charact.mtf.point.forward_prior import Prior
 from charact.posterior.curvature import root_of
@@ -38,7 +38,7 @@ class Optics:
     width_px, height_px
         Extent of a pixel as read, column pitches.
     video
-        (bandwidth MHz, pixel clock MHz, order) of the filter along rows, or None.
+        Filter along rows, or None.
     pinhole_px
         Diameter of the source's image, column pitches; 0 is a point.
     top
@@ -47,7 +47,7 @@ class Optics:
 
     width_px: float
     height_px: float
-    video: tuple[float, float, int] | None
+    video: VideoFilter | None
     pinhole_px: float
     top: float
 
@@ -55,14 +55,15 @@ class Optics:
         """Return pixel and pinhole at frequencies along rows and columns, real."""
         return np.sinc(fx * self.width_px) * np.sinc(fy * self.height_px) * pinhole(np.hypot(fx, fy), self.pinhole_px)
 
-    def filtered(self, frequency: Array, ln_bandwidth: Array) -> NDArray[np.complex128]:
-        """Return the video filter, delay removed, shape (n, frequency), for ln of bandwidth over its nominal value."""
+    def filtered(self, frequency: Array) -> NDArray[np.complex128]:
+        """Return the described video filter, its delay removed, shape (frequency,), complex."""
+        return np.ones(frequency.shape, complex) if self.video is None else self.video(frequency)
+
+    def bend(self, frequency: Array) -> NDArray[np.complex128]:
+        """Return how ln of the video filter moves with ln of its bandwidth, see `VideoFilter.bend`."""
         if self.video is None:
-            return np.ones((len(ln_bandwidth), frequency.size), complex)
-        bandwidth, clock, order = self.video
-        low, middle, high = (forms.video(frequency, bandwidth * np.exp(x), clock, order) for x in (-0.1, 0.0, 0.1))
-        x = ln_bandwidth[:, None] / 0.1
-        return middle + 0.5 * x * (high - low) + 0.5 * x**2 * (high + low - 2 * middle)
+            return np.zeros((2, frequency.size), complex)
+        return self.video.bend(frequency)
 
 
 def pinhole(frequency: Array, diameter_px: float) -> Array:
@@ -104,10 +105,10 @@ class PointModel:
         return np.arange(step / 2, self.optics.top, step), np.arange(step / 2, UP * self.optics.top, step)[:, None]
 
     @cached_property
-    def _video_lines(self) -> tuple[NDArray[np.complex128], ...]:
+    def _video_lines(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """The video filter at the columns' frequencies, and how its ln moves with ln of its bandwidth."""
         at = self.grid[0]
-        low, middle, high = (self.optics.filtered(at, np.array([x]))[0] for x in (-0.1, 0.0, 0.1))
-        return middle, 5.0 * (high - low), 50.0 * (high + low - 2 * middle)
+        return self.optics.filtered(at), self.optics.bend(at)
 
     @cached_property
     def _waves(self) -> tuple[Array, Array, Array, Array]:
@@ -172,10 +173,10 @@ class PointModel:
         """Return the picture of transfers given at the grid's frequencies with its weights, shape (n, row, col)."""
         p = self.prior.named(theta)
         line, lines = self.grid[0], self.grid[1][:, 0]
-        middle, slope, bend = self._video_lines
-        width = p["ln_bandwidth"][:, None]
+        described, bend = self._video_lines
+        filtered = described * np.exp(powers(p["ln_bandwidth"]) @ bend)
         left, up = 2.0 * np.pi * p["x_px"][:, None] * line, 2.0 * np.pi * p["y_px"][:, None] * lines
-        along = (middle + slope * width + bend * width**2) * (np.cos(left) - 1j * np.sin(left))
+        along = filtered * (np.cos(left) - 1j * np.sin(left))
         cosine_x, sine_x, cosine_y, sine_y = self._waves
         columns = along.real[:, :, None] * cosine_x - along.imag[:, :, None] * sine_x
         rows = np.cos(up)[:, None] * cosine_y + np.sin(up)[:, None] * sine_y
@@ -214,7 +215,7 @@ class PointModel:
         none = np.zeros_like(f)
         if vertical:
             return self.modulus(theta, none, f) * np.abs(np.sinc(f * self.optics.height_px))
-        video = np.abs(self.optics.filtered(f, p["ln_bandwidth"]))
+        video = np.abs(self.optics.filtered(f)) * np.exp(powers(p["ln_bandwidth"]) @ self.optics.bend(f).real)
         return self.modulus(theta, f, none) * np.abs(np.sinc(f * self.optics.width_px)) * video
 
 

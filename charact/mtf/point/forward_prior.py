@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.optics import halo_diameters_px
 
 Array = NDArray[np.float64]
@@ -136,10 +137,11 @@ def _of_sensor(context: Context, halo_seen: bool) -> Prior:
     bend = _bend(float(share), share.low, share.high) if halo_seen else NO_HALO
     gap = sensor.photocathode.gap_mm
     diameter = (4e3 * float(gap) / (pitch_um * demagnification), 0.12)
-    video = 0.0 if sensor.video.digital else 0.04
+    video = VideoFilter.of(sensor)
+    bandwidth_sd = video.ln_bandwidth_sd if video else 0.0
     free = (*NAMES[:7], *(NAMES[7:] if halo_seen else ()))
     core = (np.log(cut_off), float(sensor.tube.mtf_exponent), blur)
-    return _prior(free, core, (CUT_OFF_SD, EXPONENT_SD, 0.25 * blur), (video or 1e-3, diameter[0]), halo, bend)
+    return _prior(free, core, (CUT_OFF_SD, EXPONENT_SD, 0.25 * blur), (bandwidth_sd, diameter[0]), halo, bend)
 
 
 def _prior(free, core, core_sd, tail, halo, bend) -> Prior:

@@ -10,6 +10,7 @@ import charact
 from charact.method import Context, register
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.forms.families import DiscPrior, GlarePrior, HaloPrior, Wide
+from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import distrust as point_distrust
 from charact.mtf.point import source as point_source
@@ -147,9 +148,7 @@ def _site(part: FrameStack, context: Context) -> "Site | list[Site] | tuple[str,
     rows = 2.0 if context.interlaced else 1.0
     site = Site(
         window=window,
-        aperture=Aperture(
-            height_px=rows * context.pitch_ratio, video=context.sensor.video.low_pass if context.sensor else None
-        ),
+        aperture=Aperture(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor)),
         dark=dark_of(part.data, source.row, source.col),
         memory=memory_of(context, window.frames),
         full_scale_dn=full,

@@ -45,9 +45,7 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     The median over frames of the smoothed frames ignores flashes of single ions; its spread over the picture, taken
     robustly, is what a source must exceed.
     """
-    from scipy import ndimage
-
-    smooth = np.stack([ndimage.gaussian_filter(frame.astype(np.float32), SMOOTHING_PX) for frame in data])
+    smooth = _smoothed(data)
     steady = np.median(smooth, axis=0)
     row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     level = float(np.median(steady))
@@ -64,6 +62,19 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     return Source(
         row=row, col=col, significance=significance, others=_others(steady - level, row, col, spread, pitch_ratio)
     )
+
+
+def light_of(data: NDArray) -> float:
+    """Return how much light frames (frame, row, col) have of their brightest steady source, DN summed over frames."""
+    steady = np.median(_smoothed(data), axis=0)
+    return len(data) * float(steady.max() - np.median(steady))
+
+
+def _smoothed(data: NDArray) -> Array:
+    """Return every frame smoothed, shape (frame, row, col), DN; single precision does and is twice as fast."""
+    from scipy import ndimage
+
+    return np.stack([ndimage.gaussian_filter(frame.astype(np.float32), SMOOTHING_PX) for frame in data])  # pyright: ignore[reportReturnType]
 
 
 def _spread(steady: Array, level: float, data: NDArray) -> float:

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.forms import transfer as forms
+from charact.mtf.forms.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 
@@ -35,20 +35,20 @@ class Aperture:
     width_px, height_px
         Extent of a pixel as read, column pitches.
     video
-        (bandwidth MHz, pixel clock MHz, order) of the filter along rows, or None.
+        Filter along rows, or None.
     top
         Highest frequency with contrast, cycles per column pitch.
     """
 
     width_px: float = 1.0
     height_px: float = 1.0
-    video: tuple[float, float, int] | None = None
+    video: VideoFilter | None = None
     top: float = 2.0
 
     def horizontal(self, frequency: Array) -> NDArray[np.complex128]:
         """Return aperture and video filter along rows."""
         plain = np.sinc(frequency * self.width_px).astype(complex)
-        return plain if self.video is None else plain * forms.video(frequency, *self.video)
+        return plain if self.video is None else plain * self.video(frequency)
 
     def vertical(self, frequency: Array) -> Array:
         """Return the aperture along columns."""

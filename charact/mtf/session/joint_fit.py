@@ -50,18 +50,18 @@ class Problem:
         return sum(one.value.size for one in self.told)
 
     @cached_property
-    def _places(self) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    def _places(self) -> tuple[Array, Array, NDArray[np.bool_], Array, Array | None]:
         """Frequencies of all targets, one after the other, along rows and columns; whether within; what is known."""
         every = (*self.told, *self.bounds)
         frequency, angle = (np.concatenate(of) for of in zip(*((o.frequency, o.angle_rad) for o in every), strict=True))
         within = np.concatenate([np.full(one.frequency.size, one.within) for one in every])
         fx, fy = np.abs(frequency * np.cos(angle)), np.abs(frequency * np.sin(angle))
-        return fx, fy, within, self.form.known(fx, fy)
+        return fx, fy, within, self.form.known(fx, fy), self.form.known.bend(fx)
 
     def _residuals(self, theta: Array) -> Array:
         """Return whitened residuals of targets and bounds; each MTF is needed at all its places together."""
-        fx, fy, within, known = self._places
-        mtf = known * self.form.unknown(theta, fx, fy, within=within)
+        fx, fy, within, known, bend = self._places
+        mtf = known * self.form.unknown(theta, fx, fy, bend=bend, within=within)
         last, parts = 0, []
         for one in (*self.told, *self.bounds):
             first, last = last, last + one.frequency.size

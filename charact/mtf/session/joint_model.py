@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.forms import transfer as forms
 from charact.mtf.forms.families import Core, Family, Wide
+from charact.mtf.forms.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 
@@ -23,18 +23,26 @@ class Known:
     """What is known of the camera: aperture in column pitches, and the video filter along rows or None."""
 
     height_px: float = 1.0
-    video: tuple[float, float, int] | None = None
+    video: VideoFilter | None = None
 
     @classmethod
     def of(cls, context: Context) -> "Known":
         """Return what a context says."""
         rows = 2.0 if context.interlaced else 1.0
-        video = None if context.sensor is None else context.sensor.video.low_pass
-        return cls(height_px=rows * context.pitch_ratio, video=video)
+        return cls(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor))
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of what is known within a range only, by name."""
+        return self.video.parameters if self.video else {}
+
+    def bend(self, fx: Array) -> Array | None:
+        """Return how ln of the modulus moves with the video's bandwidth, see `VideoFilter.bend`; None: it does not."""
+        return self.video.bend(fx).real if self.video and self.video.parameters else None
 
     def __call__(self, fx: Array, fy: Array) -> Array:
         """Return the modulus at frequencies along rows and columns, cycles per column pitch."""
-        filtered = 1.0 if self.video is None else np.abs(forms.video(fx, *self.video))
+        filtered = 1.0 if self.video is None else np.abs(self.video(fx))
         return np.abs(np.sinc(fx) * np.sinc(fy * self.height_px)) * filtered
 
 
@@ -53,7 +61,7 @@ class JointForm:
     elliptical
         Whether the core's vertical half frequency is one of its own: where targets tell of it.
     known
-        Aperture and video filter.
+        Aperture and video filter, whose bandwidth is one more parameter where it is known within a range only.
 
     Notes
     -----
@@ -84,7 +92,8 @@ class JointForm:
         """Unit and bounds of each parameter by name."""
         stretch = {"ln_vertical_stretch": ("1", STRETCH)} if self.elliptical else {}
         blur = {"blur_px2": ("px2", BLUR_PX2)} if self.blurred else {}
-        return {**self.family.parameters, **blur, **stretch, **(self.wide.parameters if self.wide else {})}
+        wide = self.wide.parameters if self.wide else {}
+        return {**self.family.parameters, **blur, **stretch, **wide, **self.known.parameters}
 
     @property
     def bounds(self) -> Array:
@@ -97,19 +106,23 @@ class JointForm:
         stretch = [0.0] if self.elliptical else []
         blur = [0.3] if self.blurred else []
         wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
-        return np.array([*self.family.start(0.2), *blur, *stretch, *wide])
+        return np.array([*self.family.start(0.2), *blur, *stretch, *wide, *(0.0 for _ in self.known.parameters)])
 
     def transfer(self, theta: Array, fx: Array, fy: Array) -> Array:
         """Return the MTF at cycles per column pitch along rows and columns, (n, parameter) and (f,) -> (n, f)."""
-        return self.known(fx, fy) * self.unknown(theta, fx, fy)
+        return self.known(fx, fy) * self.unknown(theta, fx, fy, bend=self.known.bend(fx))
 
-    def unknown(self, theta: Array, fx: Array, fy: Array, *, within: NDArray[np.bool_] | bool = False) -> Array:
-        """Return the MTF without aperture and video, shape (n, parameter) and (f,) -> (n, f).
+    def unknown(
+        self, theta: Array, fx: Array, fy: Array, *, bend: Array | None, within: NDArray[np.bool_] | bool = False
+    ) -> Array:
+        """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n, f).
 
         Parameters
         ----------
         fx, fy
             Cycles per column pitch along rows and along columns.
+        bend
+            What `known.bend` says of `fx`.
         within
             Where it is normalised to the light in a window narrower than the halo, whose light is then left out.
         """
@@ -119,9 +132,11 @@ class JointForm:
         core = self.family.modulus(theta[:, :size], radius)
         if self.blurred:
             core = core * np.exp(-2.0 * (np.pi * radius) ** 2 * theta[:, size : size + 1])
+        if bend is not None:
+            core = core * np.exp(powers(theta[:, -1]) @ bend)
         if self.wide is None:
             return core
-        tail = theta[:, place + self.elliptical :]
+        tail = theta[:, place + self.elliptical :][:, : len(self.wide.parameters)]
         far = self.wide.transfer(np.maximum(np.hypot(fx, fy), 1e-7), tail[:, 1:])
         return core * np.where(within, 1.0, 1.0 - tail[:, :1] + tail[:, :1] * far)
 
@@ -130,12 +145,17 @@ class JointForm:
         bounds = self.bounds
         size = self.family.core_parameters
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        flat = -np.sum(np.log(bounds[size:, 1] - bounds[size:, 0]))
-        density = self.family.log_prior(theta[:, :size]) + flat
+        free = np.ones(len(bounds), bool)
+        free[:size] = False
+        density = self.family.log_prior(theta[:, :size])
         if self.elliptical:
-            low, high = STRETCH
-            density += np.log((high - low) / (STRETCH_SD * np.sqrt(2.0 * np.pi)))
+            free[self._place_of_stretch] = False
             density -= 0.5 * (theta[:, self._place_of_stretch] / STRETCH_SD) ** 2
+            density -= np.log(STRETCH_SD * np.sqrt(2.0 * np.pi))
+        if self.known.video and self.known.parameters:
+            free[-1] = False
+            density += self.known.video.log_prior(theta[:, -1])
+        density -= np.sum(np.log(bounds[free, 1] - bounds[free, 0]))
         return np.where(inside, density, -np.inf)
 
     @property
@@ -146,6 +166,8 @@ class JointForm:
         precision[: self.family.core_parameters] += self.family.prior_precision()[1]
         if self.elliptical:
             precision[self._place_of_stretch] += STRETCH_SD**-2
+        if self.known.video and self.known.parameters:
+            precision[-1] += self.known.video.ln_bandwidth_sd**-2
         return precision
 
     @property

@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import erf, j1
 
 from charact.method import Context
+from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.point import forward
 from charact.mtf.point.forward import point_forward
 from charact.mtf.point.forward_model import Optics, PointModel
@@ -201,7 +202,13 @@ def test_the_same_seed_gives_the_same_numbers(seed):
 def test_light_of_the_model_is_one_however_it_is_blurred():
     context = Context(sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)
     (prior,) = priors_of(context, halo_seen=True)
-    optics = Optics(width_px=1.0, height_px=2 * context.pitch_ratio, video=(6.5, 14.318, 3), pinhole_px=1.0, top=1.2)
+    optics = Optics(
+        width_px=1.0,
+        height_px=2 * context.pitch_ratio,
+        video=VideoFilter(bandwidth_mhz=6.5, clock_mhz=14.318, order=3),
+        pinhole_px=1.0,
+        top=1.2,
+    )
     x, y = np.arange(-19.0, 20.0), context.pitch_ratio * np.arange(-16.0, 17.0)
     model = PointModel(optics=optics, prior=prior, x=x, y=y, ring_px=np.empty((0, 1)))
     start = prior.centre[prior.chosen].copy()

@@ -1,0 +1,81 @@
+"""A video's low pass along the rows, whose bandwidth a description knows within a range."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.forms.transfer import video
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+# Departures of ln of the bandwidth at which the transfer is computed; in between a parabola of its logarithm holds it
+# within 0.003 below 0.6 cycles per pixel.
+AWAY = 0.1
+# The bandwidth may lie this far from the described one, as ln.
+LN_BANDWIDTH = (-0.25, 0.25)
+# A range holds its value with 95 % probability: it is so many standard deviations wide.
+SD_OF_RANGE = 2.0 * 1.959964
+
+
+@dataclass(frozen=True, kw_only=True)
+class VideoFilter:
+    """A Butterworth low pass on stairs one clock wide, read once a clock, its delay removed.
+
+    Parameters
+    ----------
+    bandwidth_mhz, clock_mhz
+        Described bandwidth (3 dB) and pixel clock, MHz.
+    order
+        Of the filter.
+    ln_bandwidth_sd
+        Standard deviation of ln of the bandwidth about the described one, dimensionless.
+    """
+
+    bandwidth_mhz: float
+    clock_mhz: float
+    order: int
+    ln_bandwidth_sd: float = 0.0
+
+    @classmethod
+    def of(cls, sensor: Sensor | None) -> "VideoFilter | None":
+        """Return the filter of a described camera; None of a digital one, or where nothing is described."""
+        if sensor is None or sensor.video.low_pass is None:
+            return None
+        bandwidth, clock, order = sensor.video.low_pass
+        known = sensor.video.bandwidth_mhz
+        assert known is not None
+        sd = 0.0 if known.low is None or known.high is None else (known.high - known.low) / SD_OF_RANGE / bandwidth
+        return cls(bandwidth_mhz=bandwidth, clock_mhz=clock, order=order, ln_bandwidth_sd=sd)
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of what is not known of it, by name; none where the bandwidth is exact."""
+        return {"ln_video_bandwidth": ("1", LN_BANDWIDTH)} if self.ln_bandwidth_sd > 0.0 else {}
+
+    def __call__(self, frequency: Array) -> NDArray[np.complex128]:
+        """Return the described transfer at cycles per pixel along rows, complex."""
+        return self._at(frequency, 0.0)
+
+    def bend(self, frequency: Array) -> NDArray[np.complex128]:
+        """Return slope and curvature of ln of the transfer with x, ln of bandwidth over described, shape (2, f).
+
+        The transfer of another bandwidth is `self(frequency) * exp(powers(x) @ bend)`.
+        """
+        low, middle, high = (self._at(frequency, x) for x in (-AWAY, 0.0, AWAY))
+        below, above = np.log(low / middle), np.log(high / middle)
+        return np.array([0.5 * (above - below) / AWAY, 0.5 * (above + below) / AWAY**2], np.complex128)
+
+    def log_prior(self, ln_bandwidth: Array) -> Array:
+        """Return ln of the normal prior density of ln of bandwidth over described, shape (n,)."""
+        return -0.5 * (ln_bandwidth / self.ln_bandwidth_sd) ** 2 - np.log(self.ln_bandwidth_sd * np.sqrt(2.0 * np.pi))
+
+    def _at(self, frequency: Array, ln_bandwidth: float) -> NDArray[np.complex128]:
+        bandwidth = self.bandwidth_mhz * float(np.exp(ln_bandwidth))
+        return video(np.ravel(frequency), bandwidth, self.clock_mhz, self.order).reshape(np.shape(frequency))
+
+
+def powers(ln_bandwidth: Array) -> Array:
+    """Return first and second power of ln of bandwidth over described, shape (n,) -> (n, 2)."""
+    return np.stack([ln_bandwidth, ln_bandwidth**2], axis=1)
