@@ -53,15 +53,29 @@ def mtf(sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "
     Lens x [(1 - q) + q H_halo] x tube x taper x pixel, and along rows the video filter on the pixels' lattice. In the
     vertical direction the pixel is the row pair of field integration.
     """
+    camera = IntensifiedCamera(sensor)
+    return _transfer(camera, (*_before_gain(camera), *_after_gain(camera)), frequency_cy_per_px, direction)
+
+
+def post_gain_mtf(
+    sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
+) -> NDArray[np.float64]:
+    """Return the MTF of all that comes after the gain, which shapes its noise; as `mtf`, whose part it is."""
+    camera = IntensifiedCamera(sensor)
+    return _transfer(camera, _after_gain(camera), frequency_cy_per_px, direction)
+
+
+def _transfer(
+    camera: IntensifiedCamera, blurs: tuple[Blur, ...], frequency_cy_per_px: ArrayLike, direction: Direction
+) -> NDArray[np.float64]:
+    """Return the modulus of blurs and video filter along a direction, cycles per column pitch."""
     if isinstance(direction, str) and direction not in DEGREES:
         raise BadInput(f"a direction must be horizontal, vertical or degrees, got {direction!r}")
     angle = np.radians(DEGREES[direction] if isinstance(direction, str) else direction)
-    camera = IntensifiedCamera(sensor)
     frequency = np.asarray(frequency_cy_per_px, float)
     fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
     pitch_mm = camera.cells.pitch_x_mm
-    optical = product((*_before_gain(camera), *_after_gain(camera)), fx / pitch_mm, fy / pitch_mm)
-    return np.abs(optical * _video(camera).low_pass.transfer(fx))
+    return np.abs(product(blurs, fx / pitch_mm, fy / pitch_mm) * _video(camera).low_pass.transfer(fx))
 
 
 def frequency_at(sensor: Sensor, level: float, direction: Direction = "horizontal") -> float:

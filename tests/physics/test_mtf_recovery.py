@@ -1,11 +1,16 @@
 """Where simulator and analysis meet: the MTF measured on frames of the simulated camera is the chain's closed form."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import pytest
 
 from charact import mtf
 from charact.method import Context
+from charact.study.flats.stacks import HeldStack
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
+from labdata.session import Session
 from labdata.target import Target
 from simulate.iiccd import truth
 from simulate.lab import LabBench
@@ -43,3 +48,39 @@ def test_the_edge_of_a_camera_nobody_described_is_still_not_trusted_wrongly(edge
     if found.status == "ok":
         half = (found.interval68[1] - found.interval68[0]) / 2
         assert abs(float(truth.mtf(specimen, found.value)) - 0.5) < 4.5 * half / found.value * 0.6
+
+
+@pytest.mark.parametrize("bandwidth_mhz", [6.1, 6.9])
+def test_flats_recover_the_transfer_after_the_gain_of_a_video_that_the_sheet_gives_a_range_for(bandwidth_mhz, seed):
+    """The noise passes the video, too: taken for exactly that of the sheet, it is 15 and more standard errors off."""
+    sheet = small(load_sensor("pulnix-ag5745ef3"))
+    specimen = sheet.with_values({"video.bandwidth_mhz": bandwidth_mhz})
+    flats = flats_before(specimen, seed)
+
+    def standard_errors_off(told):
+        context = Context(quick=True, sensor=told, interlaced=True, full_scale_dn=255.0)
+        found = mtf.measure_flats(flats, context=context).find("post_gain_mtf", orientation_deg=0.0)
+        (at,) = (one for one in found if one.frequency_cy_per_px == 0.3)
+        half = (at.interval68[1] - at.interval68[0]) / 2
+        return abs(at.value - float(truth.post_gain_mtf(specimen, 0.3))) / half, at.status
+
+    off, status = standard_errors_off(sheet)
+    assert status == "ok" and off < 4.5
+    assert standard_errors_off(sheet.with_values({"video.bandwidth_mhz": 6.5}))[0] > 15.0
+
+
+def small(sensor):
+    return replace(sensor, ccd=replace(sensor.ccd, rows=256, columns=320))
+
+
+def flats_before(specimen, seed):
+    """Darkness and three levels of even light."""
+    stacks = []
+    for number, lux in enumerate((0.0, 4e-5, 1.2e-4, 2.4e-4)):
+        kind = "flat" if number else "dark"
+        conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=lux)
+        held = LabBench(specimen).expose(kind, Target(), conditions, frames=12, seed=seed + number)
+        stacks.append(HeldStack(
+            label=f"{kind}-{number}", kind=kind, frames="", folder=Path(), conditions=conditions, held=held,
+        ))  # fmt: skip
+    return Session(folder=Path(), name="flats", stacks=tuple(stacks), sensor=specimen, bit_depth=8)

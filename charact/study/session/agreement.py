@@ -141,7 +141,6 @@ class SessionScene:
         """What methods are told: nothing of the camera."""
         return Context(seed=seed, quick=quick)
 
-    @property
-    def truth_mtf50(self) -> float:
-        """Horizontal MTF50, cycles per pixel."""
-        return level_crossing(lambda f: self.chain.mtf(f, 0.0), 0.5)
+    def truth_at(self, level: float, angle_deg: float) -> float:
+        """Frequency along a direction at which the MTF falls to a level, cycles per pixel."""
+        return level_crossing(lambda f: self.chain.mtf(f, angle_deg), level)

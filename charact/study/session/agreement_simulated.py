@@ -64,12 +64,11 @@ class SimulatedScene:
         interlaced, full_scale_dn = sensor.video.interlaced, 2.0**sensor.video.bit_depth - 1.0
         return Context(seed=seed, quick=quick, sensor=sensor, interlaced=interlaced, full_scale_dn=full_scale_dn)
 
-    @property
-    def truth_mtf50(self) -> float:
-        """Horizontal MTF50, cycles per column pitch."""
+    def truth_at(self, level: float, angle_deg: float) -> float:
+        """Frequency along a direction at which the MTF falls to a level, cycles per column pitch."""
         from simulate.iiccd import truth
 
-        return truth.frequency_at(self.camera, 0.5, 0.0)
+        return truth.frequency_at(self.camera, level, angle_deg)
 
     def _frames(self, camera: Sensor, kind: Kind, label: str, rng: np.random.Generator) -> FrameStack:
         target = {

@@ -1,4 +1,4 @@
-"""How often the targets of one camera agree, and how surely one out of focus is found: the table, measured anew.
+"""How often the targets of one camera agree and hold its truth, and how surely one out of focus is found.
 
 `python -m charact.study.session.agreement_table` measures a hundred sessions and those with a fault and keeps what came
 of it.
@@ -6,7 +6,7 @@ of it.
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +17,7 @@ import numpy as np
 from charact.mtf.session.joint import joint
 from charact.study.session.agreement import KINDS, SessionScene
 from charact.study.session.agreement_simulated import SimulatedScene
+from labdata.measurement import Result
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "agreement.json"
 MADE = {"closed form": SessionScene, "simulated": SimulatedScene}
@@ -43,8 +44,8 @@ class Judged:
         The target that differs most from the others.
     targets
         How many took part.
-    z
-        (MTF50 - truth) over half of its 68 % interval.
+    beside
+        Every MTF50 and MTF10 with an interval beside its truth.
     """
 
     probability: float
@@ -52,7 +53,31 @@ class Judged:
     ok: bool
     differs_most: str
     targets: int
-    z: float
+    beside: tuple["Beside", ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beside:
+    """A frequency at which the MTF falls to a level, beside the true one.
+
+    Parameters
+    ----------
+    name
+        Method, quantity and direction.
+    ok
+        Whether it carries no flag.
+    off
+        (Value - truth) over the half of its 95 % interval on the truth's side.
+    """
+
+    name: str
+    ok: bool
+    off: float
+
+
+LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
+# Further off than this without a flag is a silent failure.
+SILENT = 2.0
 
 
 def judged(number: int, *, made: str, seed: int, defocus: float = 0.0, of: str = "edge", quick: bool = True) -> Judged:
@@ -72,24 +97,37 @@ def judged(number: int, *, made: str, seed: int, defocus: float = 0.0, of: str =
     rng = np.random.default_rng([seed, number])
     scene = MADE[made].drawn(rng)
     context = scene.context(number, quick=quick)
-    together = joint(scene.measured(rng, context, defocus=defocus, of=of), KINDS, context=context)
+    result = scene.measured(rng, context, defocus=defocus, of=of)
+    together = joint(result, KINDS, context=context)
+    beside = tuple(_beside(result + together, scene.truth_at))
     found = together.find("mtf50", orientation_deg=0.0)
-    if not found or found[0].value is None or found[0].interval68 is None:
-        return Judged(probability=np.nan, inside=False, ok=False, differs_most="", targets=0, z=np.nan)
-    test, (low, high) = together.evidence["joint MTF"], found[0].interval68
+    if not found or found[0].value is None:
+        return Judged(probability=np.nan, inside=False, ok=False, differs_most="", targets=0, beside=beside)
+    test = together.evidence["joint MTF"]
     return Judged(
         probability=test["probability"],
         inside=test["inside_joint_95_percent_region"],
         ok=found[0].status == "ok",
         differs_most=test["differs_most"],
         targets=len(test["target"]),
-        z=(found[0].value - scene.truth_mtf50) / (0.5 * (high - low)),
+        beside=beside,
     )
+
+
+def _beside(result: Result, truth_at: Callable[[float, float], float]) -> Iterator[Beside]:
+    """Yield every MTF50 and MTF10 of a result beside its truth."""
+    for m in (*result.find("mtf50"), *result.find("mtf10")):
+        if m.value is None or m.interval95 is None:
+            continue
+        angle_deg = m.orientation_deg or 0.0
+        off, (low, high) = m.value - truth_at(LEVELS[m.quantity], angle_deg), m.interval95
+        along = "columns" if abs(angle_deg) > 45.0 else "rows"
+        arm = m.value - low if off > 0 else high - m.value
+        yield Beside(name=f"{m.method} {m.quantity} along {along}", ok=m.status == "ok", off=off / max(arm, 1e-12))
 
 
 def row(sessions: Sequence[Judged], *, made: str, defocus: float, of: str) -> dict:
     """Sum up sessions made alike."""
-    z = np.array([one.z for one in sessions])
     return {
         "made": made,
         "out_of_focus": of if defocus else "none",
@@ -99,9 +137,25 @@ def row(sessions: Sequence[Judged], *, made: str, defocus: float, of: str) -> di
         "ok": sum(one.ok for one in sessions),
         "named_rightly": sum(one.differs_most.startswith(of) for one in sessions) if defocus else None,
         "least_targets": min(one.targets for one in sessions),
-        "mtf50_inside_95_percent": int(np.sum(np.abs(z) < 1.97)) if not defocus else None,
-        "mtf50_rms_z": float(np.sqrt(np.nanmean(z**2))) if not defocus else None,
+        "beside_truth": None if defocus else _summed([one for session in sessions for one in session.beside]),
     }
+
+
+def _summed(beside: Sequence[Beside]) -> list[dict]:
+    """How far numbers without a flag are off their truth, by name."""
+    rows = []
+    for name in sorted({one.name for one in beside}):
+        own = [one for one in beside if one.name == name]
+        off = np.array([one.off for one in own if one.ok])
+        rows.append({
+            "name": name,
+            "numbers": len(own),
+            "ok": len(off),
+            "missed": int(np.sum(np.abs(off) > 1.0)),
+            "silent": int(np.sum(np.abs(off) > SILENT)),
+            "rms_standard_errors": float(1.96 * np.sqrt(np.mean(off**2))) if len(off) else None,
+        })  # fmt: skip
+    return rows
 
 
 def measured(counts: dict[str, tuple[int, int]], *, seed: int, workers: int) -> list[dict]:
@@ -131,9 +185,10 @@ def line(one: dict) -> str:
     """One row for people."""
     fault = "no fault" if not one["defocus"] else f"{one['out_of_focus']} blurred by {100 * one['defocus']:.0f} % more"
     named = "" if one["named_rightly"] is None else f", named rightly {one['named_rightly']}"
-    truth = "" if one["mtf50_rms_z"] is None else (
-        f", joint MTF50 inside 95 % {one['mtf50_inside_95_percent']}, rms z {one['mtf50_rms_z']:.2f}"
-    )  # fmt: skip
+    truth = "".join(
+        f"\n    {name['name']}: {name['ok']} ok of {name['numbers']}, {name['missed']} miss, {name['silent']} silent"
+        for name in one["beside_truth"] or ()
+    )
     return f"{one['made']}, {fault}: {one['agree']} of {one['sessions']} agree, {one['ok']} ok{named}{truth}"
 
 

@@ -1,11 +1,13 @@
 """The study of agreement: its cameras have the MTF they say, and a target out of focus is found and named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from charact.study.edge.scene import Blur
 from charact.study.session.agreement import Chain, SessionScene
-from charact.study.session.agreement_table import judged, row
+from charact.study.session.agreement_table import Beside, judged, row
 
 
 def test_two_gaussian_blurs_add_in_squares_and_defocus_widens_both() -> None:
@@ -34,4 +36,18 @@ def test_sessions_are_summed_up() -> None:
     assert whole.inside
     summed = row([whole, whole], made="closed form", defocus=0.0, of="edge")
     assert summed["agree"] == summed["sessions"] == 2
-    assert summed["mtf50_rms_z"] == pytest.approx(abs(whole.z))
+    beside = {one["name"]: one for one in summed["beside_truth"]}
+    assert {"joint mtf50 along rows", "point-forward mtf10 along columns"} <= set(beside)
+    edge = beside["edge-parametric mtf10 along rows"]
+    assert edge["numbers"] == edge["ok"] == 2
+    (off,) = (one.off for one in whole.beside if one.name == edge["name"])
+    assert edge["rms_standard_errors"] == pytest.approx(1.96 * abs(off))
+
+
+def test_a_number_far_off_its_truth_is_silent_only_without_a_flag() -> None:
+    whole = judged(2, made="closed form", seed=0)
+    away = tuple(
+        Beside(name="edge mtf10 along rows", ok=ok, off=off) for ok, off in [(True, -2.5), (False, 9.0), (True, 1.5)]
+    )
+    (summed,) = row([replace(whole, beside=away)], made="closed form", defocus=0.0, of="edge")["beside_truth"]
+    assert (summed["numbers"], summed["ok"], summed["missed"], summed["silent"]) == (3, 2, 2, 1)

@@ -20,6 +20,7 @@ from charact.mtf.session.joint_model import JointForm, Known
 from charact.mtf.session.joint_told import told
 from labdata.conditions import Conditions
 from labdata.measurement import Curve, Result, from_draws, from_sd
+from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
 from labdata.session import Session, StackEntry
 
@@ -116,6 +117,41 @@ def test_rows_and_columns_have_cores_of_their_own(seed: int) -> None:
     assert found.evidence["joint MTF"]["probability"] > 1e-3
     assert down.value < 0.8 * across.value
     assert set(found.curves) == {"mtf_joint", "mtf_joint_vertical"}
+
+
+def filtered(frequency, bandwidth_mhz, clock_mhz=14.318):
+    """|V| of a third-order Butterworth on stairs one clock wide, read once a clock: its replicas summed."""
+    at = np.asarray(frequency, float)[..., None] + np.arange(-200, 201)
+    s = 1j * at * clock_mhz / bandwidth_mhz
+    return np.abs(np.sum(np.sinc(at) * np.exp(-1j * np.pi * at) / ((1.0 + s) * (1.0 + s + s**2)), axis=-1))
+
+
+@pytest.mark.parametrize("bandwidth_mhz", [6.0, 7.0])
+def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(bandwidth_mhz: float, seed: int) -> None:
+    """Two sure edges in windows narrower than the halo: a described filter taken as exact misses MTF10."""
+    sensor, rng = load_sensor("pulnix-ag5745ef3"), np.random.default_rng(seed)
+    form, sd = np.array([0.35, 1.3]), np.array([1e-3, 8e-3])
+
+    def seen(label: str) -> Result:
+        drawn = form + rng.standard_normal(2) * sd + rng.standard_normal((400, 2)) * sd
+        curve, fine = (
+            mtf(at, drawn[:, :1], drawn[:, 1:]) * filtered(at, bandwidth_mhz) for at in (REPORTED, FINE)
+        )  # fmt: skip
+        level = from_draws("mtf50", "cy/px", falls_to(FINE, fine, 0.5), method="fake", stack=label, orientation_deg=0.0)
+        narrow = level.with_(region=(0, 0, 60, 40))
+        return Result(measurements=(narrow,), curves={f"mtf:{label}": curve_of(REPORTED, curve)})
+
+    told_of = seen("e1") + seen("e2")
+    truth = falls_to(FINE, (mtf(FINE, *form) * filtered(FINE, bandwidth_mhz))[None], 0.1)[0]
+
+    def standard_errors_off(of: Sensor) -> float:
+        context = Context(seed=1, quick=True, sensor=of)
+        found = joint(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[0]
+        low, high = found.interval68
+        return abs(found.value - truth) / (0.5 * (high - low))
+
+    exact = sensor.with_values({"video.bandwidth_mhz": float(sensor.video.bandwidth_mhz)})
+    assert standard_errors_off(sensor) < 4.0 < standard_errors_off(exact)
 
 
 def test_an_edge_along_rows_counts_row_pitches_and_a_point_column_pitches(seed: int) -> None:
