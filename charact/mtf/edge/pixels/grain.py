@@ -18,8 +18,9 @@ from charact.robust import median
 Array = NDArray[np.float64]
 
 REACH = 14  # px; correlations beyond are taken as none
-# Standard errors from which on a departure from the smooth form counts, and a correlation where the form does not hold.
-STANDS_OUT, STANDS_OUT_ALONE = 3.5, 2.5
+# Standard errors from which on a departure from the smooth form counts, so that chance among hundreds of lags makes one
+# in a thousand pictures, and a correlation where the form does not hold.
+STANDS_OUT, STANDS_OUT_ALONE = 4.7, 2.5
 # Lags that tell best whether the form holds, px, and the mean square of its departures there, in errors, if it does.
 NEAR_PX, MISFIT = 2, 2.5
 # Squared residuals count for no more than so many variances.
@@ -142,14 +143,26 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
     near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= NEAR_PX
     tied = np.sqrt(np.sum(_smoothed(form) ** 2) / np.maximum(pairs, 1))
-    if np.mean((left / error)[near] ** 2) > MISFIT:
+    formless = np.mean((left / error)[near] ** 2) > MISFIT
+    if formless:
         # No smooth form is that of this noise: what stands out counts as it is.
         keep = np.abs(_smoothed(correlation - taken)) > STANDS_OUT_ALONE * tied
     else:
         keep = np.abs(_smoothed(left)) > STANDS_OUT * tied
     keep[reach_row, reach_col] = False
     taper = np.outer(_taper(take_row, REACH), _taper(take_col, REACH))
-    return form + np.where(keep, left, 0.0) * taper
+    departure = np.where(keep, left, 0.0) * taper
+    return form + (departure if formless or not keep.any() else _added(departure))
+
+
+def _added(departure: Array) -> Array:
+    """Return a departure from the form without what it takes from the noise at any frequency.
+
+    Blur leaves little noise at high frequencies: one lag of chance would take all of it there, and a sharp edge would
+    be known as if it had none.
+    """
+    spectrum = np.fft.fft2(np.fft.ifftshift(departure)).real
+    return np.fft.fftshift(np.fft.ifft2(np.maximum(spectrum, 0.0)).real)
 
 
 def _autocorrelation(field: NDArray, shape: tuple[int, int]) -> Array:
