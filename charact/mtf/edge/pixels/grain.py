@@ -22,7 +22,7 @@ REACH = 14  # px; correlations beyond are taken as none
 # in a thousand pictures, and a correlation where the form does not hold.
 STANDS_OUT, STANDS_OUT_ALONE = 4.7, 2.5
 # Lags that tell best whether the form holds, px, and the mean square of its departures there, in errors, if it does.
-NEAR_PX, MISFIT = 2, 2.5
+NEAR_PX, MISFIT = 2, 4.0
 # Squared residuals count for no more than so many variances.
 LARGEST_SQUARE = 50.0
 
