@@ -12,9 +12,9 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 
-# The chart's cases have one blur each. A described camera is a cascade of stages, part of them taken as known: on edges
-# of six simulated specimens forms alone were off by 1 % at an MTF of 0.1 (rms z 1.7), departures from a form were not
-# (rms z 0.6). Points by forms have not been held against specimens yet.
+# The chart's cases have one blur each. A described camera is a cascade of stages, some of them known within a range only.
+# On edges of 38 simulated specimens MTF10 by forms alone was off by 1.6 standard errors (rms), by departures from a form
+# and a video whose bandwidth is found by 0.7. Points by forms have not been held against specimens.
 OF_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
 
 

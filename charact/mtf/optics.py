@@ -49,6 +49,12 @@ class Known:
             return None
         return self._as_read(self.video.bend(frequency * np.cos(self.angle_rad)))
 
+    def doubt(self, frequency: Array) -> Array:
+        """Return by how much of itself the known part may be wrong, one standard deviation, shape (f,)."""
+        if self.video is None:
+            return np.zeros(np.shape(frequency))
+        return self.video.doubt(frequency * np.cos(self.angle_rad))
+
     def _as_read(self, transfer: NDArray[np.complex128]) -> NDArray[np.complex128]:
         return np.conj(transfer) if self.mirrored else transfer
 

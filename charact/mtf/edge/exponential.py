@@ -84,5 +84,6 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
         settings={"form": form.name},
         notes=(within_note(edge.profile),),
         flags=("model-misfit",) if departs(fitter, fit) else (),
+        doubt=known.doubt,
     )
     return result_of(outcome, context)

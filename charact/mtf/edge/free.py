@@ -91,6 +91,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
         mtf=transfers.mtf,
         settings={"width_px": round(best.width_px, 3), "tail": best.tail, "smooth_over_px": round(best.smooth_px, 3)},
         notes=(within_note(edge.profile),),
+        doubt=known.doubt,
     )
     return result_of(outcome, context)
 

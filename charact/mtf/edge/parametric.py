@@ -110,6 +110,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
         settings={"forms": _shares(fits)},
         notes=(_forms_note(fits), within_note(profile)),
         flags=_flags(fitter, fits),
+        doubt=known.doubt,
     )
     return result_of(outcome, context)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
+from charact.mtf.doubt import doubted
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import curved_ln_odds, growth_of, noise_flags
@@ -64,6 +65,9 @@ class Outcome:
         What a reader may want to know.
     flags
         What the method itself distrusts.
+    doubt
+        From frequencies, cy/px, to the share of the MTF by which one standard deviation of the camera's description
+        moves what the method takes for exact, shape (f,) -> (f,); None: it takes nothing so.
     """
 
     method: str
@@ -75,6 +79,7 @@ class Outcome:
     settings: dict
     notes: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
+    doubt: Callable[[Array], Array] | None = None
 
 
 def result_of(outcome: Outcome, context: Context) -> Result:
@@ -91,8 +96,12 @@ def result_of(outcome: Outcome, context: Context) -> Result:
         *(_pinned(f, pinned[:, index], common) for index, f in enumerate(PINNED)),
         edge_angle(edge, common),
     ]
+
+    def crossing(level: float) -> float:
+        return float(np.nanmedian(_crossings(outcome, coarse, level)))
+
     return Result(
-        measurements=tuple(measurements),
+        measurements=tuple(doubted(one, outcome.doubt, crossing) for one in measurements),
         curves={"mtf": _curve(curve)},
         evidence={"edge-spread": _edge_spread(edge.picture, edge.profile, outcome.fitted)},
     )

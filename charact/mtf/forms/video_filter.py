@@ -67,6 +67,10 @@ class VideoFilter:
         below, above = np.log(low / middle), np.log(high / middle)
         return np.array([0.5 * (above - below) / AWAY, 0.5 * (above + below) / AWAY**2], np.complex128)
 
+    def doubt(self, frequency: Array) -> Array:
+        """Return by how much of itself one standard deviation of the bandwidth moves the transfer, shape (f,)."""
+        return np.abs(self.bend(frequency)[0].real) * self.ln_bandwidth_sd
+
     def log_prior(self, ln_bandwidth: Array) -> Array:
         """Return ln of the normal prior density of ln of bandwidth over described, shape (n,)."""
         return -0.5 * (ln_bandwidth / self.ln_bandwidth_sd) ** 2 - np.log(self.ln_bandwidth_sd * np.sqrt(2.0 * np.pi))

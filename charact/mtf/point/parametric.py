@@ -1,6 +1,7 @@
 """The parametric method for points: forms of the point spread, fitted to pixels and weighed by their evidence."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
+from charact.mtf.doubt import LEVELS, doubted
 from charact.mtf.forms.families import DiscPrior, GlarePrior, HaloPrior, Wide
 from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.optics import halo_diameters_px
@@ -223,13 +225,14 @@ class _Task:
             ])  # fmt: skip
             fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
             one = {**common, "orientation_deg": angle}
-            measurements += [
-                _level(quantity, at, fine, drawn[0], one) for quantity, at in (("mtf50", 0.5), ("mtf10", 0.1))
-            ]
-            measurements += [
+            own = [_level(quantity, at, fine, drawn[0], one) for quantity, at in LEVELS.items()]
+            own += [
                 from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **_peaked(one, pinned[:, index]))
                 for index, f in enumerate(PINNED)
             ]
+            doubt = aperture.video.doubt if aperture.video is not None and cosine > 0 else None
+            crossing = partial(_crossing, fine)
+            measurements += [doubted(number, doubt, crossing) for number in own]
             curves[name] = curve_of(REPORTED, reported)
         return Result(measurements=tuple(measurements), curves=curves)
 
@@ -254,6 +257,10 @@ class _Task:
             enough, first = QUICK_ENOUGH * share, round(QUICK_FIRST * share)
             return weighed(log_probability, **asked, enough=enough, first_draws=first)
         return draw(log_probability, **asked, max_steps=MAX_STEPS)
+
+
+def _crossing(fine: Array, level: float) -> float:
+    return float(np.nanmedian(falls_to(FINE, fine, level)))
 
 
 def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:

@@ -1,0 +1,42 @@
+"""Numbers that the description of a camera may move: flagged where a method takes for exact what is a range."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.measurement import Measurement
+
+Array = NDArray[np.float64]
+
+LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
+# Standard errors by which one standard deviation of the description may move a number unflagged: a form takes up much
+# of what a wrong filter does.
+DOUBTED = 2.0
+
+
+def doubted(
+    found: Measurement, doubt: Callable[[Array], Array] | None, crossing: Callable[[float], float]
+) -> Measurement:
+    """Return a number, flagged `video-unknown` where the description may move it by several times its error.
+
+    Parameters
+    ----------
+    found
+        An MTF at a frequency, or the frequency of an MTF; any other quantity comes back as it is.
+    doubt
+        From frequencies, cy/px, to the share of the MTF by which one standard deviation of what is taken for exact
+        moves it, shape (f,) -> (f,); None: nothing is taken so.
+    crossing
+        From a level to the frequency at which the measured MTF falls to it, cy/px.
+    """
+    if doubt is None or found.value is None or found.interval68 is None or found.quantity not in (*LEVELS, "mtf"):
+        return found
+    frequency = found.value if found.frequency_cy_per_px is None else found.frequency_cy_per_px
+    share = float(doubt(np.array([frequency]))[0])
+    if share == 0.0:
+        return found
+    level = LEVELS.get(found.quantity)
+    moved = share * found.value if level is None else crossing(level * np.exp(-share)) - found.value
+    low, high = found.interval68
+    return found.with_(flags=(*found.flags, "video-unknown")) if moved > 0.5 * DOUBTED * (high - low) else found
