@@ -12,8 +12,8 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 
-# The chart's cases have one blur each. A described camera is a cascade of stages, some of them known within a range only.
-# On edges of 38 simulated specimens MTF10 by forms alone was off by 1.6 standard errors (rms), by departures from a form
+# The chart's cases have one blur each. A described camera is a cascade of stages, some known within a range only. On
+# edges of 38 simulated specimens MTF10 by forms alone was off by 1.6 standard errors (rms), by departures from a form
 # and a video whose bandwidth is found by 0.7. Points by forms have not been held against specimens.
 OF_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
 
