@@ -7,11 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.target import BarTarget, amplitude
+from charact.mtf.memory import Memory
 
 Array = NDArray[np.float64]
 
 # From this many frames on, their own scatter says what the noise is.
 ENOUGH_FRAMES = 4
+# Frames from which on pixels tell how long light lingers.
+LINGERS_FRAMES = 7
 SLAB_PX = 4.0
 
 
@@ -58,8 +61,19 @@ class Amplitudes:
         return self.fundamental / max(float(np.sqrt(self.covariance[1, 1])), 1e-12 * abs(self.light) + 1e-30)
 
 
-def amplitudes_of(data: NDArray, target: BarTarget, window: NDArray[np.bool_], beyond: NDArray[np.bool_]) -> Amplitudes:
+def amplitudes_of(
+    data: NDArray,
+    target: BarTarget,
+    window: NDArray[np.bool_],
+    beyond: NDArray[np.bool_],
+    memory: Memory | None = None,
+) -> Amplitudes:
     """Reduce frames (frame, row, col) of a target in a window; the pedestal is the mean of the pixels beyond it.
+
+    Parameters
+    ----------
+    memory
+        How long a described camera's screen remembers; None: the frames' pixels tell it.
 
     Notes
     -----
@@ -75,9 +89,9 @@ def amplitudes_of(data: NDArray, target: BarTarget, window: NDArray[np.bool_], b
     fundamental = halves.sum(axis=1)
     phase = float(np.angle(fundamental.mean()))
     turned = np.real(fundamental * np.exp(-1j * phase))
-    lag = frame_correlation(data, window)
+    lag = _lingering(data, window, memory)
     if len(data) >= ENOUGH_FRAMES:
-        covariance, freedom = np.cov(light, turned) * lag / len(data), len(data) - 1.0
+        covariance, freedom = _of_frames(light, turned, lag)
     else:
         covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, beyond, phase)
     mean = data.mean(axis=0, dtype=np.float64)
@@ -98,6 +112,30 @@ def amplitudes_of(data: NDArray, target: BarTarget, window: NDArray[np.bool_], b
         fields_apart_sd_px=apart_sd,
         frame_correlation=lag,
     )
+
+
+def _lingering(data: NDArray, window: NDArray[np.bool_], memory: Memory | None) -> float:
+    """Return by how much lingering light widens the variance of the mean of sums.
+
+    A pixel sees light of the frame before, sums that of the field before, too: as much more as the screen's decay says.
+    """
+    seen = frame_correlation(data, window)
+    if memory is None:
+        return seen
+    told = seen if len(data) >= LINGERS_FRAMES else memory.widening
+    return max(told * memory.widening_of_sums / memory.widening, 1.0)
+
+
+def _of_frames(light: NDArray, turned: NDArray, lag: float) -> tuple[NDArray, float]:
+    """Return the covariance of the means of light and fundamental over frames, and its degrees of freedom.
+
+    Two means with the covariance S of n frames have a Student's t of freedom n - 2 and shape S (n - 1)/(n - 2)
+    (Hotelling); frames with a correlation r of neighbours, as such a lag means, count as (1 - r^2)/(1 + r^2) of them.
+    """
+    count = len(light)
+    neighbours = (lag - 1.0) / (lag + 1.0)
+    freedom = max((count - 2.0) * (1.0 - neighbours**2) / (1.0 + neighbours**2), 1.0)
+    return np.cov(light, turned) * lag / count * (count - 1.0) / (count - 2.0), freedom
 
 
 def _sums(frame: NDArray, window, beyond, wave: NDArray, odd: NDArray) -> tuple[float, NDArray]:
@@ -131,7 +169,7 @@ def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
     died out from lag 4 on. All pixels of the window speak, so that a dozen frames are enough.
     """
     count = len(data)
-    if count < 7:
+    if count < LINGERS_FRAMES:
         return 1.0
     pixels = data[:, window].astype(np.float32)
     halves = [0.5 * float(np.mean((pixels[lag:] - pixels[:-lag]) ** 2)) for lag in range(1, count - 1)]

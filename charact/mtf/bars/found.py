@@ -22,6 +22,7 @@ from charact.mtf.bars.place import runs_through, strip_of
 from charact.mtf.bars.posterior import mtf_of, of_fit, of_sums
 from charact.mtf.bars.target import LENGTH_OVER_WIDTH, BarTarget, find, own_frequency
 from charact.mtf.bars.window import fitting_margin, lost_share, margin_px
+from charact.mtf.memory import memory_of
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior
 
@@ -158,10 +159,11 @@ def _whole(used: FrameStack, mean: Array, target: BarTarget, context: Context) -
     if np.count_nonzero(~window) < 50:
         return "no target: the region ends at the bars, and their pedestal cannot be told"
     ground = ground_of(mean, target, margin)
-    amplitudes = amplitudes_of(used.data, target, window, ground.beyond)
+    memory = None if context.sensor is None else memory_of(context, len(used.data))
+    amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
     if amplitudes.signal_to_noise > TELLS_FREQUENCY:
         target = replace(target, frequency=own_frequency(mean, target, margin))
-        amplitudes = amplitudes_of(used.data, target, window, ground.beyond)
+        amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
     if not amplitudes.light > 0 or amplitudes.signal_to_noise < LEAST_SIGNAL:
         return (
             f"no target: the fundamental stands {amplitudes.signal_to_noise:.1f} standard errors out of the noise, "

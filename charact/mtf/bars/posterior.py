@@ -9,12 +9,14 @@ from charact.mtf.bars.bias import mtf_bias
 from charact.mtf.bars.compressed import compressed
 from charact.mtf.bars.fit import Fit
 from charact.mtf.bars.picture import BOUNDS, Problem
-from charact.posterior import laplace, sample
+from charact.posterior import draw, laplace, sample, weighed
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
 LARGEST_MTF = 1.5
+# Effective draws by importance where an answer is wanted quickly.
+QUICK_ENOUGH = 500.0
 SHAPE = ("log_attenuation", "log_exponent", "departure")
 
 
@@ -82,5 +84,7 @@ def of_sums(found: Amplitudes, lost: tuple[float, float], context: Context) -> P
         "covariance": spread[:count, :count],
     }
     if context.quick:
-        return laplace(log_probability, **asked, seed=context.seed, bounds=bounds)
-    return sample(log_probability, **asked, seed=context.seed, bounds=bounds)
+        return weighed(
+            log_probability, **asked, seed=context.seed, bounds=bounds, enough=QUICK_ENOUGH, first_draws=1000
+        )
+    return draw(log_probability, **asked, seed=context.seed, bounds=bounds)

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.memory import memory_of
 from charact.mtf.point.data import Window
 from charact.mtf.point.forward_model import Optics, PointModel
 from charact.mtf.point.forward_prior import NAMES, Prior, priors_of
-from charact.mtf.point.noise import SHARES, Noise, memory_of, noise_of
+from charact.mtf.point.noise import SHARES, Noise, noise_of
 from charact.posterior import maximum
 
 Array = NDArray[np.float64]

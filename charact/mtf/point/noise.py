@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.method import Context
+from charact.mtf.memory import Memory
 from charact.mtf.point.forward_model import PERIOD_PX, PointModel
 
 Array = NDArray[np.float64]
@@ -18,68 +18,10 @@ Array = NDArray[np.float64]
 SHARES = (0.4, 0.6, 0.8, 1.0)
 # Half the spacing of the places of landing near the core and far from it, px, and how far each reaches.
 NEAR, FAR = (0.5, 3.0), (1.5, 15.0)
-FIELDS, MOMENTS = 64, 200
 # Pixels whose frames are compared lie this near the source, px.
 NEAR_PX = 5.5
 # Variances of light tried, in those of a dark pixel.
 GAINS = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 200))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Memory:
-    """How pulses are shared out over fields and frames, relative to the light of one frame.
-
-    Parameters
-    ----------
-    mean_same, mean_other
-        Covariance of the mean of all frames times their number, within a field's rows and between both fields' rows.
-    frame_same, frame_other
-        Expected covariance between frames (ddof 1), likewise.
-    """
-
-    mean_same: float
-    mean_other: float
-    frame_same: float
-    frame_other: float
-
-
-def memory_of(context: Context, frames: int) -> Memory:
-    """Return how long pulses are remembered: by the described screen, else not at all."""
-    shares = _shares(context)
-    if not context.interlaced:
-        # The screen's memory from frame to frame: two fields of a frame add up.
-        same = float(np.mean(np.sum(shares**2, axis=1)))
-        return _memory(1.0, 0.0, same, 0.0, frames)
-    even, odd = shares[:, ::2].sum(axis=1), shares[:, 1::2].sum(axis=1)
-    same, other = float(np.mean(even**2 + odd**2)), float(np.mean(2 * even * odd))
-    frame = float(np.mean(np.sum(shares**2, axis=1)))
-    between = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
-    return _memory(same, other, frame, between, frames)
-
-
-def _memory(mean_same: float, mean_other: float, same: float, other: float, frames: int) -> Memory:
-    count = max(frames, 2)
-    return Memory(
-        mean_same=mean_same,
-        mean_other=mean_other,
-        frame_same=(count * same - mean_same) / (count - 1),
-        frame_other=(count * other - mean_other) / (count - 1),
-    )
-
-
-def _shares(context: Context) -> Array:
-    """Share of a pulse's light in each field from its own on, shape (pulse, field), for an open gate."""
-    if context.sensor is None:
-        return np.ones((1, 1))
-    phosphor = context.sensor.phosphor
-    exposures = 1.0 / float(context.sensor.video.field_rate_hz) * 1e3
-    tau = np.maximum([float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)], 1e-6)
-    fast = float(phosphor.fast_fraction)
-    light = np.array([fast, 1.0 - fast]) * tau
-    arrival = (np.arange(MOMENTS) + 0.5) / MOMENTS * exposures
-    ends = np.arange(1, FIELDS + 1) * exposures
-    left = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (light / light.sum())
-    return -np.diff(left, axis=1, prepend=1.0)
 
 
 @dataclass(frozen=True, kw_only=True)

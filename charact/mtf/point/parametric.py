@@ -13,13 +13,13 @@ from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.doubt import LEVELS, doubted
 from charact.mtf.forms.families import DiscPrior, GlarePrior, HaloPrior, Wide
 from charact.mtf.forms.video_filter import VideoFilter
+from charact.mtf.memory import memory_of
 from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import distrust as point_distrust
 from charact.mtf.point import source as point_source
 from charact.mtf.point.choice import Weighed, fitted
 from charact.mtf.point.data import window_of
 from charact.mtf.point.form_fit import PointFitter
-from charact.mtf.point.noise import memory_of
 from charact.mtf.point.pixels import Site
 from charact.mtf.point.pulses import dark_of
 from charact.mtf.point.table import Aperture

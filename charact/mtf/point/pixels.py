@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.memory import Memory
 from charact.mtf.point.censored import Censored
 from charact.mtf.point.data import FULL_SHARE, Window
 from charact.mtf.point.form_fit import FormFit, Pixels
 from charact.mtf.point.forms import PointForm
 from charact.mtf.point.forward_fit import PATTERN, PATTERN_PX, PULSE_VARIANCE, SPARSE, rounding_covariance
-from charact.mtf.point.noise import Memory
 from charact.mtf.point.pulses import NEAR_PX, SHARES, Dark, Pulses, pulse_covariance, pulses_of
 from charact.mtf.point.table import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
 
