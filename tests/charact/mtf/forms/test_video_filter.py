@@ -30,8 +30,8 @@ def test_the_transfer_of_another_bandwidth_is_that_of_the_described_one_bent(ban
     (modulus, phase), (true_modulus, true_phase) = (
         without_delay(one, frequency) for one in (bent, sampled(frequency, bandwidth_mhz))
     )
-    assert modulus == pytest.approx(true_modulus, abs=0.004)
-    assert phase == pytest.approx(true_phase, abs=0.02)
+    assert modulus == pytest.approx(true_modulus, abs=0.001)
+    assert phase == pytest.approx(true_phase, abs=0.003)
 
 
 def test_a_described_range_is_a_prior_and_an_exact_or_digital_video_leaves_nothing_to_find():
