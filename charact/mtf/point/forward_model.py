@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.forms.video_filter import VideoFilter, powers
+from charact.mtf.forms.video_filter import NODES_SD, VideoFilter, powers
 from charact.mtf.forms.wide_tables import sine_integral
 from charact.mtf.point.forward_prior import Prior
 from charact.posterior.curvature import root_of
@@ -62,7 +62,7 @@ class Optics:
     def bend(self, frequency: Array) -> NDArray[np.complex128]:
         """Return how ln of the video filter moves with ln of its bandwidth, see `VideoFilter.bend`."""
         if self.video is None:
-            return np.zeros((2, frequency.size), complex)
+            return np.zeros((len(NODES_SD), frequency.size), complex)
         return self.video.bend(frequency)
 
 
