@@ -5,11 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.measuring import _knowing_halo, measure
+from charact.measuring import _best_point, _knowing_halo, measure
 from charact.method import Context
 from charact.study.edge.scene import EdgeScene
+from charact.study.flats.stacks import HeldStack
+from labdata.frames import FrameStack
 from labdata.measurement import Result, from_sd, refused
 from labdata.sensors import load_sensor
+from labdata.session import Session
 
 
 @pytest.fixture
@@ -69,3 +72,27 @@ def test_the_dark_under_an_edge_s_settings_is_its_black(tmp_path: Path, volts: i
     dark = np.load(tmp_path / "dark.npy").mean()
     assert (f"No light is at {dark:.4g} DN." in mtf50.notes) == known
     assert any(note.startswith("No light") for note in mtf50.notes) == known
+
+
+def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_surer(monkeypatch, seed: int) -> None:
+    """A faint point whose halo by chance came out small has the narrowest interval, and too high an MTF."""
+    rng = np.random.default_rng(seed)
+    frames = {label: np.rint(20.0 + rng.normal(0.0, 2.0, (8, 40, 40))) for label in ("faint", "bright", "brightest")}
+    for label, light in (("faint", 60.0), ("bright", 150.0), ("brightest", 400.0)):
+        frames[label][:, 18:21, 18:21] += light
+    told = {"faint": (0.21, 0.005, ()), "bright": (0.19, 0.009, ()), "brightest": (0.18, 0.004, ("saturated",))}
+
+    def measured(_, stack, **__):
+        (label,) = (name for name, held in frames.items() if np.array_equal(held, stack.data))
+        value, sd, flags = told[label]
+        one = from_sd("mtf50", "cy/px", value, sd, method="fake", flags=flags, orientation_deg=0.0)
+        return Result(measurements=(one,))
+
+    monkeypatch.setattr("charact.mtf.measure", measured)
+    stacks = tuple(
+        HeldStack(label=label, kind="point", frames="", folder=Path(), held=FrameStack(data=held))
+        for label, held in frames.items()
+    )
+    session = Session(folder=Path(), name="points", stacks=stacks)
+    found = _best_point(session, 2.0, Context(seed=1, quick=True))
+    assert [m.stack for m in found.measurements] == ["bright"]
