@@ -7,7 +7,6 @@ from pathlib import Path
 
 from charact.method import Context
 from charact.method.cluster import Spread
-from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 from labdata.parameter import Parameter
 from labdata.session import Session, StackEntry, open_session
@@ -176,17 +175,18 @@ def _best_point(session: Session, within_percent: float, context: Context) -> Re
     from charact import mtf
     from charact.mtf.point.source import light_of
 
-    found: list[tuple[tuple[int, int], FrameStack, Result]] = []
+    found: list[tuple[tuple[int, int], StackEntry, Result]] = []
     for entry in session.of_kind("point"):
-        target, stack = entry.target, entry.read()
+        target = entry.target
         one = mtf.measure(
-            "point", stack, region=target.region, within_percent=within_percent, context=context,
+            "point", entry.read(), region=target.region, within_percent=within_percent, context=context,
             pinhole_px=target.pinhole_px,
         )  # fmt: skip
-        found.append((_distrust(one.measurements), stack, labelled(one, entry.label)))
+        found.append((_distrust(one.measurements), entry, labelled(one, entry.label)))
     least = min(distrust for distrust, _, _ in found)
-    trusted = [(stack, result) for distrust, stack, result in found if distrust == least]
-    return max(trusted, key=lambda one: light_of(one[0].data))[1] if len(trusted) > 1 else trusted[0][1]
+    trusted = [(entry, result) for distrust, entry, result in found if distrust == least]
+    # Read again rather than kept: a long series does not fit into memory.
+    return max(trusted, key=lambda one: light_of(one[0].read().data))[1] if len(trusted) > 1 else trusted[0][1]
 
 
 def _distrust(measurements: tuple[Measurement, ...]) -> tuple[int, int]:
