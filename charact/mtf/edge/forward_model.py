@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from charact.mtf.edge.fit.evidence import Evidence
 from charact.mtf.edge.fit.phases import turned
 from charact.mtf.forms import transfer as forms
-from charact.mtf.forms.families import EXPONENT, EXPONENT_PRIOR, HALF_FREQUENCY, Wide
+from charact.mtf.forms.families import EXPONENT, EXPONENT_PRIOR, HALF_FREQUENCY, HALF_FREQUENCY_PRIOR, Wide
 from charact.mtf.forms.video_filter import powers
 from charact.mtf.optics import Known
 
@@ -147,10 +147,12 @@ class EdgeModel:
         """Return ln of the prior density, -inf outside the bounds."""
         bounds = self.bounds
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        median, half_sd = HALF_FREQUENCY_PRIOR
         mean, sd = EXPONENT_PRIOR
         count = KNOTS.size
         phases = theta[:, 3 + count : PARAMETERS] / PHASE_SD
-        normal = -0.5 * ((theta[:, 2] - mean) / sd) ** 2 - 0.5 * np.sum(phases**2, axis=1)
+        normal = -0.5 * ((theta[:, 1] - np.log(median)) / half_sd) ** 2
+        normal = normal - 0.5 * ((theta[:, 2] - mean) / sd) ** 2 - 0.5 * np.sum(phases**2, axis=1)
         normal = normal - 0.5 * np.sum(theta[:, 3 : 3 + count] ** 2, axis=1) - 0.5 * count * np.log(2 * np.pi)
         if self.halo:
             normal = normal - np.log(np.prod([high - low for _, (low, high) in self.halo.parameters.values()]))

@@ -17,6 +17,9 @@ from charact.mtf.forms.moffat_table import MOFFAT_EXPONENT, moffat
 Array = NDArray[np.float64]
 
 HALF_FREQUENCY = (0.008, 6.0)
+# Half frequency before the data, cycles per pixel, and the standard deviation of its ln: a core below the pixel is
+# possible, and not as likely for every factor by which it would be smaller still.
+HALF_FREQUENCY_PRIOR = (0.35, 1.4)
 # Exponent of exp(-ln 2 (f/f2)^n): tubes about 1.1 to 1.7, a Gaussian 2, and what aberrations may make of it.
 EXPONENT = (0.6, 4.0)
 EXPONENT_PRIOR = (1.6, 0.6)
@@ -184,15 +187,12 @@ class Family:
         return core * (1.0 - share + share * self.wide.transfer(frequency, tail[:, 1:]))
 
     def log_prior(self, theta: Array) -> Array:
-        """Return ln of the prior density, -inf outside the bounds: flat but for the exponent of the tube's form."""
-        bounds = self.bounds
+        """Return ln of the prior density, -inf outside the bounds: flat but for half frequency and a tube's exponent."""
+        bounds, (mean, precision) = self.bounds, self.prior_precision()
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
-        flat = -np.sum(np.log(bounds[:, 1] - bounds[:, 0]))
-        if self.core == "exponential":
-            mean, sd = EXPONENT_PRIOR
-            normal = -0.5 * ((theta[:, 1] - mean) / sd) ** 2 - np.log(sd * np.sqrt(2.0 * np.pi))
-            flat = flat + np.log(EXPONENT[1] - EXPONENT[0]) + normal
-        return np.where(inside, flat, -np.inf)
+        normal = precision > 0
+        flat = -np.sum(np.log(bounds[~normal, 1] - bounds[~normal, 0])) + 0.5 * np.sum(np.log(precision[normal] / (2.0 * np.pi)))
+        return np.where(inside, flat - 0.5 * np.sum(precision * (theta - mean) ** 2, axis=1), -np.inf)
 
     def prior_precision(self) -> tuple[Array, Array]:
         """Return mean and precision of the Gaussian part of the prior of each parameter; 0: flat."""
@@ -209,6 +209,8 @@ def _bounds(family: Family) -> Array:
 @lru_cache(maxsize=256)
 def _prior_precision(family: Family) -> tuple[Array, Array]:
     mean, precision = np.zeros((2, len(family.bounds)))
+    median, sd = HALF_FREQUENCY_PRIOR
+    mean[0], precision[0] = np.log(median), sd**-2
     if family.core == "exponential":
         mean[1], precision[1] = EXPONENT_PRIOR[0], EXPONENT_PRIOR[1] ** -2
     mean.flags.writeable = precision.flags.writeable = False

@@ -22,7 +22,7 @@ from charact.mtf.curve import FINE, falls_to
 from charact.mtf.edge.fit.family_fit import FamilyFitter
 from charact.mtf.edge.pixels.find import NoEdge, find_edge
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
-from charact.mtf.forms.families import EXPONENT_PRIOR, Family
+from charact.mtf.forms.families import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, Family
 from charact.mtf.optics import known_of
 from charact.posterior import sample, weighed
 from charact.posterior.drawing import WANTED
@@ -40,8 +40,7 @@ TABLE = Path(__file__).resolve().parents[1] / "tables" / "calibration.json"
 FIGURES = Path("docs/mtf")
 FORM = Family(core="exponential")
 NAMES: tuple[str, ...] = ("ln half frequency", "exponent", "MTF50")
-# The prior of half frequency, cycles per pixel, even in ln; that of the exponent is the method's, cut to what tubes
-# and lenses have.
+# The method's priors of half frequency, cycles per pixel, and exponent, cut to what tubes and lenses have.
 HALF_FREQUENCY, EXPONENT = (0.08, 0.4), (1.0, 2.6)
 SHIFT_PX = (-6.0, 6.0)
 SAMPLERS: dict[str, Callable[..., Posterior]] = {
@@ -81,11 +80,18 @@ class Ranked:
 
 def truth(rng: np.random.Generator) -> Array:
     """Draw ln of a half frequency, an exponent and the MTF50 that follows, pixel included."""
-    half = rng.uniform(*np.log(HALF_FREQUENCY))
-    exponent = -np.inf
-    while not EXPONENT[0] < exponent < EXPONENT[1]:
-        exponent = rng.normal(*EXPONENT_PRIOR)
+    median, sd = HALF_FREQUENCY_PRIOR
+    half = _normal_within((float(np.log(median)), sd), tuple(np.log(HALF_FREQUENCY)), rng)
+    exponent = _normal_within(EXPONENT_PRIOR, EXPONENT, rng)
     return np.array([half, exponent, blur_of(half, exponent).mtf50(5.0)])
+
+
+def _normal_within(normal: tuple[float, float], bounds: tuple[float, float], rng: np.random.Generator) -> float:
+    """Draw from the part of a normal distribution, mean and deviation, that lies within bounds."""
+    drawn = -np.inf
+    while not bounds[0] < drawn < bounds[1]:
+        drawn = rng.normal(*normal)
+    return drawn
 
 
 def blur_of(ln_half_frequency: float, exponent: float) -> Blur:
