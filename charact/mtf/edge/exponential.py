@@ -4,7 +4,7 @@ import numpy as np
 
 from charact.method import Context, register
 from charact.mtf.edge.fit.family_fit import FamilyFitter
-from charact.mtf.edge.fit.forms import departs
+from charact.mtf.edge.fit.forms import departs, stands_alone, wides
 from charact.mtf.edge.noise import curved_ln_odds, growth_of
 from charact.mtf.edge.pixels.find import NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
@@ -72,6 +72,8 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
         bounds=fitter.bounds(form),
         draws=DRAWS,
     )
+    wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
+    doubtful = departs(fitter, fit) or not stands_alone(fitter, fit, wide)
     response = fitter.response_curvature(fit)
     posterior = bent(posterior, response, curved_ln_odds(growth_of(edge.profile)), context.seed)
     outcome = Outcome(
@@ -83,7 +85,7 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
         mtf=lambda frequency: np.abs(known(frequency)) * form.modulus(posterior.draws[:, 1:], frequency),
         settings={"form": form.name},
         notes=(within_note(edge.profile),),
-        flags=("model-misfit",) if departs(fitter, fit) else (),
+        flags=("model-misfit",) if doubtful else (),
         doubt=known.doubt,
     )
     return result_of(outcome, context)

@@ -27,6 +27,8 @@ from labdata.measurement import Result
 Array = NDArray[np.float64]
 
 METHOD = "edge-free"
+# Light that slopes looks like a long tail: both are weighed.
+SLOPES_PER_PX = (EVEN_PER_PX, UNEVEN_PER_PX)
 
 
 @register(
@@ -61,9 +63,9 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     -----
     Prior covariance of the line spread at distances d and d': s^2 w(d) w(d') exp(-(d - d')^2 / (2 l^2)) with the
     envelope w(d) = 1/(1 + (d/a)^2) or exp(-sqrt(1 + (d/a)^2)), its odd part made smaller by a factor; envelope, a, l
-    and factor on a grid by marginal likelihood, s by the step. Regularised line spread with the regularisation chosen
-    by evidence (MacKay, Neural Computation 4, 1992, 415). Light beyond the region is taken to lie anywhere between
-    none and twice what the outer half of the region holds.
+    and factor on a grid by marginal likelihood, in even light and in light that slopes, s by the step. Regularised line
+    spread with the regularisation chosen by evidence (MacKay, Neural Computation 4, 1992, 415). Light beyond the region
+    is taken to lie anywhere between none and twice what the outer half of the region holds.
     """
     edge = find_edge(stack, region, context, fields_apart=True)
     if isinstance(edge, NoEdge):
@@ -97,15 +99,13 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
 
 
 def _fitted(edge: FoundEdge, known: Known) -> tuple[FoundEdge, LineSpreads]:
-    """Fit an edge, first as if its light were even, then with what slopes and shading are left over, if any."""
+    """Fit an edge, first as if its plateaus were even, then with the shading that is left over, if any."""
     profile = edge.profile
     fitter = FamilyFitter(profile, known)
     family = Family(core="gaussian")
     shift_px = float(fitter.fit(family, np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX).point[0])
-    spreads = LineSpreads(profile, known, EVEN_PER_PX, shift_px)
-    best = spreads.settings[0]
-    shaded = with_shading(profile, profile.value - best.model)
-    uneven = np.abs(best.amplitude[-2:]).max() > 0.7 * EVEN_PER_PX * abs(profile.step)
-    if shaded.shading_sd > 0 or uneven:
-        spreads = LineSpreads(shaded, known, UNEVEN_PER_PX if uneven else EVEN_PER_PX, shift_px)
+    spreads = LineSpreads(profile, known, SLOPES_PER_PX, shift_px)
+    shaded = with_shading(profile, profile.value - spreads.settings[0].model)
+    if shaded.shading_sd > 0:
+        spreads = LineSpreads(shaded, known, SLOPES_PER_PX, shift_px)
     return replace(edge, profile=shaded), spreads

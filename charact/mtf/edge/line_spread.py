@@ -4,6 +4,7 @@ A line spread in front of the pixel is smooth over a length, confined to a width
 is linear in it, so that evidence, mean and draws are in closed form.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -68,6 +69,21 @@ class Setting:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Levelled:
+    """Normal equations of the line spread with levels and slopes projected out, under one prior of the slopes.
+
+    Besides what line spreads and data put into levels and slopes, shape (level, place + 1), and ln of what
+    marginalising these adds to the evidence.
+    """
+
+    left: Array
+    right: Array
+    power: float
+    onto: Array
+    log_evidence: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Tried:
     """A setting with the factors of its posterior."""
 
@@ -78,6 +94,17 @@ class _Tried:
     basis: Array
     values: Array
     along: Array
+    levelled: _Levelled
+
+
+def _evidence(tried: _Tried) -> float:
+    return tried.log_evidence
+
+
+def _around(width_px: float) -> Array:
+    """Return the widths around one of those tried, px."""
+    near = int(np.argmin(np.abs(WIDTHS_PX - width_px)))
+    return WIDTHS_PX[max(near - 1, 0) : near + 2]
 
 
 class LineSpreads:
@@ -89,13 +116,13 @@ class LineSpreads:
         The measured profile.
     known
         Aperture and video filter behind the line spread.
-    slope_sd_per_px
-        Prior of the illumination's slopes, share of the step per px.
+    slopes_sd_per_px
+        Priors of the illumination's slopes, share of the step per px, each as likely as the others.
     shift_px
         Where the edge is.
     """
 
-    def __init__(self, profile: Profile, known: Known, slope_sd_per_px: float, shift_px: float) -> None:
+    def __init__(self, profile: Profile, known: Known, slopes_sd_per_px: Sequence[float], shift_px: float) -> None:
         self._profile = profile
         self.places = _places(float(profile.gathered.half_width_px))
         self._scale = max(abs(profile.step), 1e-300)
@@ -104,74 +131,76 @@ class LineSpreads:
         weights = _edge_of_line(self.places, profile.distance - shift_px, profile.spread_px, known)
         data, design = root @ profile.value, root @ np.concatenate([weights, levels], axis=1)
         size = self.places.size
-        level_prior = np.array([0.0, *profile.slopes_sd(slope_sd_per_px) ** -2.0])
         self._weights, self._root, self._data = weights, root, data
-        self._lines, self._white_levels, self._level_prior = design[:, :size], design[:, size:], level_prior
+        self._lines, self._white_levels = design[:, :size], design[:, size:]
         self.free = len(data) - 1
         flat = self._white_levels[:, :1] / np.linalg.norm(self._white_levels[:, 0])
         self.power = float(data @ data - (flat[:, 0] @ data) ** 2)
-        self.settings = self._weighed()
+        self.settings = self._weighed(slopes_sd_per_px)
 
-    def _weighed(self) -> list[Setting]:
+    def _weighed(self, slopes_sd_per_px: Sequence[float]) -> list[Setting]:
         """Return the settings that count, the most probable first."""
-        # Levels and slopes are projected out, once for all settings.
-        outer = self._white_levels.T @ self._white_levels + np.diag(self._level_prior)
-        onto = np.linalg.solve(outer, self._white_levels.T @ np.concatenate([self._lines, self._data[:, None]], axis=1))
-        lines, data = self._lines, self._data
-        left = lines.T @ lines - (lines.T @ self._white_levels) @ onto[:, :-1]
-        right = lines.T @ data - (lines.T @ self._white_levels) @ onto[:, -1]
-        power = float(data @ data - (data @ self._white_levels) @ onto[:, -1])
-
-        def tried_at(widths, tails, smoothness, lopsidedness):
-            return [
-                self._tried(left, right, power, float(width), tail, share, lopsided)
-                for width in widths
-                for tail in tails
-                for share in smoothness
-                for lopsided in lopsidedness
-            ]
-
         # The width first, for either kind of tail; then all that goes with widths around the best.
-        coarse = tried_at(WIDTHS_PX, TAILS, SMOOTHNESS[1:2], LOPSIDED[:1])
-        top = max(coarse, key=lambda one: one.log_evidence)
-        tails = [
-            tail
-            for tail in TAILS
-            if max(one.log_evidence for one in coarse if one.tail == tail) > top.log_evidence - CLOSE
+        tops = [self._best_widths(self._levelled(slope)) for slope in slopes_sd_per_px]
+        best = max(one.log_evidence for of_slope in tops for one in of_slope)
+        tried = [
+            self._tried(top.levelled, float(width), top.tail, smoothness, lopsided)
+            for of_slope in tops
+            for top in of_slope
+            if top.log_evidence > best - CLOSE
+            for width in _around(max(of_slope, key=_evidence).width_px)
+            for smoothness in SMOOTHNESS
+            for lopsided in LOPSIDED
         ]
-        near = int(np.argmin(np.abs(WIDTHS_PX - top.width_px)))
-        around = WIDTHS_PX[max(near - 1, 0) : near + 2]
-        tried = tried_at(around, tails, SMOOTHNESS, LOPSIDED)
         evidence = np.array([one.log_evidence for one in tried])
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
         self.shares = np.sort(share[share > LEAST_SHARE])[::-1]
-        order = [i for i in np.argsort(-share) if share[i] > LEAST_SHARE]
-        return [self._finished(tried[i], np.asarray(onto, float)) for i in order]
+        return [self._finished(tried[i]) for i in np.argsort(-share) if share[i] > LEAST_SHARE]
 
-    def _tried(
-        self, left: Array, right: Array, power: float, width: float, tail: str, share: float, lopsided: float
-    ) -> "_Tried":
+    def _best_widths(self, levelled: "_Levelled") -> list["_Tried"]:
+        """Return the most probable setting of either kind of tail, all of one smoothness and symmetry."""
+        return [
+            max((self._tried(levelled, float(w), tail, SMOOTHNESS[1], LOPSIDED[0]) for w in WIDTHS_PX), key=_evidence)
+            for tail in TAILS
+        ]
+
+    def _levelled(self, slope_sd_per_px: float) -> "_Levelled":
+        """Return lines and data with levels and slopes projected out, once for all settings."""
+        lines, data, levels = self._lines, self._data, self._white_levels
+        prior = self._profile.slopes_sd(slope_sd_per_px) ** -2.0
+        outer = levels.T @ levels + np.diag([0.0, *prior])
+        onto = np.asarray(np.linalg.solve(outer, levels.T @ np.concatenate([lines, data[:, None]], axis=1)), float)
+        return _Levelled(
+            left=lines.T @ lines - (lines.T @ levels) @ onto[:, :-1],
+            right=lines.T @ data - (lines.T @ levels) @ onto[:, -1],
+            power=float(data @ data - (data @ levels) @ onto[:, -1]),
+            onto=onto,
+            log_evidence=0.5 * float(np.sum(np.log(prior)) - np.linalg.slogdet(outer)[1]),
+        )
+
+    def _tried(self, levelled: "_Levelled", width: float, tail: str, smoothness: float, lopsided: float) -> "_Tried":
         """Return evidence, setting and posterior factors of one width, tail, smoothness and symmetry."""
-        even, odd = _prior_root(self.places.tobytes(), width, tail, width * share)
+        even, odd = _prior_root(self.places.tobytes(), width, tail, width * smoothness)
         prior = np.concatenate([even, lopsided * odd], axis=1) * self._scale
-        inner = prior.T @ left @ prior
-        values, vectors = np.linalg.eigh(inner)
+        values, vectors = np.linalg.eigh(prior.T @ levelled.left @ prior)
         values = np.maximum(values, 0.0)
-        along = vectors.T @ (prior.T @ right)
-        log_evidence = -0.5 * (power - float(np.sum(along**2 / (1.0 + values)))) - 0.5 * float(np.sum(np.log1p(values)))
+        along = vectors.T @ (prior.T @ levelled.right)
+        chi2 = levelled.power - float(np.sum(along**2 / (1.0 + values)))
         return _Tried(
-            log_evidence=log_evidence,
+            log_evidence=levelled.log_evidence - 0.5 * chi2 - 0.5 * float(np.sum(np.log1p(values))),
             width_px=width,
             tail=tail,
-            smooth_px=width * share,
+            smooth_px=width * smoothness,
             basis=prior @ vectors,
             values=values,
             along=along,
+            levelled=levelled,
         )
 
-    def _finished(self, tried: "_Tried", onto: Array) -> Setting:
-        """Return the line spread of a setting, given the levels that go with each of its values."""
+    def _finished(self, tried: "_Tried") -> Setting:
+        """Return the line spread of a setting."""
+        onto = tried.levelled.onto
         mean = np.asarray(tried.basis @ (tried.along / (1.0 + tried.values)), float)
         levels = onto[:, -1] - onto[:, :-1] @ mean
         model = self._weights @ mean + self._levels @ levels

@@ -187,11 +187,11 @@ class Family:
         return core * (1.0 - share + share * self.wide.transfer(frequency, tail[:, 1:]))
 
     def log_prior(self, theta: Array) -> Array:
-        """Return ln of the prior density, -inf outside the bounds: flat but for half frequency and a tube's exponent."""
+        """Return ln of the prior density, -inf outside the bounds: flat but for half frequency and exponent."""
         bounds, (mean, precision) = self.bounds, self.prior_precision()
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         normal = precision > 0
-        flat = -np.sum(np.log(bounds[~normal, 1] - bounds[~normal, 0])) + 0.5 * np.sum(np.log(precision[normal] / (2.0 * np.pi)))
+        flat = 0.5 * np.sum(np.log(precision[normal] / (2.0 * np.pi))) - np.sum(np.log(np.ptp(bounds[~normal], axis=1)))
         return np.where(inside, flat - 0.5 * np.sum(precision * (theta - mean) ** 2, axis=1), -np.inf)
 
     def prior_precision(self) -> tuple[Array, Array]:

@@ -125,6 +125,28 @@ def test_one_form_alone_tells_a_halo_that_it_cannot_describe(seed):
     assert measured(frame, "edge-exponential").find("mtf50")[0].status != "ok"
 
 
+def test_halos_in_noise_are_told_by_one_form_alone():
+    """Halos of 8 to 22 % of the light at steps of 7 to 42 standard deviations, which smooth departures do not show."""
+    seeds = (1, 63, 68, 240, 726, 781, 791, 812, 842, 869)
+    found = [covered(seed, ["edge-exponential"])[0] for seed in seeds]
+    assert not any(one.silent for one in found), found
+
+
+@pytest.mark.parametrize("gradient", [-0.06, 0.06])
+def test_light_that_slopes_is_no_long_tail_to_the_free_method(gradient, seed):
+    """Light that changes by 6 % across a frame, at a step of 25 times the noise: as a tail, a tenth of MTF50."""
+    rng = np.random.default_rng(seed)
+    mean = edges.mean_edge(130, 116, sigma_px=1.3, angle_deg=7.0, dark=1500.0, bright=3000.0, gradient=gradient)
+    truth, away = edges.frequency_at(0.5, 1.3, 7.0), []
+    for _ in range(6):
+        frames = (mean + 60.0 * rng.standard_normal(mean.shape))[None]
+        stack = FrameStack(data=frames, full_scale_dn=65535.0, black_level_dn=0.0)
+        found = mtf.measure("edge", stack, method="edge-free", context=QUICK).find("mtf50")[0]
+        away.append((found.value - truth) / np.diff(found.interval95)[0] * 2.0)
+    assert np.abs(away).max() < 1.6
+    assert np.count_nonzero(np.abs(away) < 1.0) >= 4
+
+
 def test_what_tails_carry_out_of_the_region_widens_the_free_interval(seed):
     """A tube's tails leave a region 56 px wide with some percent of the light, at a step of 100 times the noise."""
     form = tube(0.25, 1.1)
