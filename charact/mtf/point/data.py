@@ -11,7 +11,9 @@ Array = NDArray[np.float64]
 
 HALF_ROWS, HALF_COLS = 6, 7
 RING_BORDERS_PX = (7.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
-SECTORS = 12
+# Length of the sectors whose scatter tells a ring's noise, px, and the furthest that noise may reach across a border.
+SECTOR_PX, MOST_REACH_PX = 6.0, 1.0
+LEAST_PIXELS = 24
 PIXELS_PER_RING = 48
 # Share of full scale from which single frames are clipped or their chip's wells full.
 FULL_SHARE = 0.97
@@ -37,8 +39,8 @@ class Window:
         Field of every core pixel, shape (row x col,).
     ring_px
         Distances of some pixels of each ring, shape (ring, pixel), column pitches.
-    ring_dn, ring_variance
-        Mean of each ring and its variance, shape (ring,).
+    ring_dn, ring_variance, ring_correlation
+        Mean of each ring, its variance, shape (ring,), and the correlation of one with another, shape (ring, ring).
     floor
         Variance of a pixel in the outermost ring over frames, DN^2.
     quiet
@@ -58,11 +60,17 @@ class Window:
     ring_px: Array
     ring_dn: Array
     ring_variance: Array
+    ring_correlation: Array
     floor: float
     quiet: float
     frames: int
     holds_halo: bool
     cut: bool
+
+    def ring_covariance(self, variance: Array) -> Array:
+        """Return the covariance of the rings' means of given variances, shape (ring, ring), DN^2."""
+        sd = np.sqrt(variance)
+        return self.ring_correlation * np.outer(sd, sd)
 
     @cached_property
     def distances(self) -> Array:
@@ -134,6 +142,7 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         ring_px=rings[0],
         ring_dn=rings[1],
         ring_variance=rings[2],
+        ring_correlation=rings[3],
         floor=max(floor, 1e-3 if data.dtype.kind in "ui" else 1e-12),
         quiet=quiet,
         frames=frames,
@@ -156,30 +165,64 @@ def _sound(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[
 
 
 def _rings(data: NDArray, mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col: int,
-           reach: float) -> tuple[Array, Array, Array]:  # fmt: skip
-    """Return distances, means and variances of the rings that lie in the picture."""
+           reach: float) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Return distances, means, variances and correlations of the rings that lie in the picture."""
     angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
-    distances, values, variances = [], [], []
+    distances, values, sectors, pixels, lengths = [], [], [], [], []
     for low, high in pairwise(RING_BORDERS_PX):
         if high > reach:
             break
         inside = outside & (radius >= low) & (radius < high)
-        if inside.sum() < 2 * SECTORS:
+        if inside.sum() < LEAST_PIXELS:
             continue
-        sector = ((angle[inside] / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
-        count = np.bincount(sector, minlength=SECTORS)
-        parts = np.bincount(sector, mean[inside], minlength=SECTORS)[count > 0] / count[count > 0]
         distances.append(np.quantile(radius[inside], (np.arange(PIXELS_PER_RING) + 0.5) / PIXELS_PER_RING))
         values.append(float(mean[inside].mean()))
-        variances.append(float(parts.var(ddof=1)) / parts.size + 1e-6)
-    empty = np.empty((0, PIXELS_PER_RING))
-    return (np.array(distances) if distances else empty), np.array(values), _steadied(np.array(variances))
+        sectors.append(_sectors(mean[inside], angle[inside], round(np.pi * (low + high) / SECTOR_PX)))
+        pixels.append(float(inside.sum()))
+        lengths.append((low, high))
+    if not distances:
+        return np.empty((0, PIXELS_PER_RING)), np.empty(0), np.empty(0), np.empty((0, 0))
+    variance, correlation = _ring_noise(sectors, np.array(pixels), np.array(lengths))
+    return np.array(distances), np.array(values), variance, correlation
 
 
-def _steadied(variance: Array) -> Array:
-    """Return variances not below half their running median: a few sectors can agree by chance."""
-    if variance.size < 3:
-        return variance
-    padded = np.pad(variance, 1, mode="edge")
-    running = np.median([padded[:-2], padded[1:-1], padded[2:]], axis=0)
-    return np.maximum(variance, running)
+def _sectors(values: Array, angle: Array, count: int) -> Array:
+    """Return the sectors' means less their mean, in order of their angle, shape (sector,)."""
+    sector = ((angle / (2 * np.pi) + 0.5) * count).astype(int) % count
+    number = np.bincount(sector, minlength=count)
+    parts = np.bincount(sector, values, minlength=count)[number > 0] / number[number > 0]
+    return parts - parts.mean()
+
+
+def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Array, Array]:
+    """Return variances of rings' means, shape (ring,), and their correlations, shape (ring, ring).
+
+    Parameters
+    ----------
+    sectors
+        Sectors of every ring less their mean, DN.
+    pixels, borders
+        Pixels of every ring, shape (ring,), and its inner and outer radius, px, shape (ring, 2).
+
+    Notes
+    -----
+    A pulse on a border counts on both of its sides, so the sums beside a border covary by its length times a reach l.
+    Neighbouring sectors of length s are then correlated by l/s, which gives l; the variance of all of a ring is
+    1 + 2 l/s of that of its sectors, and rings of widths v and w are correlated by l/sqrt(v w). Variance by pixel
+    changes little from ring to ring, and neighbours share theirs: of few sectors it would be too small by chance.
+    """
+    count = np.array([len(own) for own in sectors], float)
+    square = np.array([own @ own for own in sectors]) + 1e-300
+    seen = float(np.average([own @ np.roll(own, 1) for own in sectors] / square, weights=count))
+    # Their own mean taken off makes sectors less alike.
+    size = float(count.mean())
+    alike = (1.0 + seen * (size - 1.0)) / (size - 2.0 + 2.0 * seen)
+    reach = float(np.clip(alike * SECTOR_PX, 0.0, MOST_REACH_PX))
+    wider = 1.0 + 2.0 * reach / SECTOR_PX
+    by_pixel = pixels * wider * square / (count - wider) / count
+    weight = np.eye(count.size) + np.eye(count.size, k=1) + np.eye(count.size, k=-1)
+    variance = (weight @ (count * by_pixel)) / (weight @ count) / pixels + 1e-6
+    width = np.diff(borders, axis=1)[:, 0]
+    touch = np.isclose(borders[1:, 0], borders[:-1, 1])
+    beside = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
+    return variance, np.eye(count.size) + np.diag(beside, 1) + np.diag(beside, -1)

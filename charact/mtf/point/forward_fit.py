@@ -181,7 +181,7 @@ def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, 
     size = len(covariance)
     whole = np.zeros((size + rings.size,) * 2)
     whole[:size, :size] = covariance
-    whole[size:, size:] = np.diag(window.ring_variance)
+    whole[size:, size:] = window.ring_covariance(window.ring_variance)
     pulse = np.zeros(bright.size) if noise is None else noise.gain * light * np.diag(noise.pulse) * memory.frame_same
     scatter = np.append(pulse[keep], np.full(rings.size, np.inf))
     if window.quiet > 0.0:

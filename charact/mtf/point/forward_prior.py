@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.optics import halo_diameters_px
+from labdata.parameter import Parameter
 
 Array = NDArray[np.float64]
 
@@ -35,19 +36,22 @@ ANY_BLUR_PX = 0.4
 FREE, FREE_SD = 1.6, 0.6
 TAIL, TAIL_SD, LEAST_TAIL = 1.3, 0.25, 1.0
 TWO_SIDED_95 = 1.959964
+# Ranges of a halo's diameter that a description leaves open, and least standard deviation, share of it.
+OPEN_DIAMETER, LEAST_DIAMETER_SD = 0.15, 0.02
 NO_HALO = (-30.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """Normal priors within bounds.
+    """Priors within bounds, halves of two normal laws that meet at the described value.
 
     Parameters
     ----------
     free
         Which of `NAMES` are fitted.
-    centre, spread, bounds
-        Mean, standard deviation and bounds of all, shape (name,) and (name, 2); a parameter not free stays at its mean.
+    centre, below, above, bounds
+        Peak, standard deviations below and above it, and bounds of all, shape (name,) and (name, 2); a parameter not
+        free stays at its peak.
     halo_px
         Bounds of the halo's diameter, px; None: no halo can be told.
     halo_fraction_bend
@@ -56,7 +60,8 @@ class Prior:
 
     free: tuple[str, ...]
     centre: Array
-    spread: Array
+    below: Array
+    above: Array
     bounds: Array
     halo_px: tuple[float, float] | None
     halo_fraction_bend: tuple[float, float, float]
@@ -70,6 +75,11 @@ class Prior:
     def units(self) -> tuple[str, ...]:
         """Their units."""
         return tuple(UNITS[NAMES.index(name)] for name in self.free)
+
+    @property
+    def spread(self) -> Array:
+        """Mean of both standard deviations, whose normal law has the density's height, shape (name,)."""
+        return 0.5 * (self.below + self.above)
 
     @property
     def chosen(self) -> NDArray[np.int64]:
@@ -91,7 +101,8 @@ class Prior:
         chosen = self.chosen
         low, high = self.bounds[chosen].T
         inside = np.all((theta >= low) & (theta <= high), axis=1)
-        normal = -0.5 * np.sum(((theta - self.centre[chosen]) / self.spread[chosen]) ** 2, axis=1)
+        away = theta - self.centre[chosen]
+        normal = -0.5 * np.sum((away / np.where(away < 0.0, self.below[chosen], self.above[chosen])) ** 2, axis=1)
         return np.where(inside, normal, -np.inf)
 
 
@@ -115,10 +126,10 @@ def _of_camera(blur_px: float) -> Prior:
         (np.log(0.4), TAIL if blur_px else FREE, blur_px),
         (1.0, TAIL_SD if blur_px else FREE_SD, ANY_BLUR_PX),
     )
-    prior = _prior(free, core, core_sd, (1e-3, 1.0), None, NO_HALO)
+    prior = _prior(free, core, core_sd, (1e-3, np.ones(3)), None, NO_HALO)
     spread = np.where(np.array(NAMES) == "stretch", ANY_STRETCH_SD, prior.spread)
     least = np.where(np.array(NAMES) == "exponent", LEAST_TAIL if blur_px else 0.5, prior.bounds[:, 0])
-    return replace(prior, spread=spread, bounds=np.stack([least, prior.bounds[:, 1]], axis=1))
+    return replace(prior, below=spread, above=spread, bounds=np.stack([least, prior.bounds[:, 1]], axis=1))
 
 
 def _of_sensor(context: Context, halo_seen: bool) -> Prior:
@@ -136,25 +147,40 @@ def _of_sensor(context: Context, halo_seen: bool) -> Prior:
     halo = halo_diameters_px(context, transposed=False) if halo_seen else None
     bend = _bend(float(share), share.low, share.high) if halo_seen else NO_HALO
     gap = sensor.photocathode.gap_mm
-    diameter = (4e3 * float(gap) / (pitch_um * demagnification), 0.12)
+    px_per_mm = 4e3 / (pitch_um * demagnification)
+    diameter = px_per_mm * np.array([float(gap), *_sides(gap)])
     video = VideoFilter.of(sensor)
     bandwidth_sd = video.ln_bandwidth_sd if video else 0.0
     free = (*NAMES[:7], *(NAMES[7:] if halo_seen else ()))
     core = (np.log(cut_off), float(sensor.tube.mtf_exponent), blur)
-    return _prior(free, core, (CUT_OFF_SD, EXPONENT_SD, 0.25 * blur), (bandwidth_sd, diameter[0]), halo, bend)
+    return _prior(free, core, (CUT_OFF_SD, EXPONENT_SD, 0.25 * blur), (bandwidth_sd, diameter), halo, bend)
 
 
 def _prior(free, core, core_sd, tail, halo, bend) -> Prior:
     """Assemble a prior."""
     bandwidth_sd, diameter = tail
-    centre = np.array([0.0, 0.0, *core, 0.0, 0.0, 0.0, diameter, 0.5])
-    spread = np.array([np.inf, np.inf, *core_sd, STRETCH_SD, max(bandwidth_sd, 1e-3), 1.0, 0.12 * diameter, 1e3])
+    centre = np.array([0.0, 0.0, *core, 0.0, 0.0, 0.0, diameter[0], 0.5])
+    below, above = (
+        np.array([np.inf, np.inf, *core_sd, STRETCH_SD, max(bandwidth_sd, 1e-3), 1.0, side, 1e3])
+        for side in diameter[1:]
+    )
     low, high = halo or (1.0, 2.0)
     bounds = np.array([
         (-3.0, 3.0), (-3.0, 3.0), (np.log(0.02), np.log(3.0)), (0.5, 4.0), (0.0, 3.0), (-0.3, 0.3), (-0.2, 0.2),
         (-3.0, 3.0), (low, high), (0.0, 1.0),
     ])  # fmt: skip
-    return Prior(free=tuple(free), centre=centre, spread=spread, bounds=bounds, halo_px=halo, halo_fraction_bend=bend)
+    return Prior(
+        free=tuple(free), centre=centre, below=below, above=above, bounds=bounds, halo_px=halo, halo_fraction_bend=bend
+    )
+
+
+def _sides(known: Parameter) -> tuple[float, float]:
+    """Return standard deviations below and above a described value, of which the range holds 95 %."""
+    value = float(known)
+    low = (1.0 - OPEN_DIAMETER) * value if known.low is None else known.low
+    high = (1.0 + OPEN_DIAMETER) * value if known.high is None else known.high
+    least = LEAST_DIAMETER_SD * value
+    return max((value - low) / TWO_SIDED_95, least), max((high - value) / TWO_SIDED_95, least)
 
 
 def _bend(value: float, low: float | None, high: float | None) -> tuple[float, float, float]:

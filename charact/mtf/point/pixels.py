@@ -207,7 +207,7 @@ def covariance(site: Site, mean: Array, light: float) -> Array:
     if site.screen:
         pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
         out[:size, :size] += PATTERN**2 * np.outer(mean[:size], mean[:size]) * pattern
-    out[size:, size:] = np.diag(site.ring_variance())
+    out[size:, size:] = window.ring_covariance(site.ring_variance())
     out += np.diag((EXACT * (mean + 0.1 * float(mean.max()))) ** 2)
     if window.quiet > 0.0:
         gain = 0.0 if site.pulses is None else site.pulses.gain
