@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.optimize import brentq
 from scipy.special import erf, j1
 
 from charact.method import Context
 from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.point import forward
+from charact.mtf.point.data import window_of
 from charact.mtf.point.forward import point_forward
 from charact.mtf.point.forward_model import Optics, PointModel
 from charact.mtf.point.forward_prior import priors_of
@@ -216,6 +218,37 @@ def test_light_of_the_model_is_one_however_it_is_blurred():
     light = model.core(start[None])[0].sum() * context.pitch_ratio
     share = float(prior.halo_fraction(np.array([-3.0]))[0])
     assert light == pytest.approx(1.0, abs=0.01 + share)
+
+
+def test_halo_is_as_wide_as_the_description_allows():
+    sensor = load_sensor("pulnix-ag5745ef3")
+    (prior,) = priors_of(Context(sensor=sensor, interlaced=True), halo_seen=True)
+    gap, at = sensor.photocathode.gap_mm, prior.free.index("halo_diameter_px")
+    peak = prior.centre[prior.chosen]
+    for end in (gap.low, gap.high):
+        assert end is not None
+        there = peak.copy()
+        there[at] *= end / float(gap)
+        fall = prior.log_density(peak[None]) - prior.log_density(there[None])
+        # The ends of a range that holds 95 % lie 1.96 standard deviations off.
+        assert fall[0] == pytest.approx(0.5 * 1.96**2, rel=1e-3)
+
+
+def test_rings_of_light_that_neighbours_share_scatter_as_told(seed):
+    rng = np.random.default_rng(seed)
+    chi2 = []
+    for _ in range(120):
+        grain = ndimage.gaussian_filter(rng.standard_normal((2, 80, 80)), (0.0, 1.0, 1.0))
+        window = window_of(
+            grain, 40, 40, pitch_ratio=1.0, full_scale_dn=None, halo_radius_px=None, filtered=False
+        )  # fmt: skip
+        # A halo lifts all rings at once.
+        told = window.ring_covariance(window.ring_variance)
+        weight = 1.0 / window.ring_variance
+        chi2.append((weight @ window.ring_dn) ** 2 / (weight @ told @ weight))
+    # The mean of 120 squares is known to 0.13 of itself. Rings as if on their own scatter by 2.0 of what is told, those
+    # of curved borders counted as straight ones by 1.3.
+    assert 0.6 < np.mean(chi2) < 1.7
 
 
 def test_plain_transform_agrees_with_the_forward_fit_where_nothing_deceives_it(seed):
