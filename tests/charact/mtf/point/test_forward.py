@@ -239,9 +239,7 @@ def test_rings_of_light_that_neighbours_share_scatter_as_told(seed):
     chi2 = []
     for _ in range(120):
         grain = ndimage.gaussian_filter(rng.standard_normal((2, 80, 80)), (0.0, 1.0, 1.0))
-        window = window_of(
-            grain, 40, 40, pitch_ratio=1.0, full_scale_dn=None, halo_radius_px=None, filtered=False
-        )  # fmt: skip
+        window = window_of(grain, 40, 40, pitch_ratio=1.0, full_scale_dn=None, halo_radius_px=None, filtered=False)
         # A halo lifts all rings at once.
         told = window.ring_covariance(window.ring_variance)
         weight = 1.0 / window.ring_variance
