@@ -21,6 +21,8 @@ COURSE_SIGNIFICANT = 3.5
 SAGITTA_PX = 0.12
 LEAST_TRAVEL_PX = 1.0
 BLOCKS = 12
+# How far from the edge pixels tell that fields lie apart, px.
+NEAR_PX = 8.0
 # Chi squared per bin beyond which the profile is not what the model says it is.
 MISFIT = 1.6
 # Illumination that changes by more than this share over the band is told, though the fit allows for it.
@@ -68,13 +70,18 @@ def line_flags(picture: Picture, rows: RowFit, profile: Profile) -> tuple[str, .
 
 def _columns_apart(picture: Picture, profile: Profile) -> fields.Displacement:
     """Return how far fields lie apart whose lines run along the edge: they alternate across the picture's columns."""
-    steep = np.gradient(np.convolve(profile.value, np.ones(5) / 5.0, "same"), profile.distance)
-    used = profile.gathered.used & (np.abs(profile.gathered.distance) < 8.0)
+    used = profile.gathered.used & (np.abs(profile.gathered.distance) < NEAR_PX)
     distance = profile.gathered.distance[used]
     residual = picture.value[used] - np.interp(distance, profile.distance, profile.value)
     noise = float(np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance)))
-    slopes = np.interp(distance, profile.distance, steep)
-    return fields.apart_by_pixels(picture.row_index[used] % 2, residual, slopes, noise)
+    return fields.apart_by_pixels(picture.row_index[used] % 2, residual, _steepness(profile, distance), noise)
+
+
+def _steepness(profile: Profile, distance: Array) -> Array:
+    """Return the slope of a profile at distances within reach, DN per px: over even steps, as bins may lie close."""
+    place = np.arange(-NEAR_PX - 1.0, NEAR_PX + 1.1, 0.25)
+    value = np.convolve(np.interp(place, profile.distance, profile.value), np.ones(5) / 5.0, "valid")
+    return np.interp(distance, place[2:-2], np.gradient(value, 0.25))
 
 
 def _bowed(offset: Array) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context
+from charact.mtf.edge import checks
 from charact.mtf.edge.gradient import edge_gradient
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels.find import FoundEdge, find_edge
@@ -73,3 +74,32 @@ def test_a_frame_that_is_not_interlaced_has_its_motion_flagged(seed):
 def test_methods_that_mix_rows_flag_the_motion_in_interlaced_frames_too(seed):
     _, stack = drawn(6.0, 1.0, seed)
     assert "interlace-motion" in edge_gradient(stack, context=INTERLACED).find("mtf50")[0].flags
+
+
+@pytest.mark.parametrize("angle_deg", [105.0, 251.6, 290.0])
+def test_motion_of_lines_along_the_edge_is_told_in_every_drawing(angle_deg, seed):
+    """Some bins of such an edge lie a thousandth of a pixel apart, which told no slope of its profile."""
+    across = 3.0 * abs(np.cos(np.deg2rad(angle_deg)))
+    for number in range(10):
+        offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
+        _, stack = drawn(angle_deg, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px)
+        edge = find_edge(stack, None, Context(quick=True), quickly=True)
+        assert isinstance(edge, FoundEdge)
+        apart_px, error_px = checks._columns_apart(edge.picture, edge.profile)
+        # The mean profile is smeared over both places, and its slope a fifth off.
+        assert 0.8 * across - 5.0 * error_px < abs(apart_px) < 1.25 * across + 5.0 * error_px
+        assert "interlace-motion" in checks.line_flags(edge.picture, edge.rows, edge.profile)
+
+
+@pytest.mark.parametrize("angle_deg", [93.0, 251.6])
+def test_lines_along_an_edge_at_rest_scatter_as_noise_lets_them(angle_deg, seed):
+    away = []
+    for number in range(60):
+        offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
+        _, stack = drawn(angle_deg, 0.0, 100 * seed + number, snr=20.0, offset_px=offset_px)
+        edge = find_edge(stack, None, Context(quick=True), quickly=True)
+        assert isinstance(edge, FoundEdge)
+        apart_px, error_px = checks._columns_apart(edge.picture, edge.profile)
+        away.append(apart_px / error_px)
+    # The root mean square of sixty is known to a tenth.
+    assert np.sqrt(np.mean(np.square(away))) == pytest.approx(1.0, abs=0.45)
