@@ -104,7 +104,7 @@ def _evidence(tried: _Tried) -> float:
 def _around(width_px: float) -> Array:
     """Return the widths around one of those tried, px."""
     near = int(np.argmin(np.abs(WIDTHS_PX - width_px)))
-    return WIDTHS_PX[max(near - 1, 0) : near + 2]
+    return np.asarray(WIDTHS_PX[max(near - 1, 0) : near + 2], float)
 
 
 class LineSpreads:
