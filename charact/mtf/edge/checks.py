@@ -74,14 +74,8 @@ def _columns_apart(picture: Picture, profile: Profile) -> fields.Displacement:
     distance = profile.gathered.distance[used]
     residual = picture.value[used] - np.interp(distance, profile.distance, profile.value)
     noise = float(np.sqrt(max(profile.grain.dark_variance, profile.grain.bright_variance)))
-    return fields.apart_by_pixels(picture.row_index[used] % 2, residual, _steepness(profile, distance), noise)
-
-
-def _steepness(profile: Profile, distance: Array) -> Array:
-    """Return the slope of a profile at distances within reach, DN per px: over even steps, as bins may lie close."""
-    place = np.arange(-NEAR_PX - 1.0, NEAR_PX + 1.1, 0.25)
-    value = np.convolve(np.interp(place, profile.distance, profile.value), np.ones(5) / 5.0, "valid")
-    return np.interp(distance, place[2:-2], np.gradient(value, 0.25))
+    slopes = fields.steepness(profile.distance, profile.value, distance)
+    return fields.apart_by_pixels(picture.row_index[used] % 2, residual, slopes, noise)
 
 
 def _bowed(offset: Array) -> bool:

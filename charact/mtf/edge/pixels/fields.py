@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 SIGNIFICANT, LEAST_PX = 3.5, 0.04
 # Rows of each field that tell where it is, and how far from the edge pixels tell it, px.
 LEAST_ROWS, REACH_PX = 6, 16.0
+# Steps over which a profile's slope is told, px, and how many of them are averaged.
+STEP_PX, SMOOTH_STEPS = 0.25, 5
 # An edge that moved was first taken at the middle of two places, with a profile smeared over both.
 TURNS, SETTLED_PX = 5, 0.005
 
@@ -38,6 +40,17 @@ def apart_by_rows(picture: Picture, rows: RowFit) -> Displacement:
     one, other = rows.offset[good & odd], rows.offset[good & ~odd]
     error = 1.25 * np.hypot(spread(one) / np.sqrt(one.size), spread(other) / np.sqrt(other.size))
     return median(one) - median(other), float(error)
+
+
+def steepness(place: Array, value: Array, distance: Array) -> Array:
+    """Return the slope of a profile at distances, DN per px: over even steps, as its bins may lie close together.
+
+    None is told within a pixel of its ends.
+    """
+    even = np.arange(place[0], place[-1], STEP_PX)
+    smooth = np.convolve(np.interp(even, place, value), np.ones(SMOOTH_STEPS) / SMOOTH_STEPS, "valid")
+    middle = even[SMOOTH_STEPS // 2 : -(SMOOTH_STEPS // 2)]
+    return np.interp(distance, middle[2:-2], np.gradient(smooth, STEP_PX)[2:-2], left=0.0, right=0.0)
 
 
 def apart_by_pixels(line_parity: NDArray[np.int64], residual: Array, steep: Array, noise: float) -> Displacement:
@@ -85,11 +98,9 @@ def _apart_along(picture: Picture, line: Line) -> Displacement:
     mean, count = gathered.means(picture.value)
     filled = count > 0
     place, value = gathered.place[filled], mean[filled]
-    steep = np.gradient(np.convolve(value, np.ones(5) / 5.0, "same"), place)
-    steep[:4] = steep[-4:] = 0.0
     used = gathered.used
     residual = picture.value[used] - np.interp(gathered.distance[used], place, value)
-    slopes = np.interp(gathered.distance[used], place, steep)
+    slopes = steepness(place, value, gathered.distance[used])
     # Distances grow along the picture's columns, so that an edge displaced by d stands at a distance of -d.
     found, error = apart_by_pixels(picture.row_index[used] % 2, residual, slopes, float(np.std(residual)))
     return found / float(np.cos(line.angle_rad(picture.pitch_ratio))), error

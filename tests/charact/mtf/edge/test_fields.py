@@ -56,6 +56,18 @@ def test_the_displacement_is_found_either_way(angle_deg, seed):
         assert abs(edge.rows.line.fields_apart_px) == pytest.approx(abs(across), abs=0.03)
 
 
+def test_the_displacement_of_lines_along_the_edge_is_found_wherever_its_bins_lie(seed):
+    """Bins that lie a fiftieth of a pixel apart made half of it."""
+    for number in range(10):
+        offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
+        _, stack = drawn(251.6, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px)
+        edge = find_edge(stack, None, INTERLACED, fields_apart=True)
+        assert isinstance(edge, FoundEdge)
+        across = 3.0 * np.cos(np.deg2rad(251.6)) / np.cos(edge.profile.angle_rad)
+        # At a twentieth of the step the noise leaves 0.03 px.
+        assert abs(edge.rows.line.fields_apart_px) == pytest.approx(abs(across), abs=0.15)
+
+
 def test_fields_of_an_edge_at_rest_are_taken_together(seed):
     for number in range(5):
         _, stack = drawn(6.0, 0.0, 10 * seed + number)
