@@ -204,11 +204,13 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Level
     if len(np.unique(flats[0].parity)) > 1:
         weight *= (bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW)[:, None] | (lags[1:] % 2 == 0)
     weight /= weight.sum(axis=0)
-    ratio = power[:, 1:] / smooth[:, None]
-    value = (weight * ratio).sum(axis=0)
+    # Blur is not the same along rows and columns: each lag is compared with lag 0 in its own bins.
+    relative = power / smooth[:, None]
+    height = weight.T @ relative[:, 0]
+    value = (weight * relative[:, 1:]).sum(axis=0) / height
     square = (weight**2).sum(axis=0)
     # Residuals about a weighted mean are smaller than their errors, the more so the fewer the bins.
-    rest = weight * (ratio - value) / np.sqrt(np.maximum(1.0 - square, 0.1))
+    rest = weight * (relative[:, 1:] - value * relative[:, :1]) / height / np.sqrt(np.maximum(1.0 - square, 0.1))
     sd = np.sqrt((rest**2).sum(axis=0))
     freedom = max(2.0, float(1.0 / square.max() - 1.0))
     seen = bool((value[:3] > student.isf(CHANCE, freedom) * sd[:3]).any())

@@ -30,8 +30,6 @@ FAINT = 0.05
 # Share of the kernel's square that separable parts may leave out.
 LEFT_OUT = 1e-5
 
-Offsets = tuple[NDArray[np.int64], NDArray[np.int64]]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Kernel:
@@ -46,7 +44,7 @@ class Kernel:
     down, along
         Separable parts, shape (plane, rank, tap).
     wing
-        What reaches farther than `REACH`, averaged over coarse cells, shape (coarse row, coarse col), centre in the
+        Weights of coarse cells for what reaches farther than `REACH`, shape (coarse row, coarse col), centre in the
         middle.
     blur_factor
         Variance of the pulses' noise over its covariance sum, as read, dimensionless.
@@ -97,12 +95,12 @@ def pulse_kernel(blurs: tuple[Blur, ...], grid: Grid, height: int) -> PulseKerne
     divisions = FINEST, FINEST
     transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
     whole = np.fft.ifft2(_matched(transfer, height, divisions)).real * FINEST**2 * height
-    near = _offsets(height, divisions)
-    planes = np.array(_compact(whole, near, divisions), np.float32)
+    planes = _compact(whole, height, divisions)
+    shares = np.array(planes, np.float32)[:, ::-1, ::-1]
     return PulseKernel(
         height=height,
-        shares=np.ascontiguousarray(planes[:, ::-1, ::-1]).reshape(FINEST, FINEST, *planes.shape[1:]),
-        wing=_on_coarse_cells(_beyond(whole, near), divisions),
+        shares=np.ascontiguousarray(shares).reshape(FINEST, FINEST, *shares.shape[1:]),
+        wing=_wing_of(whole, planes, height, divisions),
     )
 
 
@@ -143,15 +141,14 @@ def _on_lattice(
     matched = _matched(transfer, height, divisions)
     cells = divisions[0] * divisions[1]
     whole = np.fft.ifft2(matched).real * cells * height
-    near = _offsets(height, divisions)
-    parts = [_separated(plane) for plane in _compact(whole, near, divisions)]
+    parts = [_separated(plane) for plane in _compact(whole, height, divisions)]
     read = np.fft.ifft2(_read(matched, impulse, divisions[1])).real * cells
     return Kernel(
         divisions=divisions,
         height=height,
         down=_stacked([down for down, _ in parts]),
         along=_stacked([along for _, along in parts]),
-        wing=_on_coarse_cells(_unseparated(whole, near, parts, divisions), divisions),
+        wing=_wing_of(whole, [down.T @ along for down, along in parts], height, divisions),
         blur_factor=float(np.sum(read**2) / cells) * height,
         third_factor=float(np.sum(read**3) / cells) * height**2,
         skewness_ratio=float(np.sum(read**3) / cells / exact),
@@ -223,18 +220,23 @@ def _shift(
     return (0.5 * height - 0.5 / down) * fy[:, None] + (0.5 - 0.5 / along) * fx[None, :]
 
 
-def _offsets(height: int, divisions: tuple[int, int]) -> Offsets:
-    """Rows and columns of cells within `REACH` pixels, counted from the pixel's first cell."""
+def _places(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the kernel's lattice on which cells within `REACH` pixels have their shares."""
     down, along = divisions
     rows = np.arange(-REACH * down, (REACH + height) * down)
     columns = np.arange(-REACH * along, (REACH + 1) * along)
-    return rows, columns
+    return -rows % (SIDE * down), -columns % (SIDE * along)
 
 
-def _compact(whole: NDArray[np.float64], near: Offsets, divisions: tuple[int, int]) -> list[NDArray[np.float64]]:
-    """The part within `REACH` pixels of each plane of cells, shape (row, col) of its own cells."""
-    part = whole[np.ix_(-near[0] % whole.shape[0], -near[1] % whole.shape[1])]
+def _compact(whole: NDArray[np.float64], height: int, divisions: tuple[int, int]) -> list[NDArray[np.float64]]:
+    """What a wing leaves to do within `REACH` pixels, for each plane of cells, shape (row, col) of its own cells."""
     down, along = divisions
+    inside = tuple(slice(SIDE // 2 + 1 - n - REACH, SIDE // 2 + REACH + 1) for n in (height, 1))
+    wing = _fitted(_per_pixel(whole, divisions), height, inside)
+    spread = [_spread_of_wing(n) for n in (height, 1)]
+    far = np.fft.ifftshift(spread[0] @ wing @ spread[1].T).repeat(down, axis=0).repeat(along, axis=1)
+    rest = whole - np.roll(far, (1 - down, 1 - along), axis=(0, 1))
+    part = rest[np.ix_(*_places(height, divisions))]
     return [part[i::down, j::along] for i in range(down) for j in range(along)]
 
 
@@ -253,32 +255,63 @@ def _stacked(parts: list[NDArray[np.float64]]) -> NDArray[np.float32]:
     return np.stack([np.pad(part, ((0, rank - len(part)), (0, 0))) for part in parts]).astype(np.float32)
 
 
-def _beyond(whole: NDArray[np.float64], near: Offsets) -> NDArray[np.float64]:
-    """The kernel without what is within `REACH` pixels."""
-    rest = whole.copy()
-    rest[np.ix_(-near[0] % whole.shape[0], -near[1] % whole.shape[1])] = 0.0
-    return rest
-
-
-def _unseparated(
-    whole: NDArray[np.float64],
-    near: Offsets,
-    parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]],
-    divisions: tuple[int, int],
-) -> NDArray[np.float64]:
-    """What separable parts leave of the kernel."""
-    (rows, columns), (down, along) = near, divisions
-    rest = whole.copy()
-    for n, (downward, across) in enumerate(parts):
+def _wing_of(
+    whole: NDArray[np.float64], planes: list[NDArray[np.float64]], height: int, divisions: tuple[int, int]
+) -> NDArray[np.float32]:
+    """Return the weights of coarse cells for what compact planes leave of the kernel."""
+    (down, along), rest = divisions, whole.copy()
+    rows, columns = _places(height, divisions)
+    for n, plane in enumerate(planes):
         i, j = divmod(n, along)
-        rest[np.ix_(-rows[i::down] % whole.shape[0], -columns[j::along] % whole.shape[1])] -= downward.T @ across
-    return rest
+        rest[np.ix_(rows[i::down], columns[j::along])] -= plane
+    return _fitted(_per_pixel(rest, divisions), height).astype(np.float32)
 
 
-def _on_coarse_cells(rest: NDArray[np.float64], divisions: tuple[int, int]) -> NDArray[np.float32]:
-    """Average over the cells of coarse cells, about the pixel's centre."""
+def _fitted(rest: NDArray[np.float64], height: int, unseen: tuple[slice, ...] = ()) -> NDArray[np.float64]:
+    """Return the weights of coarse cells that bring to pixels what comes closest to a rest of the kernel.
+
+    Cells gather in coarse ones, and pixels lie anywhere between the centres of these: of weights that are the rest's
+    means over coarse cells, a tenth is lost at a hundredth of a cycle per pixel.
+
+    Parameters
+    ----------
+    rest
+        Share of a cell by its distance from the pixel, -SIDE/2 pixels first, shape (SIDE, SIDE).
+    height
+        Rows of the chip in a pixel as read.
+    unseen
+        Rows and columns of distances together too short to count; none if empty.
+    """
+    down, along = (_spread_of_wing(n) for n in (height, 1))
+    information, seen = np.kron(down.T @ down, along.T @ along), rest.copy()
+    if unseen:
+        rows, columns = down[unseen[0]], along[unseen[1]]
+        information -= np.kron(rows.T @ rows, columns.T @ columns)
+        seen[unseen] = 0.0
+    wing: NDArray[np.float64] = np.linalg.solve(information, (down.T @ seen @ along).ravel())
+    return wing.reshape(down.shape[1], along.shape[1])
+
+
+def _per_pixel(whole: NDArray[np.float64], divisions: tuple[int, int]) -> NDArray[np.float64]:
+    """Average over the cells of a pixel pitch both ways, distances from -SIDE/2 pixels on, shape (SIDE, SIDE)."""
     down, along = divisions
-    per_pixel = rest.reshape(SIDE, down, SIDE, along).mean(axis=(1, 3))
-    centred = np.roll(per_pixel, (SIDE // 2 + COARSE // 2, SIDE // 2 + COARSE // 2), axis=(0, 1))
-    coarse = SIDE // COARSE
-    return centred.reshape(coarse, COARSE, coarse, COARSE).mean(axis=(1, 3)).astype(np.float32)
+    aligned = np.roll(whole, (down - 1, along - 1), axis=(0, 1))
+    return np.fft.fftshift(aligned.reshape(SIDE, down, SIDE, along).mean(axis=(1, 3)))
+
+
+@lru_cache(maxsize=2)
+def _spread_of_wing(height: int) -> NDArray[np.float64]:
+    """How weights come to pixels so many rows high: mean over their places, shape (distance, coarse cell).
+
+    It goes round, as the kernel's lattice does, so that the best weights keep all light.
+    """
+    coarse, distance = SIDE // COARSE, np.arange(-SIDE // 2, SIDE // 2)
+    spread = np.zeros((SIDE, coarse))
+    for first in range(COARSE):
+        # The pixel's centre, between those of two coarse cells.
+        place = (first + 0.5 * height) / COARSE - 0.5
+        before = int(np.floor(place))
+        for cell, share in ((before, before + 1.0 - place), (before + 1, place - before)):
+            weight = cell - (first - distance) // COARSE + coarse // 2
+            spread[np.arange(SIDE), weight % coarse] += share / COARSE
+    return spread

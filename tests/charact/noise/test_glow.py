@@ -91,6 +91,17 @@ def test_the_error_of_the_sum_over_lags_is_the_scatter_of_sums(frames, fields, s
     assert abs(factor.mean() - 2.4) < 4.0 * scatter / np.sqrt(stacks) + 0.04
 
 
+def test_blur_that_differs_along_rows_and_columns_is_no_lag(seed):
+    """Odd lags of interlaced video are told by modes of low row frequency alone, where the power is another."""
+    time, parity, lags = order(12, 2)
+    bins = bins_of(123, 256, 2.0)
+    correlation = np.where(lags == 0, 1.0, 0.28 * 0.6 ** (lags - 1.0))
+    power = np.exp(-20.0 * bins.column_cy_per_px**2 - 60.0 * bins.row_cy_per_px**2)[:, None] * correlation
+    power += 1e-4 * np.random.default_rng(seed).standard_normal(power.shape)
+    found = lag_of(power, lags, np.zeros(len(power)), [level(time, parity, lags, bins)], np.ones(1))
+    assert found.correlation == pytest.approx(correlation[1:], abs=3e-4)
+
+
 @pytest.mark.parametrize(("bend_per_dn", "seen"), [(-1.3e-5, True), (0.0, False), (1.3e-5, False)])
 def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(pulses, series, seed, bend_per_dn, seen):
     """A response that steepens by 2 % makes covariance over signal rise by 6 %, one that tires makes it fall."""
