@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.noise_spectrum.stack import Stack, low_weights, smear, stack_spectra
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
+from charact.noise.gain.standard import QUANTISATION_DN2
+from charact.noise.light.rounding import unrounded
 from charact.noise.stack.spectrum import Bins
 from labdata.frames import FrameStack
 from labdata.session import Session
@@ -21,6 +23,8 @@ Array = NDArray[np.float64]
 
 # Correlation in time is there beyond this many standard errors.
 LAG_SEEN = 4.0
+# Share of the cells that hold less noise of a dark than what is white in it is taken for.
+QUIETEST = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +51,9 @@ class Spectrum:
         Whether it goes on beyond the last lag, and whether there were frames enough to look for it.
     levels
         What each flat alone says: label, power above its dark's (cell,), signal above its dark's (None: unknown).
-    quantised_dn2
-        Power of the digitiser's steps in it, DN^2; 0 where the dark has it too.
+    hidden_dn2
+        Least and largest white power that the flats have over their darks without light: of the digitiser's steps, and
+        of noise that these hide in the dark; pooled, DN^2.
     frames
         Least frames of a flat.
     shorter_px
@@ -72,7 +77,7 @@ class Spectrum:
     lag_open: bool
     lag_tested: bool
     levels: tuple["Alone", ...]
-    quantised_dn2: float
+    hidden_dn2: tuple[float, float]
     frames: int
     shorter_px: float
 
@@ -174,7 +179,7 @@ def spectrum_of(session: Session, chosen: Chosen, context: Context) -> Spectrum:
             _alone(flat, None if dark is None else own[dark], own[flat], signal, lag)
             for flat, dark, signal in chosen.pairs
         ),
-        quantised_dn2=sum(pool.weight) / 12.0 if whole and not pool.darks else 0.0,
+        hidden_dn2=pool.hidden_dn2() if whole else (0.0, 0.0),
         frames=min(one.frames for one in pool.flats),
         shorter_px=float(min(bins.window.shape[0] * bins.row_pitch, bins.window.shape[1])),
     )
@@ -207,6 +212,14 @@ class _Pool:
         none = np.zeros_like(self.power_dn2)
         self.dark_dn2 = sum((share * dark.power(lag) for dark, share in self.darks.values()), none)
 
+    def hidden_dn2(self) -> tuple[float, float]:
+        """Return the range of what whole numbers hide of the darks' noise, as the flats have it, DN^2."""
+        if not self.darks:
+            return sum(self.weight) * QUANTISATION_DN2, sum(self.weight) * QUANTISATION_DN2
+        ranges = np.array([_hidden_dn2(dark, share) for dark, share in self.darks.values()])
+        low, high = ranges.sum(axis=0)
+        return float(low), float(high)
+
     def looks(self, correlation: Array) -> Array:
         """Return the independent modes behind the power, shape (cell,), exposures of flats correlated like this."""
         bins = self.flats[0].bins
@@ -216,6 +229,18 @@ class _Pool:
         parts += [(share, dark, dark.independent(self._lag[:0])) for dark, share in self.darks.values()]
         square = sum((weight * one.power(self._lag)) ** 2 / number for weight, one, number in parts)
         return self.power_dn2**2 / square * (bins.modes * bins.efficiency)
+
+
+def _hidden_dn2(dark: Stack, share: float) -> tuple[float, float]:
+    """Range of what rounding hides of one dark's noise, times its share.
+
+    Few pulses in the dark vary more than all the rest, and tell nothing of how it is rounded between them: the rest is
+    what is left at the frequencies that they do not reach.
+    """
+    whole = float(np.average(dark.plain_dn2, weights=dark.bins.modes))
+    rest = float(np.quantile(dark.plain_dn2, QUIETEST))
+    hidden = [noise + QUANTISATION_DN2 - variance for variance in (whole, rest) for noise in unrounded(variance)]
+    return share * min(hidden), share * max(hidden)
 
 
 def _modes_of(bins: Bins, stack: FrameStack, context: Context) -> tuple[Array, Array, NDArray[np.int64]]:

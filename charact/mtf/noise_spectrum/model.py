@@ -22,18 +22,23 @@ from charact.posterior import maximum
 Array = NDArray[np.float64]
 
 FAMILIES: tuple[Family, ...] = (Family(core="gaussian"), Family(core="exponential"), Family(core="moffat"))
+# How much likelier than any other the form of image tubes is that of a described one, in ln.
+TUBE, TUBE_ODDS = "exponential", 3.0
 # Light scattered behind the gain, looked for beside the forms: its reach from so many px to this share of the
 # image's shorter side, and its share.
 SCATTER_PX, SCATTER_SHARE = 3.0, 0.08
 SCATTER_FRACTION = (0.0, 0.4)
-COMMON = ("ln_power", "white_share", "ln_anisotropy")
-COMMON_UNITS = ("ln(DN^2)", "1", "1")
+COMMON = ("ln_power", "white_share", "hidden_place", "ln_anisotropy")
+COMMON_UNITS = ("ln(DN^2)", "1", "1", "1")
 # Half frequency along columns over that along rows, both in column pitches: normal in its logarithm. Blur of tubes and
 # fibres is round, but the pitches of an unknown camera's rows and the video before its digitiser are not known.
 ROUND_SD, UNKNOWN_SD = 0.1, 0.4
 ANISOTROPY = (-1.5, 1.5)
-# Share of the mean power that is white: never quite none.
-WHITE = (1e-6, 1.0)
+# Share of the mean power that is white: it may go below zero, else a camera without would be pushed to one side.
+WHITE = (-0.05, 1.0)
+# Where in its range the power is that whole numbers hide: anywhere, but for a mean and standard deviation that let it
+# be climbed to where the range is narrow.
+HIDDEN, HIDDEN_PRIOR = (0.0, 1.0), (0.5, 0.5)
 
 
 def scattering(shorter_px: float) -> Family | None:
@@ -79,7 +84,7 @@ class Problem:
         """Bounds of all parameters, shape (parameter, 2)."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
         video = [bound for _, bound in self.known.parameters.values()]
-        return np.array([(level - 12.0, level + 6.0), WHITE, ANISOTROPY, *self.shape.bounds, *video])
+        return np.array([(level - 12.0, level + 6.0), WHITE, HIDDEN, ANISOTROPY, *self.shape.bounds, *video])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -109,7 +114,8 @@ class Problem:
         passed = self.passed(theta, self._bend) ** 2
         white = theta[:, 1:2] * self._white_dn2 * passed
         pulses = np.exp(theta[:, :1]) * self.folding.power(self.shape, self.of_folding(theta)) * passed
-        return white + self.spectrum.quantised_dn2, pulses
+        low, high = self.spectrum.hidden_dn2
+        return white + low + (high - low) * theta[:, 2:3], pulses
 
     @cached_property
     def _bend(self) -> Array | None:
@@ -128,8 +134,9 @@ class Problem:
 
     def log_likelihood(self, model: Array) -> Array:
         """Return ln L of models (n, cell), 0 where model and data agree."""
-        ratio = self.spectrum.power_dn2 / model
-        return np.sum(self.looks * (1.0 + np.log(ratio) - ratio), axis=1)
+        possible = np.all(model > 0.0, axis=1)
+        ratio = self.spectrum.power_dn2 / np.where(possible[:, None], model, 1.0)
+        return np.where(possible, np.sum(self.looks * (1.0 + np.log(ratio) - ratio), axis=1), -np.inf)
 
     def log_probability(self, theta: Array) -> Array:
         """Return ln of the posterior density up to a constant that all forms share."""
@@ -138,8 +145,10 @@ class Problem:
         safe = np.where(inside[:, None], theta, self.centre())
         likelihood = self.log_likelihood(self.model(safe))
         # Anisotropies of an unknown camera and of a known one differ in width: normalised, should they be compared.
-        round_ = -0.5 * (safe[:, 2] / self.known.anisotropy_sd) ** 2 - np.log(self.known.anisotropy_sd)
-        total = likelihood + self.shape.log_prior(self.of_shape(safe)) + round_
+        anisotropy = safe[:, len(COMMON) - 1]
+        round_ = -0.5 * (anisotropy / self.known.anisotropy_sd) ** 2 - np.log(self.known.anisotropy_sd)
+        hidden = -0.5 * ((safe[:, 2] - HIDDEN_PRIOR[0]) / HIDDEN_PRIOR[1]) ** 2
+        total = likelihood + self.shape.log_prior(self.of_shape(safe)) + round_ + hidden
         if self.known.video and self.known.parameters:
             total = total + self.known.video.log_prior(safe[:, -1])
         return np.where(inside & np.isfinite(total), total, -np.inf)
@@ -147,7 +156,7 @@ class Problem:
     def centre(self) -> Array:
         """A point inside all bounds."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
-        return self.started(np.array([level, 0.1, 0.0]), 0.2)
+        return self.started(np.array([level, 0.1, HIDDEN_PRIOR[0], 0.0]), 0.2)
 
     def started(self, common: Array, half_frequency_cy_per_px: float) -> Array:
         """Return a point of given common parameters, the form's where it begins, and the video as described."""
@@ -186,9 +195,14 @@ def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[
     for _ in range(2):
         problem = _refined(problem, whole, point)
         point, covariance = maximum(problem.log_probability, point, problem.bounds, iterations=25)
-    height = float(problem.log_probability(point[None])[0])
+    height = float(problem.log_probability(point[None])[0]) + (TUBE_ODDS if _of_tube(problem) else 0.0)
     _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
     return Peak(problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume))
+
+
+def _of_tube(problem: Problem) -> bool:
+    """Whether this is the form of image tubes, and the camera is described as one."""
+    return problem.known.fibres is not None and problem.shape.name == TUBE
 
 
 def _broader(point: Array, shape: Shape) -> Array:
@@ -202,7 +216,7 @@ def _start(problem: Problem) -> Array:
     """The best of a few half frequencies, with a fifth of white noise."""
     spectrum, candidates = problem.spectrum, []
     for half in (0.05, 0.1, 0.17, 0.3, 0.5):
-        begin = problem.started(np.array([0.0, 0.1, 0.0]), half)
+        begin = problem.started(np.array([0.0, 0.1, HIDDEN_PRIOR[0], 0.0]), half)
         folded = problem.folding.power(problem.shape, problem.of_folding(begin[None]))[0]
         above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
         level = max(float(np.sum(problem.looks * 0.9 * above) / np.sum(problem.looks * folded)), 1e-9)
@@ -251,7 +265,8 @@ def white_log_probability(peak: Peak) -> float:
     problem = peak.problem
     spectrum = problem.spectrum
     floor = problem.known.electronics(spectrum.column_cy_per_px) ** 2
-    above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2 - spectrum.quantised_dn2, 0.0)
+    hidden = float(np.mean(spectrum.hidden_dn2))
+    above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2 - hidden, 0.0)
     level = float(np.sum(problem.looks * above) / np.sum(problem.looks * floor))
     levels = level * np.exp(np.linspace(-0.3, 0.3, 121))
-    return float(problem.log_likelihood(spectrum.dark_dn2 + spectrum.quantised_dn2 + levels[:, None] * floor).max())
+    return float(problem.log_likelihood(spectrum.dark_dn2 + hidden + levels[:, None] * floor).max())

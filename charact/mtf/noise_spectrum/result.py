@@ -63,7 +63,8 @@ def transfer_of(peak: Peak, draws: Array, frequency: Array, *, vertical: bool, p
     shape = problem.of_shape(draws)
     if vertical:
         along = frequency / pitch_ratio
-        return problem.shape.modulus(shape, along * np.exp(-draws[:, 2:3])) * problem.known.aperture(none, along)
+        stretched = along * np.exp(-draws[:, problem.names.index("ln_anisotropy"), None])
+        return problem.shape.modulus(shape, stretched) * problem.known.aperture(none, along)
     core = problem.shape.modulus(shape, np.broadcast_to(frequency, (len(draws), len(frequency))))
     described = problem.known.aperture(frequency, none) * problem.known.electronics(frequency)
     return core * described * problem.passed(draws, problem.known.bend(frequency))

@@ -9,6 +9,9 @@ import numpy as np
 
 from charact.noise.gain.standard import QUANTISATION_DN2
 
+# Above this variance rounding adds the same to any noise, within a thousandth of a squared step.
+EVEN_DN2 = 0.45
+
 
 def rounding_sd(variance_dn2: float) -> tuple[float, float]:
     """Return the standard deviations of the shifts of mean, DN, and variance, DN^2, for any place between two codes.
@@ -21,3 +24,39 @@ def rounding_sd(variance_dn2: float) -> tuple[float, float]:
     analogue = max(variance_dn2 - QUANTISATION_DN2, 0.0)
     fade = float(np.exp(-2.0 * np.pi**2 * analogue)) / np.sqrt(2.0)
     return fade / np.pi, (4.0 * analogue + 1.0 / np.pi**2) * fade
+
+
+def unrounded(variance_dn2: float) -> tuple[float, float]:
+    """Return the least and the largest variance of normal noise that rounding may leave with this variance, DN^2.
+
+    Parameters
+    ----------
+    variance_dn2
+        Variance of the values as rounded, DN^2.
+
+    Notes
+    -----
+    At the middle of a code rounding hides the most, between two codes the least: there no noise at all has 1/4.
+    """
+    if variance_dn2 > EVEN_DN2:
+        return variance_dn2 - QUANTISATION_DN2, variance_dn2 - QUANTISATION_DN2
+    return _noise_of(variance_dn2, 0.5), _noise_of(variance_dn2, 0.0)
+
+
+def _noise_of(variance_dn2: float, place: float) -> float:
+    """Variance of normal noise about a place between two codes whose rounded values vary so much."""
+    from scipy.optimize import brentq
+
+    least, most = 1e-4, 1.0
+    if _rounded(least, place) >= variance_dn2:
+        return 0.0
+    return float(brentq(lambda sd: _rounded(sd, place) - variance_dn2, least, most)) ** 2
+
+
+def _rounded(sd: float, place: float) -> float:
+    """Variance of normal noise of a standard deviation about a place, rounded to whole numbers."""
+    from scipy.stats import norm
+
+    codes = np.arange(-8.0, 9.0)
+    chance = np.diff(norm.cdf((np.append(codes - 0.5, codes[-1] + 0.5) - place) / sd))
+    return float(chance @ codes**2 - (chance @ codes) ** 2)

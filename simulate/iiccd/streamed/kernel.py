@@ -28,7 +28,7 @@ DIVISIONS = ((1, 1), (1, 2), (2, 2))
 # Share of the squared kernel's transfer below which light is not sharpened.
 FAINT = 0.05
 # Share of the kernel's square that separable parts may leave out.
-LEFT_OUT = 1e-5
+LEFT_OUT = 2e-6
 
 
 @dataclass(frozen=True, kw_only=True)

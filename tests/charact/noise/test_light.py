@@ -13,7 +13,7 @@ from charact.noise.gain.series import read_levels
 from charact.noise.light.area import SIDE_PX
 from charact.noise.light.minimum import Scope, minimum
 from charact.noise.light.model import Levels, noise_law
-from charact.noise.light.rounding import rounding_sd
+from charact.noise.light.rounding import rounding_sd, unrounded
 from charact.noise.light.snr import snr_against_light
 from charact.noise.light.stated import Light, response_draws
 from labdata.conditions import Conditions
@@ -318,3 +318,18 @@ def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(pulses, in_mem
         assert found.interval95[1] < 50.0
     else:
         assert errors(found, 50.0) == pytest.approx(-1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("sd_dn", [0.05, 0.2, 0.35, 0.5, 0.8])
+def test_noise_before_rounding_lies_within_what_its_codes_leave_open(sd_dn, seed):
+    """Normal noise about every place between two codes; at the middle of a code and between two the range is met."""
+    rng, draws = np.random.default_rng(seed), 400_000
+    for place in (0.0, 0.1, 0.25, 0.4, 0.5):
+        codes = np.rint(60.0 + place + sd_dn * rng.standard_normal(draws))
+        low, high = unrounded(float(codes.var()))
+        chance = 0.01 * sd_dn**2 + 4.0 / np.sqrt(draws)
+        assert low - chance < sd_dn**2 < high + chance
+        if place == 0.5 and sd_dn > 0.3:
+            assert low == pytest.approx(sd_dn**2, abs=0.01)
+        if place == 0.0 and sd_dn > 0.1:
+            assert high == pytest.approx(sd_dn**2, abs=0.01)
