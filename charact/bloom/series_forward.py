@@ -90,7 +90,7 @@ class _Told:
 
 def _agreeing(result: Result, best: Candidate, group: tuple[Spot, ...]) -> Result:
     """Hold extents against the fitted light; where that fits no ring, none that it shows is sure."""
-    if best.problem.model_share <= MISFIT_SHARE and not is_uneven(best.problem.series):
+    if best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(best.problem.series):
         return replace(result, measurements=compared(best, group, result.measurements))
     labels = {one.label for one in group}
     told = (
@@ -162,7 +162,7 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
 
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
     series = best.problem.series
-    if best.problem.model_share > MISFIT_SHARE or is_uneven(series):
+    if best.problem.misfit.share > MISFIT_SHARE or is_uneven(series):
         flags += ("model-misfit",)
     if own is None:
         return flags

@@ -33,7 +33,7 @@ class Candidate:
     Parameters
     ----------
     problem
-        The form put to the series, with the share of the light by which its rings are off.
+        The form put to the series, with the shares of the light by which its rings are off.
     peak
         Where it is best.
     log_likelihood
@@ -151,8 +151,8 @@ def refined(candidate: Candidate) -> Candidate:
 
 
 def _candidate(problem: Problem, peak: Peak) -> Candidate:
-    share, value = problem.share_of_misfit(peak.point)
-    off = replace(problem, model_share=share)
-    count = len(problem.form.names) + 2 * len(problem.series.data) + 1
+    misfit, value = problem.likeliest_misfit(peak.point)
+    off = replace(problem, misfit=misfit)
+    count = len(problem.form.names) + 2 * len(problem.series.data) + 2
     bic = -2.0 * value + count * float(np.log(problem.series.data.size))
     return Candidate(problem=off, peak=peak, log_likelihood=value, bic=bic)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from charact.bloom.series.forms import Form
 from charact.bloom.series.hankel import onto_nodes
 from charact.bloom.series.levels import HARDLY_CUT, Level, Noise
+from charact.bloom.series.misfit import FIRST_MISFIT, Misfit, Modes, about_core, likeliest, modes_of
 from charact.bloom.series.ring_loops import best_step, left_over, lost_at_top, ring_means, whitened
 from charact.bloom.series.rings import Geometry
 
@@ -29,9 +30,6 @@ LEAST_LIGHT_DN = 1e-6
 STEPS = 2
 # What a step must promise of a level's chi squared to be taken.
 SETTLED = 1e-4
-# Share of the light by which rings may be off in every form, as cameras are not round: first guess, and all tried.
-FIRST_SHARE = 0.02
-SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,18 +74,20 @@ class Series:
         """Level of each ring above the farthest ones of its stack, shape (level, ring), DN."""
         return np.abs(self.data - np.median(self.data[:, -6:], axis=1, keepdims=True))
 
-    def covariance(self, share: float) -> Array:
-        """Covariance of the ring means when a form is off by a share of the light, shape (level, ring, ring), DN^2."""
+    def covariance(self, misfit: Misfit) -> Array:
+        """Covariance of the ring means when a form is off by shares of the light, shape (level, ring, ring), DN^2."""
         out = self.own_covariance.copy()
         ring = np.arange(out.shape[1])
-        out[:, ring, ring] += (share * np.maximum(self.light, LEAST_LIGHT_DN)) ** 2
+        out[:, ring, ring] += (misfit.of_rings(self.radius_px) * np.maximum(self.light, LEAST_LIGHT_DN)) ** 2
         return out
 
     @cached_property
-    def own_modes(self) -> tuple[Array, Array]:
-        """Noise of the rings over their light, taken apart: variances (level, mode), and modes (level, ring, mode)."""
+    def own_modes(self) -> tuple[Modes, Modes]:
+        """Noise over the light of the rings about the core, and of those beyond; what both share is left out."""
         light = np.maximum(self.light, LEAST_LIGHT_DN)
-        return np.linalg.eigh(self.own_covariance / (light[:, :, None] * light[:, None, :]))
+        relative = self.own_covariance / (light[:, :, None] * light[:, None, :])
+        near = about_core(self.radius_px)
+        return modes_of(relative[:, near][:, :, near]), modes_of(relative[:, ~near][:, :, ~near])
 
     @cached_property
     def parts_of_rings(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -204,21 +204,21 @@ class Problem:
     ----------
     series, form
         What is put to what.
-    model_share
-        Share of the light by which rings of the form are off.
+    misfit
+        Shares of the light by which rings of the form are off.
     steps
         Most steps to the best amplitudes.
     """
 
     series: Series
     form: Form
-    model_share: float = FIRST_SHARE
+    misfit: Misfit = FIRST_MISFIT
     steps: int = STEPS
 
     @cached_property
     def whitener(self) -> Array:
         """Makes residuals independent and of unit variance, shape (level, ring, ring)."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.series.covariance(self.model_share))), np.float64)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.series.covariance(self.misfit))), np.float64)
 
     @cached_property
     def white_data(self) -> Array:
@@ -243,7 +243,7 @@ class Problem:
     @cached_property
     def uncut_weight(self) -> Array:
         """One over the standard error of each ring that is not cut, 0 of the others, shape (level, ring), 1/DN."""
-        own = np.diagonal(self.series.covariance(self.model_share), axis1=1, axis2=2)
+        own = np.diagonal(self.series.covariance(self.misfit), axis1=1, axis2=2)
         return ~self.series.cut / np.sqrt(own)
 
     def log_probability(self, points: Array) -> Array:
@@ -329,15 +329,14 @@ class Problem:
         parts = self.parts(points)
         return self.light(parts, self.solved_of(parts).amplitudes)
 
-    def share_of_misfit(self, point: Array) -> tuple[float, float]:
-        """Share of the light by which rings are off that makes a point most likely, and the log-likelihood then."""
+    def likeliest_misfit(self, point: Array) -> tuple[Misfit, float]:
+        """Shares of the light by which rings are off that make a point most likely, and the log-likelihood then."""
         light = np.maximum(self.series.light, LEAST_LIGHT_DN)
-        variance, modes = self.series.own_modes
         residual = (self.series.data - self.rings(point[None])[..., 0]) / light
-        squares = (modes.transpose(0, 2, 1) @ residual[..., None])[..., 0] ** 2
-        total = np.maximum(variance, 0.0) + SHARES[:, None, None] ** 2
-        values = -0.5 * (squares / total + np.log(total)).sum(axis=(1, 2)) - float(np.log(light).sum())
-        return float(SHARES[int(np.argmax(values))]), float(values.max())
+        near = about_core(self.series.radius_px)
+        core, beyond = self.series.own_modes
+        misfit, value = likeliest(core.log_likelihoods(residual[:, near]), beyond.log_likelihoods(residual[:, ~near]))
+        return misfit, value - float(np.log(light).sum())
 
 
 def _normal(slopes: Array) -> Array:

@@ -154,7 +154,7 @@ def tired(problem: Problem, peak: Peak) -> tuple[TiringProblem, Peak] | None:
         series=problem.series,
         form=TiringForm(core=form.core, halo=form.halo, reach_px=form.reach_px, pitch_ratio=form.pitch_ratio,
                         sensor=form.sensor),
-        model_share=problem.model_share,
+        misfit=problem.misfit,
     )  # fmt: skip
     share = tiring.form.parameters[-1].mean
     starts = np.array([[*peak.point, load, share] for load in (0.0, *FIRST_LOADS)])

@@ -22,7 +22,7 @@ def profile_evidence(best: Candidate, posterior: Posterior, own: tuple[Array, Ar
     series, point = best.problem.series, best.peak.point[None]
     model = best.problem.rings(point)[..., 0]
     solved = best.problem.solved(point)
-    sd = np.sqrt(np.diagonal(series.covariance(best.problem.model_share), axis1=1, axis2=2))
+    sd = np.sqrt(np.diagonal(series.covariance(best.problem.misfit), axis1=1, axis2=2))
     data: dict[str, Any] = {
         "figure": "point-profile",
         "label": list(series.labels),
@@ -36,7 +36,8 @@ def profile_evidence(best: Candidate, posterior: Posterior, own: tuple[Array, Ar
         "light_dn_px2": solved.amplitudes[:, 0, 0].tolist(),
         "background_dn": solved.amplitudes[:, 1, 0].tolist(),
         "form": best.name,
-        "model_share": best.problem.model_share,
+        "model_share": best.problem.misfit.share,
+        "core_share": best.problem.misfit.core,
         "chi2": float(solved.chi2.sum()),
         "freedom": int(series.data.size - 2 * len(series.data) - len(best.peak.point)),
         "halo_diameter_px": None,
@@ -79,7 +80,8 @@ def forms_evidence(forms: list[Candidate], *, quick: bool) -> dict[str, Any]:
             "parameters": len(one.form.names),
             "log_likelihood": one.log_likelihood,
             "bic_over_best": one.bic - least,
-            "off_percent": 100.0 * one.problem.model_share,
+            "off_percent": 100.0 * one.problem.misfit.share,
+            "core_off_percent": 100.0 * one.problem.misfit.core,
             "foretold_chi2_per_ring": value,
         }
         for one, value in zip(forms, foretold, strict=False)

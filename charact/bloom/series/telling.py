@@ -16,16 +16,17 @@ from labdata.measurement import Measurement, Posterior, from_draws, refused
 Array = NDArray[np.float64]
 
 OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
-# Relative error that forms leave out of a number, of any source and as a multiple of the share of the light by which
-# rings are off: the first as closed-form series with wings show it, the second as simulated cameras do.
+# Relative error that forms leave out of a number: of any source, and as multiples of the shares of the light by which
+# rings are off beyond the core and about it. The first is as closed-form series with wings show it, the others as
+# simulated cameras do: about the core all levels are off alike, and what that does to its light does not average away.
 LEFT_OUT = {
-    "halo_fraction": (0.012, 3.0),
-    "halo_plateau": (0.012, 3.0),
-    "halo_rim": (0.013, 1.0),
-    "encircled_radius_50": (0.006, 1.0),
-    "encircled_radius_90": (0.015, 1.0),
-    "veiling_glare": (0.05, 3.0),
-    "plate_saturation_density": (0.03, 6.0),
+    "halo_fraction": (0.012, 3.0, 0.7),
+    "halo_plateau": (0.012, 3.0, 0.7),
+    "halo_rim": (0.013, 1.0, 0.0),
+    "encircled_radius_50": (0.006, 1.0, 0.3),
+    "encircled_radius_90": (0.015, 1.0, 1.0),
+    "veiling_glare": (0.05, 3.0, 0.7),
+    "plate_saturation_density": (0.03, 6.0, 0.7),
 }
 # Distance in ln of the densities that two forms of the core ask for beyond which neither is told.
 MOST_UNLIKE = float(np.log(4.0))
@@ -109,8 +110,9 @@ def _noise_unknown(group: tuple[Spot, ...], draws: int, seed: int | None) -> Arr
 
 def _as_told(best: Candidate, quantity: str, draws: int, posterior: Posterior) -> Array:
     """Factors for what a form leaves out of a quantity: that of any, and that of a source that is not round."""
-    of_any, of_round = LEFT_OUT[quantity]
-    sd = np.hypot(of_any, of_round * best.problem.model_share)
+    of_any, beyond, of_core = LEFT_OUT[quantity]
+    misfit = best.problem.misfit
+    sd = np.linalg.norm([of_any, beyond * misfit.share, of_core * misfit.core])
     return np.exp(sd * np.random.default_rng(posterior.seed).standard_normal(draws))
 
 
