@@ -1,5 +1,6 @@
 """The forward model of a point series: its light is that of closed forms, its rings are read as cameras read them."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,11 +8,14 @@ import pytest
 
 from charact import bloom
 from charact.bloom import transfer
+from charact.bloom.series.choice import candidates
 from charact.bloom.series.forms import Form
+from charact.bloom.series.gather import gathered
 from charact.bloom.series.hankel import frequencies, onto_nodes
 from charact.bloom.series.levels import level_of, noise_of
 from charact.bloom.series.likelihood import Problem, series_of
 from charact.bloom.series.rings import geometry_of
+from charact.bloom.spot import read_spots
 from charact.method import Context
 from charact.method.registry import of_kind
 from charact.study.bloom.scene import BloomScene, session
@@ -122,6 +126,33 @@ def test_halo_and_its_share_are_found_with_honest_intervals(scene, seed):
     best = result.evidence["bloom-forms"]["table"][0]["form"]
     assert best.endswith("disc")
     assert not scene.wing_share or best == "moffat core, disc"
+
+
+def off_about_the_core(series, shares):
+    """The series of a camera that is not round: its innermost rings, where uncut, are off by shares of their light."""
+    rings = len(shares)
+    light = series.data[:, :rings] - np.median(series.data[:, -6:], axis=1, keepdims=True)
+    data = series.data.copy()
+    data[:, :rings] += np.where(series.cut[:, :rings], 0.0, shares * light)
+    return replace(series, data=data)
+
+
+def test_rings_about_the_core_that_are_off_blur_the_halos_share_and_leave_its_edge(seed):
+    """What many rings agree on says nothing of how far the few about the core are off, nor these of the many."""
+    scene = BloomScene(halo_fraction=0.03, wing_share=0.1)
+    drawn = session(scene, list(np.geomspace(0.3, 3e4, 9)), np.random.default_rng(seed))
+    round_one, _ = gathered(drawn, read_spots(drawn, context=QUICK), context=QUICK)
+    bent_one = off_about_the_core(round_one, np.array([-0.06, 0.12, -0.19, 0.2]))
+    found = [candidates(one, pitch_ratio=1.0, sensor=None, first_diameter_px=46.0)[0] for one in (round_one, bent_one)]
+    (whole, bent), names = (one.peak for one in found), found[0].form.names
+    assert found[1].form.names == names
+    edge, share = names.index("halo_diameter"), names.index("halo_fraction")
+    sds = np.sqrt([np.diag(one.covariance) for one in (whole, bent)])
+    assert sds[1, edge] < 1.5 * sds[0, edge]
+    assert sds[1, share] > 1.1 * sds[0, share]
+    for one, sd in zip((whole, bent), sds, strict=True):
+        assert abs(one.point[edge] - scene.halo_diameter_px) < 4.5 * sd[edge]
+        assert abs(one.point[share] - scene.halo_fraction) < 4.5 * sd[share]
 
 
 def test_the_chain_agrees_with_the_curvature(seed):
