@@ -51,7 +51,8 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bo
     largest = largest_z(len(told))
     within = all(abs(row.z) <= largest for row in told)
     print(f"\nvalidation: {'passed' if validation.passed else 'FAILED'}")
-    print(f"truth within {largest:.2f} standard errors of all {len(told)} numbers that are ok: {'yes' if within else 'NO'}")
+    verdict = "yes" if within else "NO"
+    print(f"truth within {largest:.2f} standard errors of all {len(told)} numbers that are ok: {verdict}")
     print(f"report: {report}")
     return within and validation.passed
 

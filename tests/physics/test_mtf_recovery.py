@@ -15,7 +15,6 @@ from labdata.target import Target
 from simulate.iiccd import truth
 from simulate.lab import LabBench
 from simulate.rig.truth import draw_truth
-from simulate.rig.truth import draw_truth
 
 
 @pytest.fixture(scope="module")

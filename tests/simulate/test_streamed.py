@@ -108,8 +108,7 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
     turns = [(m, n) for m in range(-3, 4) for n in range(-3, 4)]
     beside = 1.0 / camera.cells.pitch_x_mm, 1.0 / camera.cells.pitch_y_mm
     due = sum(
-        product((*blurs, aperture), *np.broadcast_arrays(fx + m * beside[0], fy + n * beside[1])) ** 2
-        for m, n in turns
+        product((*blurs, aperture), *np.broadcast_arrays(fx + m * beside[0], fy + n * beside[1])) ** 2 for m, n in turns
     )
     low = np.hypot(f[:, None], f[None, :]) < 0.11
     assert np.allclose(found[low], due[low], rtol=4e-3)

@@ -45,12 +45,12 @@ def unrounded(variance_dn2: float) -> tuple[float, float]:
 
 def _noise_of(variance_dn2: float, place: float) -> float:
     """Variance of normal noise about a place between two codes whose rounded values vary so much."""
-    from scipy.optimize import brentq
+    from scipy.optimize import root_scalar
 
     least, most = 1e-4, 1.0
     if _rounded(least, place) >= variance_dn2:
         return 0.0
-    return float(brentq(lambda sd: _rounded(sd, place) - variance_dn2, least, most)) ** 2
+    return root_scalar(lambda sd: _rounded(sd, place) - variance_dn2, bracket=(least, most)).root ** 2
 
 
 def _rounded(sd: float, place: float) -> float:

@@ -288,7 +288,7 @@ def _fitted(rest: NDArray[np.float64], height: int, unseen: tuple[slice, ...] = 
         rows, columns = down[unseen[0]], along[unseen[1]]
         information -= np.kron(rows.T @ rows, columns.T @ columns)
         seen[unseen] = 0.0
-    wing: NDArray[np.float64] = np.linalg.solve(information, (down.T @ seen @ along).ravel())
+    wing = np.asarray(np.linalg.solve(information, (down.T @ seen @ along).ravel()), np.float64)
     return wing.reshape(down.shape[1], along.shape[1])
 
 
