@@ -69,14 +69,13 @@ def test_flats_recover_the_transfer_after_the_gain_of_a_video_that_the_sheet_giv
     assert standard_errors_off(sheet.with_values({"video.bandwidth_mhz": 6.5}))[0] > 15.0
 
 
-@pytest.mark.parametrize("specimen_seed", [740, 745])
-def test_flats_of_a_coarse_digitiser_recover_the_transfer_after_the_gain(specimen_seed, seed):
+def test_flats_of_a_coarse_digitiser_recover_the_transfer_after_the_gain(seed):
     """Darks whose read noise 8 bits hide: what these round away is white in the flats, and passes no video filter.
 
-    Left out, numbers are 6 and 14 standard errors off, and the model does not fit.
+    Left out, numbers are up to 14 standard errors off, and the model does not fit.
     """
     sheet = load_sensor("pulnix-ag5745ef3")
-    specimen = draw_truth(sheet, specimen_seed)
+    specimen = draw_truth(sheet, 745)
     context = Context(quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
     found = mtf.measure_flats(flats_before(specimen, seed), context=context).find("post_gain_mtf")
     pitch_ratio = float(sheet.ccd.pitch_y_um) / float(sheet.ccd.pitch_x_um)
