@@ -195,14 +195,14 @@ def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[
     for _ in range(2):
         problem = _refined(problem, whole, point)
         point, covariance = maximum(problem.log_probability, point, problem.bounds, iterations=25)
-    height = float(problem.log_probability(point[None])[0]) + (TUBE_ODDS if _of_tube(problem) else 0.0)
+    height = float(problem.log_probability(point[None])[0]) - (TUBE_ODDS if _strange_to_tubes(problem) else 0.0)
     _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
     return Peak(problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume))
 
 
-def _of_tube(problem: Problem) -> bool:
-    """Whether this is the form of image tubes, and the camera is described as one."""
-    return problem.known.fibres is not None and problem.shape.name == TUBE
+def _strange_to_tubes(problem: Problem) -> bool:
+    """Whether the camera is described as a tube, and this is a form that image tubes do not have."""
+    return problem.known.fibres is not None and problem.shape in FAMILIES and problem.shape.name != TUBE
 
 
 def _broader(point: Array, shape: Shape) -> Array:

@@ -29,9 +29,9 @@ def test_edges_measured_by_auto_are_within_two_percent(seed):
 
 def test_points_measured_by_auto_are_within_the_tolerance_or_say_that_they_may_not_be(seed):
     """At 1 % the light of one case in four is too little, and that it may be must be told."""
-    (found,) = held_back("mtf50", cases=20, seed=seed + 5000, tolerances=(1.0,), kinds=("point",))
+    (found,) = held_back("mtf50", cases=30, seed=seed + 5000, tolerances=(1.0,), kinds=("point",))
     assert found.told > 0
-    assert (found.right + found.told) / 20 >= least(20)
+    assert (found.right + found.told) / 30 >= least(30)
 
 
 @pytest.mark.parametrize(
