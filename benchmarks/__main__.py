@@ -2,13 +2,13 @@
 
 import sys
 
-from benchmarks import command_line, noise, simulator, storage
+from benchmarks import command_line, mtf, noise, simulator, storage
 
 
 def main() -> int:
     """Run all benchmarks and print a line for each."""
     kept = True
-    for module in (command_line, storage, noise, simulator):
+    for module in (command_line, storage, mtf, noise, simulator):
         for row in module.rows():
             print(row.text(), flush=True)
             kept &= row.kept

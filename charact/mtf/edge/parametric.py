@@ -86,7 +86,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     if isinstance(edge, NoEdge):
         return nothing(METHOD, edge.reason, edge.where, context)
     known = known_of(edge.picture, edge.profile.angle_rad, context)
-    fitter, fits = _fitted(edge, known, context)
+    fitter, fits = forms_of(edge, known, context)
     edge, profile, best = replace(edge, profile=fitter.profile), fitter.profile, fits[0].fit
     reason = no_edge(best.chi2, fitter.power, best.free) or too_blurred(profile, float(np.exp(best.point[1])))
     if reason:
@@ -115,8 +115,15 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     return result_of(outcome, context)
 
 
-def _fitted(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitter, list[Weighed]]:
-    """Fit an edge, first as if its plateaus were even, then with the shading that the forms leave over, if any."""
+def forms_of(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitter, list[Weighed]]:
+    """Fit an edge, first as if its plateaus were even, then with the shading that the forms leave over, if any.
+
+    Returns
+    -------
+    fitter, fits
+        What fits forms to the edge's profile, and the forms that come near, the most probable first: the point
+        estimate is the first one's.
+    """
     wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
     fitter = FamilyFitter(edge.profile, known)
     fits = fitted_forms(fitter, wide)
