@@ -193,6 +193,12 @@ class Measure(Protocol[OfOut]):
     def __call__(self, number: int, /, *, repeats: int, quick: bool) -> OfOut: ...
 
 
+class MeasureBy(Protocol):
+    """Measures one cell of a map by a method."""
+
+    def __call__(self, number: int, /, *, repeats: int, quick: bool, method: str) -> Outcome: ...
+
+
 def mapped(
     measure: Measure[Of], cells: Sequence[int], *, repeats: int, quick: bool = True, workers: int | None = None
 ) -> list[Of]:
@@ -267,7 +273,7 @@ def _short(value: Any) -> Any:
 
 
 def make(
-    measure: Measure[Outcome],
+    measure: MeasureBy,
     *,
     method: str,
     table: Path,
@@ -281,6 +287,8 @@ def make(
 
     Parameters
     ----------
+    method
+        Name of the method, unless another is asked for.
     first
         Number of the first cell.
     chained
@@ -290,15 +298,17 @@ def make(
     parser.add_argument("--cells", type=int, default=cells, help="number of cells")
     parser.add_argument("--first", type=int, default=first, help="number of the first cell")
     parser.add_argument("--repeats", type=int, default=repeats, help="drawings of each")
+    parser.add_argument("--method", default=method, help="name of a method")
     parser.add_argument("--out", type=Path, default=table, help="table to write")
     asked = parser.parse_args()
     numbers = range(asked.first, asked.first + asked.cells)
-    quick = mapped(measure, numbers, repeats=asked.repeats)
+    measured: Measure[Outcome] = partial(measure, method=asked.method)
+    quick = mapped(measured, numbers, repeats=asked.repeats)
     # Half an hour's work is on disk before the chains begin.
-    written(quick, [], asked.out, method=method)
+    written(quick, [], asked.out, method=asked.method)
     picked = [numbers[int(place / chained)] for place in range(math.ceil(chained * asked.cells))]
-    chains = mapped(measure, picked, repeats=1, quick=False)
-    written(quick, chains, asked.out, method=method)
+    chains = mapped(measured, picked, repeats=1, quick=False)
+    written(quick, chains, asked.out, method=asked.method)
     for part in (quick, chains):
         print(json.dumps(told(part), indent=1))
     for one in worst(quick):

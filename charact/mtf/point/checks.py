@@ -1,4 +1,4 @@
-"""The ways in which a point source deceives, each looked for in the data, and the fitted profile for the report."""
+"""The ways in which a point source deceives the forward fit, each looked for in the data, and what is shown of it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +7,7 @@ from charact.method import Context
 from charact.mtf.point.data import Window
 from charact.mtf.point.forward_fit import PointFit
 from charact.mtf.point.motion import motion_flags
+from charact.mtf.point.profile import evidence
 from charact.mtf.point.source import Source
 
 Array = NDArray[np.float64]
@@ -16,6 +17,9 @@ MISFIT, SIGNIFICANT = 1.8, 5.0
 LOW_LIGHT = 10.0
 # Standard deviations from its description at which a camera's cut-off is no longer that camera's.
 STRANGE = 3.0
+# Diameters of the halos that a camera which is not described may have, how soft their rims are, px, and how many standard
+# errors of their light one must stand out.
+HALOS_PX, RIM_PX, HALO_ERRORS = (8.0, 11.0, 15.0, 20.0, 27.0, 36.0), 2.0, 3.0
 # Power of the light by which noise falls behind its model that only a curved response explains.
 FALLING, LEAST_FRAMES, LEAST_PIXELS = 0.35, 4, 6
 
@@ -31,6 +35,8 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
         out.append("too-few-frames")
     if found.chi2 / found.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / found.free):
         out.append("model-misfit")
+    elif context.sensor is None and _halo_stands_out(found):
+        out.append("model-misfit")
     if source.others:
         out.append("several-targets")
     if window.cut:
@@ -41,6 +47,33 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
         out += motion_flags(window.frames_above(found.pedestal), *window.centred, window.row_parity)
         out += ["gamma"] if _noise_falls(found, window) else []
     return tuple(out)
+
+
+def _halo_stands_out(found: PointFit) -> bool:
+    """Tell whether a disc of light lies about the core, of which a camera that is not described is taken to have none.
+
+    Its light is found to first order, all parameters free to give way.
+    """
+    model = found.model
+    step = 0.01 * np.sqrt(np.diag(found.covariance))
+    ahead, behind = (found.shapes(found.point + sign * np.diag(step)) for sign in (1.0, -1.0))
+    unit = found.shapes(found.point[None])
+    flat = np.ones((1, unit.shape[1]))
+    own = np.concatenate([unit, flat, found.light * (ahead - behind) / (2.0 * step[:, None])]) @ found.white.T
+    basis = np.linalg.qr((own / np.linalg.norm(own, axis=1, keepdims=True)).T)[0]
+    at = dict(zip(model.prior.free, found.point, strict=True))
+    radius = np.hypot(model.x - at["x_px"], (model.y - at["y_px"])[:, None])[found.keep]
+    radii = np.concatenate([radius, model.ring_px.mean(axis=1)]) if model.ring_px.size else radius
+    halos = found.light * np.array([_disc(radii, size) for size in HALOS_PX]) @ found.white.T
+    halos = halos - (halos @ basis) @ basis.T
+    left = found.white @ found.data
+    left = left - basis @ (basis.T @ left)
+    return bool(np.max(halos @ left / np.linalg.norm(halos, axis=1)) > HALO_ERRORS)
+
+
+def _disc(radius_px: Array, diameter_px: float) -> Array:
+    """Return a disc of unit light with a soft rim, 1/px^2."""
+    return 0.5 * (1.0 - np.tanh((radius_px - 0.5 * diameter_px) / RIM_PX)) / (0.25 * np.pi * diameter_px**2)
 
 
 def _noise_falls(found: PointFit, window: Window) -> bool:
@@ -95,33 +128,21 @@ def notes(found: PointFit, window: Window, context: Context, pinhole_px: float |
     return tuple(out)
 
 
-def evidence(found: PointFit, window: Window) -> dict:
-    """Return the mean frame around the source, its model and the lines through its middle, for a figure."""
-    model = found.pedestal + found.light * found.model.core(found.point[None])[0]
+def shown(found: PointFit, window: Window) -> dict:
+    """Return the evidence of a fit for a figure."""
+    core = found.pedestal + found.light * found.model.core(found.point[None])[0]
     rings = (
         found.pedestal + found.light * found.model.rings(found.point[None])[0] if window.ring_dn.size else np.empty(0)
     )
     at = dict(zip(found.model.prior.free, found.point.tolist(), strict=True))
-    row = int(np.argmin(np.abs(window.y - at["y_px"])))
-    col = int(np.argmin(np.abs(window.x - at["x_px"])))
-    return {
-        "figure": "point-profile",
-        "column_px": (window.x - at["x_px"]).tolist(),
-        "row_px": (window.y - at["y_px"]).tolist(),
-        "value_dn": window.core.tolist(),
-        "model_dn": model.tolist(),
-        "used": window.keep.tolist(),
-        "along_row_dn": window.core[row].tolist(),
-        "along_row_model_dn": model[row].tolist(),
-        "along_column_dn": window.core[:, col].tolist(),
-        "along_column_model_dn": model[:, col].tolist(),
-        "ring_px": window.ring_px.mean(axis=1).tolist(),
-        "ring_dn": window.ring_dn.tolist(),
-        "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
-        "ring_model_dn": rings.tolist(),
-        "light_dn_px2": found.light,
-        "light_sd_dn_px2": found.light_sd,
-        "pedestal_dn": found.pedestal,
-        "chi_squared": found.chi2,
-        "degrees_of_freedom": found.free,
-    }
+    return evidence(
+        window,
+        (at["x_px"], at["y_px"]),
+        core,
+        rings,
+        light_dn_px2=found.light,
+        light_sd_dn_px2=found.light_sd,
+        pedestal_dn=found.pedestal,
+        chi_squared=found.chi2,
+        degrees_of_freedom=found.free,
+    )

@@ -17,10 +17,13 @@ Array = NDArray[np.float64]
 LEAST_SHARE = 0.02
 # Forms within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 8.0
-# Gain in chi squared from which on wide light is worth a fit of its own.
+# Cores within this of the best are asked for light beyond them also where it gains nothing: it may hide in the noise.
+NEAR = 3.0
+# Gain in chi squared from which on wide light is worth a fit of its own for the others.
 WORTH_CHI2 = 4.0
-# Odds before the data of a form with light beyond its core, of which the camera's description says nothing.
-WIDE_ODDS = 0.15
+# Odds before the data of each of the two kinds of light beyond a core, of which the camera's description says nothing:
+# together they are as likely as none.
+WIDE_ODDS = 0.5
 # Odds before the data of two blurs of different form, which every tube behind a lens has, and of blurs along rows and
 # columns apart.
 LENS_ODDS, SEPARABLE_ODDS = 1.0, 0.2
@@ -119,7 +122,8 @@ def forms(fitter: PointFitter, first: FormFit, wide: tuple[Wide, ...]) -> list[W
     cores = [one for one in found if one.log_evidence > top - CLOSE]
     for light in wide:
         for core in cores:
-            more = _with_wide(fitter, core, light)
+            worth = WORTH_CHI2 if core.log_evidence < top - NEAR else -np.inf
+            more = _with_wide(fitter, core, light, worth)
             found += [] if more is None else [more]
     return _weighed(found)
 
@@ -130,8 +134,8 @@ def _odds(form: PointForm) -> float:
     return wide * (LENS_ODDS if form.lens else 1.0) * (SEPARABLE_ODDS if form.separable else 1.0)
 
 
-def _with_wide(fitter: PointFitter, core: FormFit, wide: Wide) -> FormFit | None:
-    """Fit a core with light beyond it from several sizes; None where it gains nothing."""
+def _with_wide(fitter: PointFitter, core: FormFit, wide: Wide, worth: float) -> FormFit | None:
+    """Fit a core with light beyond it from several sizes; None where chi squared gains less than it must."""
     form = replace(core.form, wide=wide)
     first = form.blur_parameters
     bounds = form.bounds[first : first + len(wide.parameters)]
@@ -142,7 +146,7 @@ def _with_wide(fitter: PointFitter, core: FormFit, wide: Wide) -> FormFit | None
         start = np.concatenate([core.point[:first], beyond, core.point[first:]])
         begun.append(fitter.fit(form, start, iterations=6))
     best = min(begun, key=lambda one: one.cost)
-    if best.cost > core.cost - WORTH_CHI2:
+    if best.cost > core.cost - worth:
         return None
     return fitter.fit(form, best.point)
 

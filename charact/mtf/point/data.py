@@ -7,6 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.point.quiet import quiet_sd
+
 Array = NDArray[np.float64]
 
 HALF_ROWS, HALF_COLS = 6, 7
@@ -43,8 +45,8 @@ class Window:
         Mean of each ring, its variance, shape (ring,), and the correlation of one with another, shape (ring, ring).
     floor
         Variance of a pixel in the outermost ring over frames, DN^2.
-    quiet
-        Share of the outermost ring's values at one code: where all is quiet, rounding hides faint light.
+    quiet_sd
+        Noise of a pixel without light, DN: where it is small, rounding hides faint light; infinite: nothing is rounded.
     frames
         Number of frames.
     holds_halo, cut
@@ -62,7 +64,7 @@ class Window:
     ring_variance: Array
     ring_correlation: Array
     floor: float
-    quiet: float
+    quiet_sd: float
     frames: int
     holds_halo: bool
     cut: bool
@@ -131,7 +133,7 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
     far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
     values = data[:, far] if far.any() else data.reshape(frames, -1)
     floor = float(values.var(axis=0, ddof=1).mean()) if frames > 1 else float(values.var())
-    quiet = float(np.unique(values, return_counts=True)[1].max() / values.size) if data.dtype.kind in "ui" else 0.0
+    rounded = data.dtype.kind in "ui"
     return Window(
         core=core.mean(axis=0),
         deviations=(core - core.mean(axis=0)).reshape(frames, -1),
@@ -143,8 +145,8 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         ring_dn=rings[1],
         ring_variance=rings[2],
         ring_correlation=rings[3],
-        floor=max(floor, 1e-3 if data.dtype.kind in "ui" else 1e-12),
-        quiet=quiet,
+        floor=max(floor, 1e-3 if rounded else 1e-12),
+        quiet_sd=min(quiet_sd(values), float(np.sqrt(floor))) if rounded else np.inf,
         frames=frames,
         holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
         cut=core.shape[1:] != (2 * HALF_ROWS + 1, 2 * HALF_COLS + 1),

@@ -169,7 +169,9 @@ class PointFitter:
         widest = (bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0)
         shrink = np.minimum(1.0, widest / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
         covariance = covariance * np.outer(shrink, shrink)
-        log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1] + np.log(_inside(point, covariance, bounds))
+        log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1] + _ln_inside(
+            point, covariance, bounds, here.gradient
+        )
         log_light = -0.5 * float(np.sum(np.log(here.curvature)))
         return FormFit(
             form=form,
@@ -253,10 +255,15 @@ def _step(here: _Linearised, point: Array, bounds: Array, damping: float) -> Arr
     return np.clip(step, -widest, widest)
 
 
-def _inside(point: Array, covariance: Array, bounds: Array) -> float:
-    """Return about the share of the Gaussian at the peak that lies inside the bounds: the rest is no evidence."""
-    from scipy.special import ndtr
+def _ln_inside(point: Array, covariance: Array, bounds: Array, gradient: Array) -> float:
+    """Return ln of the Gaussian's volume inside the bounds over that of the whole, about the height at a point.
+
+    At a bound the Gaussian's own peak lies z standard deviations beyond, exp(z^2 / 2) higher.
+    """
+    from scipy.special import log_ndtr, ndtr
 
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    share = ndtr((bounds[:, 1] - point) / sd) - ndtr((bounds[:, 0] - point) / sd)
-    return float(np.prod(np.maximum(share, 1e-3)))
+    low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
+    pull = np.where(low < 1e-6, np.maximum(-gradient, 0.0), np.where(high < 1e-6, np.maximum(gradient, 0.0), 0.0)) * sd
+    share = np.maximum(ndtr(high) - ndtr(-low), 1e-3)
+    return float(np.sum(np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), np.log(share))))

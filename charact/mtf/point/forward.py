@@ -15,6 +15,7 @@ from charact.mtf.point import source as point_source
 from charact.mtf.point.data import Window, window_of
 from charact.mtf.point.forward_fit import PointFit, fit
 from charact.mtf.point.forward_model import Optics
+from charact.mtf.point.sharp import doubted_where_sharp
 from charact.mtf.region import Region
 from charact.posterior import draw, weighed
 from labdata.errors import BadInput
@@ -43,8 +44,10 @@ MAX_STEPS = 1200
     scope=(
         "Single point sources whose core stays below full scale, light over 6 standard errors, pixels of an "
         "intensifier or of an ordinary camera. A core beyond full scale is left out and flagged; motion and neighbours "
-        "are told. Not told: a second source within 1 px, and a curved response, which on one spot only scales the "
-        "width (a gamma of g moves MTF50 by about the root of g)."
+        "are told; MTF50 below 0.42 cycles per pixel. A camera that is not described is taken to have no halo: one "
+        "that stands out by three standard errors is told, fainter ones raise MTF50 by some of its errors. Not told: "
+        "a second source within the blur, and a curved response, which on one spot only scales the width (a gamma of g "
+        "moves MTF50 by about the root of g)."
     ),
 )
 def point_forward(
@@ -201,9 +204,9 @@ class Task:
                              for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1))]  # fmt: skip
             curves[name] = curve_of(REPORTED, found.model.mtf(posterior.draws, REPORTED, vertical=vertical))
         return Result(
-            measurements=tuple(measurements),
+            measurements=doubted_where_sharp(measurements, window),
             curves=curves,
-            evidence={"point-profile": point_checks.evidence(found, window)},
+            evidence={"point-profile": point_checks.shown(found, window)},
         )
 
 

@@ -18,9 +18,9 @@ Array = NDArray[np.float64]
 
 # Share by which a screen's own pattern makes pixels unequal, and over how many pixels it is alike.
 PATTERN, PATTERN_PX = 0.015, 1.5
-# Noise of a quiet pixel that helps rounding, DN; mean square over squared mean of pulses; pulses per DN before they
-# are known.
-QUIET_SD, PULSE_VARIANCE, SPARSE = 0.2, 3.0, 1.0
+# Noise from which on rounding hides nothing, DN; mean square over squared mean of pulses; pulses per DN before they are
+# known.
+UNROUNDED_SD, PULSE_VARIANCE, SPARSE = 1.0, 3.0, 1.0
 CLIMBS = 3
 # So many frequencies of transfers at a time: more do not stay in the processor's cache, and take twice as long.
 AT_ONCE = 100_000
@@ -184,9 +184,9 @@ def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, 
     whole[size:, size:] = window.ring_covariance(window.ring_variance)
     pulse = np.zeros(bright.size) if noise is None else noise.gain * light * np.diag(noise.pulse) * memory.frame_same
     scatter = np.append(pulse[keep], np.full(rings.size, np.inf))
-    if window.quiet > 0.0:
+    if window.quiet_sd < UNROUNDED_SD:
         pulses = SPARSE if noise is None else PULSE_VARIANCE / (noise.gain * noise.sharpness)
-        whole += rounding_covariance(np.append(bright[keep], rings), scatter, window.floor, pulses)
+        whole += rounding_covariance(np.append(bright[keep], rings), scatter, window.quiet_sd, pulses)
     root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole)), np.float64)
     return PointFit(model=model, data=np.concatenate([window.core.ravel()[keep], window.ring_dn]), white=root,
                     keep=window.keep)  # fmt: skip
@@ -204,7 +204,7 @@ def _core_covariance(window: Window, bright: Array, noise: Noise | None, memory,
     return covariance + np.eye(bright.size) * window.floor / count + PATTERN**2 * np.outer(bright, bright) * pattern
 
 
-def rounding_covariance(height: Array, pulse_variance: Array, floor: float, pulses_per_dn: float) -> Array:
+def rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, pulses_per_dn: float) -> Array:
     """Return the covariance of what rounding to codes adds to means, shape (value, value).
 
     Parameters
@@ -213,8 +213,8 @@ def rounding_covariance(height: Array, pulse_variance: Array, floor: float, puls
         Values above the pedestal, shape (value,), DN.
     pulse_variance
         Variance of one frame by pulses, shape (value,), DN^2.
-    floor
-        Variance of a dark pixel, DN^2.
+    quiet_sd
+        Noise of a pixel without light, DN.
     pulses_per_dn
         Pulses that make one DN: sparse ones leave quiet moments.
 
@@ -225,9 +225,8 @@ def rounding_covariance(height: Array, pulse_variance: Array, floor: float, puls
     two values' errors go as the cosine of their difference. Sparse pulses leave quiet moments: there the factor is not
     below exp(-their number).
     """
-    own = min(floor, QUIET_SD**2)
     damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses_per_dn * np.maximum(height, 0.0))
-    size = np.exp(-2.0 * np.pi**2 * own - damping) / np.pi
+    size = np.exp(-2.0 * np.pi**2 * quiet_sd**2 - damping) / np.pi
     phase = 2.0 * np.pi * height
     return 0.5 * np.outer(size, size) * np.cos(phase[:, None] - phase)
 

@@ -10,7 +10,14 @@ from charact.mtf.point.censored import Censored
 from charact.mtf.point.data import FULL_SHARE, Window
 from charact.mtf.point.form_fit import FormFit, Pixels
 from charact.mtf.point.forms import PointForm
-from charact.mtf.point.forward_fit import PATTERN, PATTERN_PX, PULSE_VARIANCE, SPARSE, rounding_covariance
+from charact.mtf.point.forward_fit import (
+    PATTERN,
+    PATTERN_PX,
+    PULSE_VARIANCE,
+    SPARSE,
+    UNROUNDED_SD,
+    rounding_covariance,
+)
 from charact.mtf.point.pulses import NEAR_PX, SHARES, Dark, Pulses, pulse_covariance, pulses_of
 from charact.mtf.point.table import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
 
@@ -209,10 +216,10 @@ def covariance(site: Site, mean: Array, light: float) -> Array:
         out[:size, :size] += PATTERN**2 * np.outer(mean[:size], mean[:size]) * pattern
     out[size:, size:] = window.ring_covariance(site.ring_variance())
     out += np.diag((EXACT * (mean + 0.1 * float(mean.max()))) ** 2)
-    if window.quiet > 0.0:
+    if window.quiet_sd < UNROUNDED_SD:
         gain = 0.0 if site.pulses is None else site.pulses.gain
         scatter = np.append(pulse, np.full(mean.size - size, np.inf))
-        out += rounding_covariance(mean, scatter, site.dark.variance, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
+        out += rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
     return out
 
 

@@ -102,11 +102,11 @@ def _broken(scene: EdgeScene, axis: str, strength: float) -> EdgeScene:
     return replace(scene, **{axis: strength})
 
 
-def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True) -> Outcome:
+def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD) -> Outcome:
     """Draw a cell's frames and put the method to each of them."""
     cell = cell_of(number)
     truth = cell.scene.truth_mtf50
-    rows = [attempt(of_kind("edge")[METHOD], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)]
+    rows = [attempt(of_kind("edge")[method], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)]
     bound = 100.0 * least_relative_sd(cell.scene) if cell.in_scope else None
     return outcome_of(cell, rows, truth, truths=truths_of(cell), bound_percent=bound)
 

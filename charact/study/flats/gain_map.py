@@ -73,11 +73,11 @@ def _broken(scene: GainScene, axis: str, strength: float) -> GainScene:
     return replace(scene, **{axis: strength})
 
 
-def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True) -> Outcome:
+def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD) -> Outcome:
     """Draw a cell's frames and put the method to each of them."""
     cell = cell_of(number)
     truth = cell.scene.truth[QUANTITY]
-    rows = [attempt(of_kind("flats")[METHOD], case_of(cell, i), Context(quick=quick)) for i in range(repeats)]
+    rows = [attempt(of_kind("flats")[method], case_of(cell, i), Context(quick=quick)) for i in range(repeats)]
     return outcome_of(cell, rows, truth, truths=(truth, truth))
 
 

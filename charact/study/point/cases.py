@@ -109,14 +109,16 @@ def _noise_case(background: float, rng: np.random.Generator) -> Case:
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
-    """Cases inside the scope, drawn at random: blur, pulses, light, phase, frames and read noise."""
+    """Cases inside the scope, drawn at random: blur, halo, pulses, light, phase, frames and read noise."""
     rng = np.random.default_rng([seed, 10])
 
     def drawn(at: Place, number: int) -> Case:
         tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.4)))
         ordinary = number % 3 == 2
+        halo = {"halo_share": float(rng.uniform(0.02, 0.2)), "halo_px": float(rng.uniform(8.0, 30.0))}
+        lens = Blur(sigma_px=float(rng.uniform(0.6, 1.5)), **(halo if number % 4 == 3 else {}))
         scene = PointScene(
-            blur=Blur(sigma_px=float(rng.uniform(0.6, 1.5))) if number % 2 else tube,
+            blur=lens if number % 2 else tube,
             pulse_px=0.0 if ordinary else float(rng.uniform(0.4, 0.8)),
             gain_spread=0.0 if ordinary else float(rng.uniform(0.3, 1.0)),
             photoelectrons=float(np.exp(rng.uniform(np.log(1000), np.log(30000)))),

@@ -4,7 +4,7 @@ Nothing is fitted or transformed: places are drawn from the law whose characteri
 the stable law of exp(-(f/fc)^n)), and pulses are integrated over square pixels in closed form.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,12 @@ def landing_places(blur: Blur, count: int, rng: np.random.Generator) -> NDArray[
 
     Notes
     -----
-    exp(-(f/fc)^n) is the characteristic function of an isotropic stable law of index n: a normal vector times the root
+    What the halo takes lands evenly over its disc besides. exp(-(f/fc)^n) is the characteristic function of an isotropic stable law of index n: a normal vector times the root
     of a positive stable variable of index n/2, drawn as Kanter did (Ann. Probab. 3, 697, 1975).
     """
+    if blur.halo_share:
+        strays = (rng.random(count) < blur.halo_share)[:, None]
+        return landing_places(replace(blur, halo_share=0.0), count, rng) + strays * _disc(blur.halo_px, count, rng)
     normal = rng.standard_normal((count, 2))
     if blur.form == "gaussian":
         return blur.sigma_px * normal
@@ -36,6 +39,12 @@ def landing_places(blur: Blur, count: int, rng: np.random.Generator) -> NDArray[
     # E exp(i k.x) = E exp(-k^2 s^2 S / 2) = exp(-(k^2 s^2 / 2)^index), k = 2 pi f.
     scale = np.sqrt(2.0) / (2 * np.pi * blur.frequency_cy_per_px)
     return scale * np.sqrt(positive)[:, None] * normal
+
+
+def _disc(diameter_px: float, count: int, rng: np.random.Generator) -> NDArray[np.floating]:
+    """Draw places evenly over a disc, px, shape (count, 2)."""
+    radius, turn = 0.5 * diameter_px * np.sqrt(rng.random(count)), 2 * np.pi * rng.random(count)
+    return radius[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,9 +169,7 @@ class PointScene:
     def _landed(self, mean: float, rng: np.random.Generator) -> NDArray[np.floating]:
         """Places of one source's photoelectrons about its middle."""
         count = int(rng.poisson(mean))
-        radius = 0.5 * self.pinhole_px * np.sqrt(rng.random(count))
-        turn = 2 * np.pi * rng.random(count)
-        disc = radius[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=1)
+        disc = _disc(self.pinhole_px, count, rng)
         return landing_places(self.blur, count, rng) + disc
 
     def _background(self, rng: np.random.Generator) -> NDArray[np.floating]:

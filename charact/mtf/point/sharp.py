@@ -1,0 +1,26 @@
+"""Spots smaller than a pixel: where in its pixel such a spot lies and how wide it is look alike."""
+
+from collections.abc import Iterable
+
+from charact.mtf.point.data import Window
+from labdata.measurement import Measurement
+
+# MTF50, pixel included, from which on a spot is so: a Gaussian of 0.3 pixels has it. Cycles per sample.
+SHARPEST = 0.42
+
+
+def doubted_where_sharp(found: Iterable[Measurement], window: Window) -> tuple[Measurement, ...]:
+    """Return the numbers of a spot, `aliased` where its MTF50 along rows or columns lies too near the sampling limit.
+
+    Notes
+    -----
+    The place of the spot is taken to first order. A spot of 0.15 pixels lights one pixel wherever in it the spot
+    lies, and MTF50 comes out 10 to 15 % low.
+    """
+    numbers = tuple(found)
+    step_px = {0.0: float(window.x[1] - window.x[0]), 90.0: float(window.y[1] - window.y[0])}
+    sharp = any(
+        one.quantity == "mtf50" and one.value is not None and one.value * step_px[one.orientation_deg or 0.0] > SHARPEST
+        for one in numbers
+    )
+    return tuple(one.with_(flags=(*one.flags, "aliased")) for one in numbers) if sharp else numbers
