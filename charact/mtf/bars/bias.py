@@ -47,6 +47,16 @@ def mtf_bias(fit: Fit, problem: Problem) -> float:
     return float(first @ off[own] + 0.5 * np.sum(second * covariance[np.ix_(own, own)]))
 
 
+def rounding_sd(fit: Fit) -> float:
+    """Return the standard deviation that the digitiser's steps leave in the MTF, as a share of it."""
+    rounding = fit.noise.rounding
+    if rounding is None or not len(rounding):
+        return 0.0
+    own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
+    moved = rounding @ fit.estimator[own].T @ _mtf_slopes(fit)[0]
+    return float(np.sqrt(np.mean(moved**2))) / fit.shape.mtf
+
+
 def _mtf_slopes(fit: Fit) -> tuple[Array, Array]:
     """Return the MTF's first and second derivatives by log attenuation and departure."""
     attenuation = np.exp(fit["log_attenuation"])

@@ -24,8 +24,9 @@ LEAST_TRAVEL_PX = 0.8
 STRAIGHT, STRAIGHT_SD = 0.006, 3.5
 # A fit's misfit over the bars' height, and its departure from the family over that expected.
 MISFIT, DEPARTED = 0.02, 3.5
-# Blurs fall no steeper than a Gaussian; one wide bar looks like narrow ones under a blur that does.
-STEEPEST, STEEP_SD = 2.2, 1.5
+# Blurs fall no steeper than a Gaussian; one wide bar looks like narrow ones under a blur that does. Nor do those of
+# lenses and tubes fall so slowly as a halo makes it look.
+STEEPEST, SLOWEST, BEYOND_SD = 2.2, 1.0, 1.5
 # An MTF of fewer standard errors is an upper limit: of those that chance lifts over two, too many would be ok.
 LEAST_FUNDAMENTAL_SD = 3.0
 
@@ -49,7 +50,8 @@ def flags_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> l
 def flags_of_fit(fit: Fit) -> list[str]:
     """Return what a fitted picture gives away: another object, motion between fields, a fundamental under the noise."""
     flags = []
-    if _misfit(fit) or fit["log_exponent"] - STEEP_SD * fit.sd("log_exponent") > np.log(STEEPEST):
+    least, most = fit["log_exponent"] + BEYOND_SD * fit.sd("log_exponent") * np.array([-1.0, 1.0])
+    if _misfit(fit) or least > np.log(STEEPEST) or most < np.log(SLOWEST):
         flags.append("model-misfit")
     if abs(fit["departure"]) > DEPARTED / np.sqrt(fit.precision[fit.names.index("departure")]):
         flags.append("model-misfit")

@@ -138,7 +138,9 @@ def _stepped(picture: Picture, here: _Reached, bounds: Array) -> tuple[_Reached 
     weighed = here.slope / problem.variance
     normal = weighed @ here.slope.T + np.diag(here.precision)
     gradient = weighed @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
-    scale = 1.0 / np.sqrt(np.diag(normal))
+    # What moves nothing, such as the shape of bars of no light, has no slope.
+    felt = np.diag(normal)
+    scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
     step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
     for share in SHARES:
         there = _reached(picture, np.clip(here.theta + share * step, bounds[:, 0], bounds[:, 1]), here.pixel)

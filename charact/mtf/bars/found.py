@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.bars.amplitudes import Amplitudes, amplitudes_of, frame_correlation
+from charact.mtf.bars.bias import rounding_sd
 from charact.mtf.bars.checks import (
     flags_of_codes,
     flags_of_fit,
@@ -39,6 +40,8 @@ OTHER_OBJECT = 0.5
 TELLS_FREQUENCY, TOLD_FREQUENCY = 30.0, 0.01
 # A window that reaches less far beyond the bars cuts off their core's blur, not only a halo.
 LEAST_CUT_PX = 5.0
+# Share of the MTF that the digitiser's steps may move without a flag: more is beyond their first order.
+COARSE = 0.1
 # The fitted window reaches so far beyond the bars, px and periods.
 FITTED_PX, FITTED_PERIODS = 20.0, 1.5
 
@@ -114,9 +117,14 @@ def _another(target: BarTarget, asked: float) -> str:
 
 
 def _lies_there(fit: Fit) -> bool:
-    """Tell whether the fitted bars are bright and their middle lies in the region."""
+    """Tell whether the fitted bars are bright, and lie in the region with their middle and with pixels of theirs."""
     (rows, cols), here = fit.window.shape, fit.target
-    return fit["level_dn"] > 0 and 0 <= here.row < rows and 0 <= here.col < cols
+    return fit["level_dn"] > 0 and 0 <= here.row < rows and 0 <= here.col < cols and bool(_lit(fit).any())
+
+
+def _lit(fit: Fit) -> Mask:
+    """Return the fitted pixels that the bars light, shape (pixel,)."""
+    return fit.model_dn - fit["pedestal_dn"] > 0.02 * fit["level_dn"]
 
 
 def _reach_px(target: BarTarget, shape: tuple[int, ...]) -> float:
@@ -138,9 +146,10 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
     if other is not None:
         flags = [*flags, "model-misfit"]
         notes.append(f"The picture is rather that of {other} bars than of {fit.target.bars}.")
-    height = fit.model_dn - fit["pedestal_dn"] > 0.02 * fit["level_dn"]
+    if rounding_sd(fit) > COARSE:
+        flags = [*flags, "quantised"]
     near = np.zeros(problem.window.shape, bool)
-    near[problem.window] = height
+    near[problem.window] = _lit(fit)
     return Found(
         target=replace(fit.target, frequency=asked),
         posterior=posterior,
@@ -161,8 +170,11 @@ def _whole(used: FrameStack, mean: Array, target: BarTarget, context: Context) -
     ground = ground_of(mean, target, margin)
     memory = None if context.sensor is None else memory_of(context, len(used.data))
     amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
+    told = asked
     if amplitudes.signal_to_noise > TELLS_FREQUENCY:
         target = replace(target, frequency=own_frequency(mean, target, margin))
+        # The bars' own frequency is a measurement too: where it is the one asked for, that is where the MTF is told.
+        told = asked if abs(target.frequency / asked - 1.0) < TOLD_FREQUENCY else target.frequency
         amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
     if not amplitudes.light > 0 or amplitudes.signal_to_noise < LEAST_SIGNAL:
         return (
@@ -182,7 +194,8 @@ def _whole(used: FrameStack, mean: Array, target: BarTarget, context: Context) -
         flags.append("window-too-small")
     if context.sensor is not None:
         return _of_sums(used, target, amplitudes, context, flags, (asked, margin, cut))
-    return _fitted(used, mean, target, ground.beyond | window, context, (flags, margin, amplitudes.frame_correlation))
+    known = (flags, margin, amplitudes.frame_correlation)
+    return _fitted(used, mean, target, ground.beyond | window, context, told, known)
 
 
 def _fitted(
@@ -191,6 +204,7 @@ def _fitted(
     target: BarTarget,
     clear: Mask,
     context: Context,
+    asked: float,
     known: tuple[list[str], float, float],
 ) -> Found | str:
     """Fit the picture of a whole target to the pixels around it that hold no other light."""
@@ -200,7 +214,7 @@ def _fitted(
         image=mean,
         window=window,
         variance=np.full(np.count_nonzero(window), float(mean[window].var()) or 1.0),
-        asked=target.frequency,
+        asked=asked,
         length_px=LENGTH_OVER_WIDTH / (2.0 * target.frequency),
         strip=False,
     )

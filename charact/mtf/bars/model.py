@@ -13,9 +13,9 @@ Array = NDArray[np.float64]
 # Highest frequencies of the picture's spectrum, cycles per pixel.
 HIGHEST_ACROSS, HIGHEST_ALONG = 1.5, 1.0
 # Rows of its table: this close at the bars' ends, px, and wider by this share of the distance from them.
-STEP_AT_ENDS_PX, WIDENING = 0.5, 0.2
-# A table across the bars has this many points a period; straight lines between them lose less than a thousandth.
-POINTS_A_PERIOD = 64
+STEP_AT_ENDS_PX, WIDENING = 0.18, 0.08
+# A table across the bars has this many points a period; straight lines between them lose a few ten-thousandths.
+POINTS_A_PERIOD = 100
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.rounding import rounding_shifts
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -26,11 +28,14 @@ class Noise:
         Correlation of two pixels by how far apart they are, shape (2 k + 1, 2 k + 1), 1 in the middle.
     inflation
         Factor on all variances: light that lingers from frame to frame.
+    rounding
+        By how much the digitiser's steps may shift the pixels, shape (place, pixel), DN; each place is as likely.
     """
 
     variance: Array
     correlation: Array
     inflation: float = 1.0
+    rounding: Array | None = None
 
     def spread(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance that the noise gives to linear estimates, shape (estimate, estimate).
@@ -59,7 +64,10 @@ class Noise:
         lags = np.arange(-reach, reach + 1)
         kernel[np.ix_(lags % size[0], lags % size[1])] = self.correlation
         spectrum = np.asarray(rfft2(fields)) * np.real(np.asarray(rfft2(kernel)))
-        return self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
+        shared = self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
+        if self.rounding is None or not len(self.rounding):
+            return shared
+        return shared + (estimator @ self.rounding.T) @ self.rounding / len(self.rounding)
 
 
 def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> Noise:
@@ -68,7 +76,7 @@ def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> 
     Parameters
     ----------
     frames
-        At least two, shape (frame, row, col).
+        At least two, shape (frame, row, col); whole numbers are taken to be rounded.
     model
         Picture of the window's pixels, shape (pixel,).
     inflation
@@ -79,7 +87,12 @@ def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> 
     variance = variance_of(model, share * np.mean(left[:, window] ** 2, axis=0))
     field = np.zeros((min(len(frames), MOST_FRAMES), *window.shape))
     field[:, window] = left[: len(field), window] / np.sqrt(variance)
-    return Noise(variance=variance / len(frames), correlation=correlation_of(field, window), inflation=inflation)
+    return Noise(
+        variance=variance / len(frames),
+        correlation=correlation_of(field, window),
+        inflation=inflation,
+        rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
+    )
 
 
 def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask) -> Noise:

@@ -24,11 +24,12 @@ def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
     """Draw the transfer's shape: attenuation and exponent of the family, and the departure from it at the bars.
 
     Noise squared lifts or lowers the fitted MTF M = p exp(-a) (1 + departure) by some bias on the average: ln(a) is
-    moved by bias / (a M), which takes it off.
+    moved by bias / (a M), which takes it off, as far as one standard deviation: beyond that its series means nothing.
     """
     own = [fit.names.index(name) for name in SHAPE]
-    lifted = mtf_bias(fit, problem) / fit.shape.mtf
-    shift = np.array([lifted / np.exp(fit["log_attenuation"]), 0.0, 0.0])
+    lifted = mtf_bias(fit, problem) / fit.shape.mtf / np.exp(fit["log_attenuation"])
+    sd = fit.sd("log_attenuation")
+    shift = np.array([np.clip(lifted, -sd, sd), 0.0, 0.0])
     asked = {
         "names": SHAPE,
         "units": ("1", "1", "1"),

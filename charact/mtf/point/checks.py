@@ -17,8 +17,8 @@ MISFIT, SIGNIFICANT = 1.8, 5.0
 LOW_LIGHT = 10.0
 # Standard deviations from its description at which a camera's cut-off is no longer that camera's.
 STRANGE = 3.0
-# Diameters of the halos that a camera which is not described may have, how soft their rims are, px, and how many standard
-# errors of their light one must stand out.
+# Diameters of the halos that a camera which is not described may have, how soft their rims are, px, and how many
+# standard errors of their light one must stand out.
 HALOS_PX, RIM_PX, HALO_ERRORS = (8.0, 11.0, 15.0, 20.0, 27.0, 36.0), 2.0, 3.0
 # Power of the light by which noise falls behind its model that only a curved response explains.
 FALLING, LEAST_FRAMES, LEAST_PIXELS = 0.35, 4, 6
@@ -33,9 +33,9 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
         out.append("low-signal")
     if window.frames < 3:
         out.append("too-few-frames")
-    if found.chi2 / found.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / found.free):
-        out.append("model-misfit")
-    elif context.sensor is None and _halo_stands_out(found):
+    if found.chi2 / found.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / found.free) or (
+        context.sensor is None and _halo_stands_out(found)
+    ):
         out.append("model-misfit")
     if source.others:
         out.append("several-targets")

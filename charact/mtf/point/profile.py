@@ -1,4 +1,4 @@
-"""The picture of a fitted source for the report: its pixels, rings and the lines through its middle, model beside them."""
+"""The picture of a fitted source for the report: pixels, rings and the lines through its middle, model beside them."""
 
 from typing import Any
 

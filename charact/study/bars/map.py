@@ -76,7 +76,7 @@ def _target_in_scope(rng: np.random.Generator) -> BarTarget:
         frequency_cy_per_px=float(rng.uniform(0.2, 0.5)),
         exponent=float(rng.uniform(1.05, 1.9)),
     )
-    dark = float(rng.uniform(150.0, 600.0))
+    level, snr = float(rng.uniform(500.0, 1200.0)), float(np.exp(rng.uniform(np.log(5.0), np.log(60.0))))
     scene = BarScene(
         blur=blur,
         bars=int(rng.choice([3, 4, 5])),
@@ -88,10 +88,11 @@ def _target_in_scope(rng: np.random.Generator) -> BarTarget:
         row_px=float(rng.uniform(-4.0, 4.0)),
         col_px=float(rng.uniform(-4.0, 4.0)),
         black_dn=100.0,
-        pedestal_dn=dark,
-        level_dn=float(rng.uniform(600.0, 1800.0)),
+        # Noise stays above the lowest code.
+        pedestal_dn=float(rng.uniform(150.0, 600.0)) + 4.0 * level / snr,
+        level_dn=level,
         full_scale_dn=4095.0,
-        snr=float(np.exp(rng.uniform(np.log(5.0), np.log(60.0)))),
+        snr=snr,
         shot_share=float(rng.choice([0.0, 0.8])),
         noise_blur_px=float(rng.choice([0.0, 0.5, 0.9])),
     )
@@ -150,11 +151,14 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, me
 def truths_of(cell: Cell[BarTarget]) -> tuple[float, float]:
     """Return the least and the largest MTF that are right for a cell.
 
-    Of a halo that nobody described all, a part, or none of the light may be counted.
+    It is told at the frequency asked for or at the bars' own, and says which. Of a halo that nobody described all, a
+    part, or none of the light may be counted.
     """
     scene = cell.scene.scene
-    core = replace(scene, blur=replace(scene.blur, halo_share=0.0)).truth_mtf
-    return min(scene.truth_mtf, core), max(scene.truth_mtf, core)
+    frequencies = cell.scene.frequency_cy_per_px, scene.frequency_cy_per_px
+    blurs = scene.blur, replace(scene.blur, halo_share=0.0)
+    right = [float(blur.mtf(frequency, scene.angle_deg)) for blur in blurs for frequency in frequencies]
+    return min(right), max(right)
 
 
 def case_of(cell: Cell[BarTarget], truth: float, repeat: int) -> Case:

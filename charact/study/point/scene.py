@@ -21,8 +21,9 @@ def landing_places(blur: Blur, count: int, rng: np.random.Generator) -> NDArray[
 
     Notes
     -----
-    What the halo takes lands evenly over its disc besides. exp(-(f/fc)^n) is the characteristic function of an isotropic stable law of index n: a normal vector times the root
-    of a positive stable variable of index n/2, drawn as Kanter did (Ann. Probab. 3, 697, 1975).
+    What the halo takes lands evenly over its disc besides. exp(-(f/fc)^n) is the characteristic function of an
+    isotropic stable law of index n: a normal vector times the root of a positive stable variable of index n/2, drawn
+    as Kanter did (Ann. Probab. 3, 697, 1975).
     """
     if blur.halo_share:
         strays = (rng.random(count) < blur.halo_share)[:, None]

@@ -14,10 +14,12 @@ from labdata.frames import FrameStack
 
 SHAPE = (120, 140)
 PEDESTAL_DN = 12.0
+# Samples of a pixel along each of its sides.
+FINE = 6
 
 
 def blurred_bars(
-    frequency: float, angle_deg: float, sigma_px: float, *, bars: int = 4, shift_px: float = 0.3, fine: int = 6
+    frequency: float, angle_deg: float, sigma_px: float, *, bars: int = 4, shift_px: float = 0.3, fine: int = FINE
 ) -> NDArray[np.float64]:
     """Bars seven times as long as wide under a Gaussian blur, integrated over square pixels; 1 on a wide bar."""
     rows, cols = SHAPE
@@ -36,9 +38,10 @@ def blurred_bars(
 
 
 def mtf_of(frequency: float, angle_deg: float, sigma_px: float) -> float:
-    """Gaussian times the square pixel, in closed form."""
+    """Gaussian times the mean of a pixel's samples, in closed form: 0.3 % more than its integral at 0.24 cy/px."""
     angle = np.deg2rad(angle_deg)
-    pixel = np.sinc(frequency * np.cos(angle)) * np.sinc(frequency * np.sin(angle))
+    along, across = frequency * np.cos(angle), frequency * np.sin(angle)
+    pixel = np.sinc(along) * np.sinc(across) / (np.sinc(along / FINE) * np.sinc(across / FINE))
     return float(np.exp(-2.0 * (np.pi * frequency * sigma_px) ** 2) * pixel)
 
 
