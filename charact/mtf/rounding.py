@@ -14,7 +14,7 @@ PLACES, TERMS, COUNTS_DN = 8, 6, 1e-3
 
 
 def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
-    """Return by how much rounding to whole codes may shift means, shape (place, pixel), DN; where it does not, no places.
+    """Return by how much rounding to whole codes may shift means, shape (place, pixel), DN; if it does not, no places.
 
     Parameters
     ----------

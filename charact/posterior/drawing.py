@@ -26,6 +26,7 @@ def draw(
     bounds: ArrayLike,
     draws: int = 1000,
     max_steps: int = 20000,
+    effort: float = 1.0,
 ) -> Posterior:
     """Draw from a posterior of one peak or several near each other, by importance where that is enough.
 
@@ -35,6 +36,8 @@ def draw(
         As of `charact.posterior.weighed`.
     max_steps
         Steps of each ensemble after which a Markov chain is given up.
+    effort
+        Share of the effective draws by importance that are wanted: of a form of little evidence few draws count.
 
     Returns
     -------
@@ -50,7 +53,7 @@ def draw(
         "names": names, "units": units, "start": start, "covariance": covariance, "seed": seed, "bounds": bounds,
         "draws": draws,
     }  # fmt: skip
-    found = weighed(log_probability, **asked, enough=WANTED)
-    if found.effective_sample_size.min() < ENOUGH:
+    found = weighed(log_probability, **asked, enough=WANTED * effort)
+    if found.effective_sample_size.min() < ENOUGH * effort:
         return sample(log_probability, **asked, max_steps=max_steps)
     return replace(found, flags=(*found.flags, "several-modes")) if has_several_peaks(found.draws) else found

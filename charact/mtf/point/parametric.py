@@ -40,8 +40,8 @@ LEAST_LIGHT = 6.0
 LEAST_KEPT = 0.2
 DRAWS, QUICK_DRAWS = 1000, 500
 # Effective draws by importance where the posterior of the only form is wanted quickly, draws to begin with, and the
-# least share of both that a form of little evidence gets.
-QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT = 500.0, 1000, 0.5
+# least share of both that a form of little evidence gets, and of what it gets in full.
+QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT, LEAST_IN_FULL = 500.0, 1000, 0.5, 0.25
 MAX_STEPS = 1500
 # Rings that a disc or glare must leave bare.
 BARE_RINGS = 2
@@ -264,7 +264,7 @@ class _Task:
             share = max(one.share, LEAST_EFFORT)
             enough, first = QUICK_ENOUGH * share, round(QUICK_FIRST * share)
             return weighed(log_probability, **asked, enough=enough, first_draws=first)
-        return draw(log_probability, **asked, max_steps=MAX_STEPS)
+        return draw(log_probability, **asked, max_steps=MAX_STEPS, effort=max(one.share, LEAST_IN_FULL))
 
 
 def _shown(site: Site, fitter: PointFitter, fit: FormFit) -> dict[str, Any]:

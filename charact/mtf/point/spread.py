@@ -27,6 +27,8 @@ GLOW = 1.6
 LEAST_LIGHT = 6.0
 # Light between here and the border of the disc, over all light, from which its tail is too wide for the disc.
 BORDER_PX, TAIL = 6.5, 0.005
+# Ring beyond the background's, px: where that stands above it by so many standard errors, a halo lies there.
+BARE_PX, BARE_ERRORS = 22.0, 3.0
 # Light missing beyond the disc over that at its border, for tails of tubes, and what it does to a crossing.
 BEYOND, CROSSING = 6.0, 0.7
 # Odd part of the transform at these frequencies, over the light, from which the spot is none of one source.
@@ -41,8 +43,8 @@ LEAST_PASSED = 0.3
     quantities=("mtf50", "mtf10"),
     scope=(
         "Single unsaturated point sources with little light beyond 8 px, 3 frames and more, and a straight response: "
-        "a gamma between 0.6 and 2.2 changes it unseen. Blind to halos and to a second source within 1 px, and biased "
-        "upwards where the MTF beyond half a cycle per pixel folds back."
+        "a gamma between 0.6 and 2.2 changes it unseen. Blind to halos fainter than the noise of a frame and to a second source within the blur, and "
+        "biased upwards where the MTF beyond half a cycle per pixel folds back."
     ),
 )
 def point_spread(
@@ -118,12 +120,19 @@ def _spots(used: FrameStack, source: point_source.Source, context: Context) -> t
     # The halo of an intensifier reaches beyond the disc: its light is then missing from the normalisation.
     beyond = bool(cut) or wide or context.sensor is not None
     tail, tail_sd = _tail(spots, radius)
-    beyond |= tail > max(TAIL, 3.0 * tail_sd)
+    beyond |= tail > max(TAIL, 3.0 * tail_sd) or _haloed(used.data, radius, ring)
     raised = (("saturated", saturated), ("several-targets", source.others), ("window-too-small", beyond),
               ("model-misfit", _lopsided(spots, x, y)))  # fmt: skip
     moved = motion_flags(spots, *_centred(mean, x.ravel(), y.ravel()), np.arange(used.shape[1]) % 2 == 1)
     missing = BEYOND * float(np.hypot(max(tail, 0.0), tail_sd))
     return np.asarray(spots, np.float64), (*(name for name, seen in raised if seen), *moved), missing
+
+
+def _haloed(data: NDArray, radius: Array, ring: NDArray[np.bool_]) -> bool:
+    """Tell whether the ring that counts as background is brighter than what lies beyond: part of a halo."""
+    bare = (radius >= BACKGROUND_PX) & (radius < BARE_PX)
+    over = data[:, ring].mean(axis=1) - data[:, bare].mean(axis=1)
+    return bool(over.mean() > BARE_ERRORS * GLOW * over.std(ddof=1) / np.sqrt(len(over)))
 
 
 def _centred(mean: Array, x: Array, y: Array) -> tuple[Array, Array]:

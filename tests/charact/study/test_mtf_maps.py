@@ -1,0 +1,67 @@
+"""The committed maps of bars and points: their cells are what the methods still do, and what they show."""
+
+import json
+
+import numpy as np
+import pytest
+
+from charact.study.bars import map as bars
+from charact.study.point import map as points
+
+# What a method says of itself that it does not tell, by the axis of the map.
+UNTOLD = {bars: ("gamma",), points: ("gamma", "neighbour_px")}
+
+
+@pytest.fixture(params=[bars, points], ids=["bars", "points"])
+def study(request):
+    return request.param
+
+
+def table(study):
+    return json.loads(study.TABLE.read_text())
+
+
+def cells(part):
+    return [dict(zip(part["columns"], row, strict=True)) for row in part["rows"]]
+
+
+def test_the_map_goes_through_all_that_breaks_the_method(study):
+    kept = cells(table(study)["quick"])
+    assert len(kept) >= 1000
+    assert {one["axis"] for one in kept} == {"none", *study.BREAKING}
+    assert len(table(study)["chains"]["rows"]) >= 0.02 * len(kept)
+
+
+def test_three_cells_are_what_the_method_still_does(study, seed):
+    """Every drawing has its own seed: the verdicts are the same, and the widths within a tenth."""
+    kept = cells(table(study)["quick"])
+    for number in np.random.default_rng(seed).choice(len(kept), 3, replace=False):
+        before, again = kept[number], study.measured_cell(kept[number]["number"])
+        assert (again.ok, again.refused) == (before["ok"], before["refused"]), (before, again)
+        if again.ok:
+            assert again.sd_percent == pytest.approx(before["sd_percent"], rel=0.1)
+
+
+def test_what_the_map_shows(study):
+    """In scope 95 % ok and as many misses as promised; silent failures along what is declared not to be told alone."""
+    summary = table(study)["quick"]["summary"]
+    inside = summary["by_axis"]["none"]
+    assert summary["crashed"] == 0
+    assert summary["in_scope_ok_percent"] >= 95.0
+    assert summary["silent_in_scope"] == 0
+    assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
+    told = {axis: one for axis, one in summary["by_axis"].items() if axis not in UNTOLD[study]}
+    ok, missed = (sum(one[name] for one in told.values()) for name in ("ok", "missed"))
+    assert missed <= 0.05 * ok + 3.0 * np.sqrt(0.05 * 0.95 * ok)
+
+
+def test_a_halo_drawn_spreads_as_much_light_as_is_said(seed):
+    """Of photoelectrons with a halo of a third, 40 px wide, the share beyond 5 px is a third of (1 - (10/40)^2)."""
+    from charact.study.edge.scene import Blur
+    from charact.study.point.scene import landing_places
+
+    count = 200_000
+    places = landing_places(Blur(sigma_px=0.5, halo_share=1 / 3, halo_px=40.0), count, np.random.default_rng(seed))
+    expected = (1.0 - (10.0 / 40.0) ** 2) / 3.0
+    found = float(np.mean(np.hypot(*places.T) > 5.0))
+    assert abs(found - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count) + 0.002
