@@ -28,6 +28,9 @@ MISFIT = 1.6
 # Illumination that changes by more than this share over the band is told, though the fit allows for it.
 GRADIENT = 0.2
 LEAST_STEP_SD = 0.8
+# Noise of one frame under which plateaus may lie anywhere between two codes, DN: normal noise of 0.2 shows as much, and
+# a third of the numbers told beside it were off by more than twice their half interval.
+HIDDEN_DN = 0.45
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +118,7 @@ def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency
         flags.append("gradient")
     if step < LEAST_STEP_SD * noise:
         flags.append("low-signal")
-    if picture.whole_codes and step < 12.0 and noise * np.sqrt(picture.frames) < 0.45:
+    if picture.whole_codes and noise * np.sqrt(picture.frames) < HIDDEN_DN:
         flags.append("quantised")
     if profile.gathered.half_width_px < 1.6 / half_frequency:
         flags.append("window-too-small")

@@ -43,8 +43,8 @@ LEAST_PASSED = 0.3
     quantities=("mtf50", "mtf10"),
     scope=(
         "Single unsaturated point sources with little light beyond 8 px, 3 frames and more, and a straight response: "
-        "a gamma between 0.6 and 2.2 changes it unseen. Blind to halos fainter than the noise of a frame and to a second source within the blur, and "
-        "biased upwards where the MTF beyond half a cycle per pixel folds back."
+        "a gamma between 0.6 and 2.2 changes it unseen. Blind to halos fainter than its noise and "
+        "to a second source within the blur, and biased upwards where the MTF beyond half a cycle per pixel folds back."
     ),
 )
 def point_spread(
