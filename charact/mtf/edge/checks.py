@@ -109,7 +109,7 @@ def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency
     """Return the flags of the fitted profile."""
     flags = []
     step, slopes = abs(fitted.amplitude[0]), profile.light.by_side(fitted.amplitude)[-2:]
-    noise = float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
+    noise = _noise(profile)
     if fitted.chi2 / fitted.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fitted.free):
         flags.append("model-misfit")
     if profile.defects:
@@ -118,13 +118,22 @@ def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency
         flags.append("gradient")
     if step < LEAST_STEP_SD * noise:
         flags.append("low-signal")
-    if picture.whole_codes and noise * np.sqrt(picture.frames) < HIDDEN_DN:
+    if hides_between_codes(picture, profile):
         flags.append("quantised")
     if profile.gathered.half_width_px < 1.6 / half_frequency:
         flags.append("window-too-small")
     if _other_steps(profile, fitted):
         flags.append("several-targets")
     return tuple(flags)
+
+
+def hides_between_codes(picture: Picture, profile: Profile) -> bool:
+    """Tell whether the noise of one frame is so small that its plateaus may lie anywhere between two codes."""
+    return picture.whole_codes and _noise(profile) * np.sqrt(picture.frames) < HIDDEN_DN
+
+
+def _noise(profile: Profile) -> float:
+    return float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
 
 
 def _other_steps(profile: Profile, fitted: Fitted) -> bool:

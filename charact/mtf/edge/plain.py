@@ -32,6 +32,8 @@ AROUND, SHALLOWEST = 0.3, 0.1
 LEAST_ROWS, LEAST_COLS = 20, 16
 # Step over the noise of a pixel below which there is nothing to estimate plainly.
 LEAST_STEP_SD = 3.0
+# Step below which half a code at either plateau counts beside the bias of these methods, DN.
+COARSE_DN = 40.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +181,11 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
         *noise_flags(profile),
         *(("low-signal",) if profile.step < plain.least_snr * _noise(profile) else ()),
+        *(
+            ("quantised",)
+            if profile.step < COARSE_DN and edge_checks.hides_between_codes(edge.picture, profile)
+            else ()
+        ),
         *(("defects",) if profile.defects else ()),
         *edge.flags,
         *_window_flags(profile, half),
