@@ -27,6 +27,7 @@ AXES: Axes = {
     "bow of the edge": ("px", (0, 0.25, 0.5, 1, 2, 5), (0, 0)),
     "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0)),
     "contrast": ("DN of step, noise 0.6 DN", (200, 100, 30, 10, 4, 2), (100, 200)),
+    "noise under a code": ("DN of noise, step 30 DN", (1, 0.5, 0.3, 0.2, 0.1, 0.05), (1, 1)),
 }
 
 
@@ -40,6 +41,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
         "gamma": {"gamma": position},
         "gamma, low contrast": {"gamma": position, "dark_dn": 110.0, "bright_dn": 150.0, "snr": 25.0},
         "clipped share of the step": {"clip_share": position / 100},
+        "noise under a code": {"dark_dn": 60.3, "bright_dn": 90.7, "snr": 30.4 / position},
         "illumination gradient": {"gradient": position / 100},
         "noise blur after the gain": {"noise_blur_px": position, "snr": 25.0},
         "interlace motion": {"motion_px": position},
