@@ -41,7 +41,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
         "gamma": {"gamma": position},
         "gamma, low contrast": {"gamma": position, "dark_dn": 110.0, "bright_dn": 150.0, "snr": 25.0},
         "clipped share of the step": {"clip_share": position / 100},
-        "noise under a code": {"dark_dn": 60.3, "bright_dn": 90.7, "snr": 30.4 / position},
+        "noise under a code": {"dark_dn": 60.3, "bright_dn": 90.7, "snr": 30.4 / max(position, 1e-3)},
         "illumination gradient": {"gradient": position / 100},
         "noise blur after the gain": {"noise_blur_px": position, "snr": 25.0},
         "interlace motion": {"motion_px": position},
