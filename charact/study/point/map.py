@@ -21,7 +21,7 @@ from charact.study.point.scene import PointScene
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "point_map.json"
 METHOD, QUANTITY = "point-parametric", "mtf50"
-CELLS, REPEATS = 1000, 3
+CELLS, REPEATS = 1000, 2
 # What is flagged, and how forms and rounding weigh, was set looking at cells 0 to 4999: nothing was on these.
 FIRST = 5000
 # What breaks points, from where it hardly matters to where nothing is left, and whether steps are even in ln.
@@ -48,8 +48,8 @@ BREAKING: Breaking = {
 }
 # Places of a second source of little light, and background of light that slopes, photoelectrons a pixel.
 SECOND_PX, SLOPING = 10.0, 0.5
-# Bare ground beyond a halo that tells it from the background, px.
-BARE_PX = 9.0
+# Bare ground beyond a halo that tells it from the background, and how far methods look, px.
+BARE_PX, REACH_PX = 9.0, 36.0
 
 
 def cell_of(number: int) -> Cell[PointScene]:
@@ -113,7 +113,7 @@ def truths_of(cell: Cell[PointScene]) -> tuple[float, float]:
     """
     scene = cell.scene
     truth = scene.truth_mtf50
-    seen_px = min(scene.rows / 2 - abs(scene.row_px), scene.cols / 2 - abs(scene.col_px))
+    seen_px = min(scene.rows / 2 - abs(scene.row_px), scene.cols / 2 - abs(scene.col_px), REACH_PX)
     if not scene.blur.halo_share or seen_px > scene.blur.halo_px / 2 + BARE_PX:
         return truth, truth
     return truth, replace(scene, blur=replace(scene.blur, halo_share=0.0)).truth_mtf50
