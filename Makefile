@@ -102,7 +102,7 @@ edge-map: $(READY)
 	$(BIN)/python -m charact.study.edge.map
 	$(BIN)/python -m charact.study.edge.map_figure
 
-# Where bars and points break: 1,500 cells drawn four times and 1,000 drawn twice; ten minutes each on two cores.
+# Where bars and points break: 1,000 cells each, points drawn twice; three and ten minutes on two cores.
 bar-map: $(READY)
 	$(BIN)/python -m charact.study.bars.map
 	$(BIN)/python -m charact.study.bars.map_figure

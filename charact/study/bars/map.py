@@ -21,7 +21,7 @@ from charact.study.harness import Case, attempt
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "bar_map.json"
 METHOD, QUANTITY = "bars-forward", "mtf"
-CELLS, REPEATS = 1500, 4
+CELLS, REPEATS = 1000, 1
 # What is flagged, and how forms and rounding weigh, was set looking at cells 0 to 4999: nothing was on these.
 FIRST = 5000
 # What breaks bars, from where it hardly matters to where nothing is left, and whether steps are even in ln.
