@@ -109,7 +109,7 @@ def _draw_fates(panel: Any, cells: Rows, at: Sequence[float], *, log: bool, labe
 
 def _subs(span: float) -> tuple[float, ...]:
     """Which numbers of a decade stand at an axis that spans so many times its lowest."""
-    if span > 1e3:
+    if span > 3e2:
         return (1.0,)
     return (1.0, 3.0) if span > 20.0 else (1.0, 2.0, 5.0)
 
