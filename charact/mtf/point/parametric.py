@@ -241,7 +241,7 @@ class _Task:
             crossing = partial(_crossing, fine)
             measurements += [_with_margin(doubted(number, doubt, crossing)) for number in own]
             curve = curve_of(REPORTED, reported)
-            curves[name] = replace(curve, interval95=_wider(curve.value, curve.interval95))
+            curves[name] = replace(curve, interval95=_wider(curve.value, np.asarray(curve.interval95)))
         return Result(
             measurements=doubted_where_sharp(measurements, sites[0].window),
             curves=curves,

@@ -115,8 +115,10 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     def drawn(at: Place, number: int) -> Case:
         tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.4)))
         ordinary = number % 3 == 2
-        halo = {"halo_share": float(rng.uniform(0.02, 0.2)), "halo_px": float(rng.uniform(8.0, 30.0))}
-        lens = Blur(sigma_px=float(rng.uniform(0.6, 1.5)), **(halo if number % 4 == 3 else {}))
+        share, halo_px = float(rng.uniform(0.02, 0.2)), float(rng.uniform(8.0, 30.0))
+        lens = Blur(
+            sigma_px=float(rng.uniform(0.6, 1.5)), halo_share=share if number % 4 == 3 else 0.0, halo_px=halo_px
+        )
         scene = PointScene(
             blur=lens if number % 2 else tube,
             pulse_px=0.0 if ordinary else float(rng.uniform(0.4, 0.8)),
