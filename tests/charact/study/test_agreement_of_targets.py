@@ -37,7 +37,7 @@ def test_sessions_are_summed_up() -> None:
     summed = row([whole, whole], made="closed form", defocus=0.0, of="edge")
     assert summed["agree"] == summed["sessions"] == 2
     beside = {one["name"]: one for one in summed["beside_truth"]}
-    assert {"joint mtf50 along rows", "point-forward mtf10 along columns"} <= set(beside)
+    assert {"joint mtf50 along rows", "point-parametric mtf10 along columns"} <= set(beside)
     edge = beside["edge-parametric mtf10 along rows"]
     assert edge["numbers"] == edge["ok"] == 2
     (off,) = (one.off for one in whole.beside if one.name == edge["name"])
