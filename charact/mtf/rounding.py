@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.gain.standard import QUANTISATION_DN2
 from charact.noise.light.rounding import EVEN_DN2, unrounded
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
     between two codes, each as likely. The noise is the least that rounding may leave with such a variance.
     """
     least = np.interp(variance_dn2, *_least_noise())
-    noise = np.where(variance_dn2 > EVEN_DN2, unrounded(1.0)[0] - 1.0 + variance_dn2, least)
+    noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, least)
     if np.exp(-2.0 * np.pi**2 * float(noise.min())) / np.pi < COUNTS_DN:
         return np.empty((0, level_dn.size))
     out = np.zeros((PLACES, level_dn.size))

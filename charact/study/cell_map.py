@@ -15,8 +15,9 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 import charact
+from charact.method.registry import of_kind
 from charact.study.failure_map import one_thread_each
-from charact.study.harness import Row
+from charact.study.harness import Case, Row
 
 # One cell in fifty is measured in full too, not quickly, unless a map asks for more.
 CHAINED = 50
@@ -165,6 +166,19 @@ def seed_of(cell: Cell[Any], repeat: int) -> int:
     return int(np.random.SeedSequence([cell.number, NOISE, repeat]).generate_state(1)[0])
 
 
+def case_drawn(cell: Cell[Any], repeat: int, **given: Any) -> Case:
+    """Return one drawing of a cell as a case; `given` are its other fields, see `charact.study.harness.Case`."""
+    return Case(
+        name=f"cell {cell.number}, drawing {repeat}",
+        axis=cell.axis,
+        position=cell.strength,
+        unit="",
+        in_scope=cell.in_scope,
+        seed=seed_of(cell, repeat),
+        **given,
+    )
+
+
 def covers(row: Row, truths: tuple[float, float]) -> bool:
     """Tell whether a 95 % interval holds a right value."""
     low, high = _interval(row)
@@ -275,6 +289,7 @@ def _short(value: Any) -> Any:
 def make(
     measure: MeasureBy,
     *,
+    kind: str,
     method: str,
     table: Path,
     cells: int,
@@ -287,8 +302,8 @@ def make(
 
     Parameters
     ----------
-    method
-        Name of the method, unless another is asked for.
+    kind, method
+        What is measured, and by which of its methods unless another is asked for.
     first
         Number of the first cell.
     chained
@@ -298,7 +313,7 @@ def make(
     parser.add_argument("--cells", type=int, default=cells, help="number of cells")
     parser.add_argument("--first", type=int, default=first, help="number of the first cell")
     parser.add_argument("--repeats", type=int, default=repeats, help="drawings of each")
-    parser.add_argument("--method", default=method, help="name of a method")
+    parser.add_argument("--method", default=method, choices=sorted(of_kind(kind)), help="name of a method")
     parser.add_argument("--out", type=Path, default=table, help="table to write")
     asked = parser.parse_args()
     numbers = range(asked.first, asked.first + asked.cells)

@@ -15,7 +15,7 @@ from charact.method import Context
 from charact.method.registry import of_kind
 from charact.study import cell_map
 from charact.study.bars.scene import BarScene
-from charact.study.cell_map import Breaking, Cell, Outcome, cell_drawn, outcome_of, seed_of
+from charact.study.cell_map import Breaking, Cell, Outcome, case_drawn, cell_drawn, outcome_of
 from charact.study.edge.scene import Blur
 from charact.study.harness import Case, attempt
 
@@ -172,16 +172,12 @@ def case_of(cell: Cell[BarTarget], truth: float, repeat: int) -> Case:
         scene = target.scene
         return replace(scene, row_px=scene.row_px + float(row), col_px=scene.col_px + float(col)).frames_drawn(rng)
 
-    return Case(
+    return case_drawn(
+        cell,
+        repeat,
         kind="bars",
-        name=f"cell {cell.number}, drawing {repeat}",
-        axis=cell.axis,
-        position=cell.strength,
-        unit="",
         quantity=QUANTITY,
         truth=truth,
-        in_scope=cell.in_scope,
-        seed=seed_of(cell, repeat),
         draw=draw,
         arguments={"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px},
         context={"interlaced": target.interlaced, "full_scale_dn": target.scene.full_scale_dn},
@@ -190,7 +186,9 @@ def case_of(cell: Cell[BarTarget], truth: float, repeat: int) -> Case:
 
 def main() -> None:
     """Make the map."""
-    cell_map.make(measured_cell, method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__, first=FIRST)
+    cell_map.make(
+        measured_cell, kind="bars", method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__, first=FIRST
+    )
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import charact.mtf  # noqa: F401  # registers the methods
 from charact.method import Context
 from charact.method.registry import of_kind
 from charact.study import cell_map
-from charact.study.cell_map import Breaking, Cell, Outcome, cell_drawn, outcome_of, seed_of
+from charact.study.cell_map import Breaking, Cell, Outcome, case_drawn, cell_drawn, outcome_of
 from charact.study.edge.bound import least_relative_sd
 from charact.study.edge.scene import Blur, EdgeScene
 from charact.study.harness import Case, attempt
@@ -130,16 +130,12 @@ def case_of(cell: Cell[EdgeScene], truth: float, repeat: int) -> Case:
     def draw(rng: np.random.Generator) -> FrameStack:
         return replace(cell.scene, offset_px=float(rng.uniform(-2.0, 2.0))).frames_drawn(rng)
 
-    return Case(
+    return case_drawn(
+        cell,
+        repeat,
         kind="edge",
-        name=f"cell {cell.number}, drawing {repeat}",
-        axis=cell.axis,
-        position=cell.strength,
-        unit="",
         quantity="mtf50",
         truth=truth,
-        in_scope=cell.in_scope,
-        seed=seed_of(cell, repeat),
         draw=draw,
     )
 
@@ -148,6 +144,7 @@ def main() -> None:
     """Make the map."""
     cell_map.make(
         measured_cell,
+        kind="edge",
         method=METHOD,
         table=TABLE,
         cells=CELLS,

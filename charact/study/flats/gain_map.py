@@ -13,7 +13,7 @@ import charact.noise  # noqa: F401  # registers the methods
 from charact.method import Context
 from charact.method.registry import of_kind
 from charact.study import cell_map
-from charact.study.cell_map import Breaking, Cell, Outcome, cell_drawn, outcome_of, seed_of
+from charact.study.cell_map import Breaking, Cell, Outcome, case_drawn, cell_drawn, outcome_of
 from charact.study.flats.gain_scene import BLACK_AND_FULL_DN, GainScene
 from charact.study.harness import Case, attempt
 
@@ -84,16 +84,12 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, me
 def case_of(cell: Cell[GainScene], repeat: int) -> Case:
     """Return one drawing of a cell."""
     scene = cell.scene
-    return Case(
+    return case_drawn(
+        cell,
+        repeat,
         kind="flats",
-        name=f"cell {cell.number}, drawing {repeat}",
-        axis=cell.axis,
-        position=cell.strength,
-        unit="",
         quantity=QUANTITY,
         truth=scene.truth[QUANTITY],
-        in_scope=cell.in_scope,
-        seed=seed_of(cell, repeat),
         draw=scene.session_drawn,
         context={
             "sensor": scene.description,
@@ -105,7 +101,7 @@ def case_of(cell: Cell[GainScene], repeat: int) -> Case:
 
 def main() -> None:
     """Make the map."""
-    cell_map.make(measured_cell, method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__)
+    cell_map.make(measured_cell, kind="flats", method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import charact.mtf  # noqa: F401  # registers the methods
 from charact.method import Context
 from charact.method.registry import of_kind
 from charact.study import cell_map
-from charact.study.cell_map import Breaking, Cell, Outcome, cell_drawn, outcome_of, seed_of
+from charact.study.cell_map import Breaking, Cell, Outcome, case_drawn, cell_drawn, outcome_of
 from charact.study.edge.scene import Blur
 from charact.study.harness import Case, attempt
 from charact.study.point.scene import PointScene
@@ -127,16 +127,12 @@ def case_of(cell: Cell[PointScene], truth: float, repeat: int) -> Case:
         row, col = rng.uniform(-0.5, 0.5, 2)
         return replace(scene, row_px=scene.row_px + float(row), col_px=scene.col_px + float(col)).frames_drawn(rng)
 
-    return Case(
+    return case_drawn(
+        cell,
+        repeat,
         kind="point",
-        name=f"cell {cell.number}, drawing {repeat}",
-        axis=cell.axis,
-        position=cell.strength,
-        unit="",
         quantity=QUANTITY,
         truth=truth,
-        in_scope=cell.in_scope,
-        seed=seed_of(cell, repeat),
         draw=draw,
         arguments={"pinhole_px": scene.pinhole_px or None},
         context={"interlaced": cell.axis == "motion_px", "full_scale_dn": scene.full_scale_dn},
@@ -145,7 +141,16 @@ def case_of(cell: Cell[PointScene], truth: float, repeat: int) -> Case:
 
 def main() -> None:
     """Make the map."""
-    cell_map.make(measured_cell, method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__, first=FIRST)
+    cell_map.make(
+        measured_cell,
+        kind="point",
+        method=METHOD,
+        table=TABLE,
+        cells=CELLS,
+        repeats=REPEATS,
+        about=__doc__,
+        first=FIRST,
+    )
 
 
 if __name__ == "__main__":
