@@ -45,9 +45,9 @@ def memory_of(context: Context, frames: int) -> Memory:
     """Return how long pulses are remembered: by the described screen, else not at all."""
     shares = _shares(context)
     if not context.interlaced:
-        # The screen's memory from frame to frame: two fields of a frame add up.
+        # All rows are of one exposure: neighbours share their pulses whatever their parity.
         same = float(np.mean(np.sum(shares**2, axis=1)))
-        return _memory(1.0, 0.0, same, 0.0, frames)
+        return _memory(1.0, 1.0, same, same, frames)
     even, odd = shares[:, ::2].sum(axis=1), shares[:, 1::2].sum(axis=1)
     same, other = float(np.mean(even**2 + odd**2)), float(np.mean(2 * even * odd))
     frame = float(np.mean(np.sum(shares**2, axis=1)))

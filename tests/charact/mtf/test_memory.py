@@ -44,3 +44,10 @@ def test_sums_of_both_fields_and_pixels_of_one_are_widened_as_the_screen_says(fi
 def test_a_camera_without_a_screen_remembers_nothing():
     memory = memory_of(Context(seed=0, quick=True), FRAMES)
     assert memory.widening == memory.widening_of_sums == pytest.approx(1.0)
+
+
+def test_rows_of_one_exposure_share_their_pulses_whatever_their_parity():
+    """Without fields the row above is of the same exposure: what two of its pixels share is what pixels of a row do."""
+    for sensor in (None, SHEET):
+        memory = memory_of(Context(seed=0, quick=True, sensor=sensor, interlaced=False), FRAMES)
+        assert (memory.mean_other, memory.frame_other) == (memory.mean_same, memory.frame_same)
