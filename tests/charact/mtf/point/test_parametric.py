@@ -260,7 +260,7 @@ def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed
     site = sites[-1]
     core = site.window.core
     told = covariance(site, np.zeros(site.values.size), 0.0)[: core.size, : core.size]
-    row, col = (int(round(47.5 + at)) for at in (-(core.shape[0] - 1) / 2, -(core.shape[1] - 1) / 2))
+    row, col = (round(47.5 + at) for at in (-(core.shape[0] - 1) / 2, -(core.shape[1] - 1) / 2))
     many = replace(scene, frames=400).frames_drawn(np.random.default_rng(seed + 1)).data.astype(float)
     off = (many - many.mean(axis=0))[:, row : row + core.shape[0], col : col + core.shape[1]].reshape(400, -1)
     grain = off.sum(axis=1).var() / off.var(axis=0).sum()
