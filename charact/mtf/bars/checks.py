@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.bars.amplitudes import Amplitudes
 from charact.mtf.bars.fit import Fit
+from charact.mtf.bars.sharpened import is_sharpened
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.codes import code_flags
 from labdata.frames import FrameStack
@@ -55,6 +56,8 @@ def flags_of_fit(fit: Fit) -> list[str]:
         flags.append("model-misfit")
     if abs(fit["departure"]) > DEPARTED / np.sqrt(fit.precision[fit.names.index("departure")]):
         flags.append("model-misfit")
+    if is_sharpened(fit):
+        flags.append("processed")
     if abs(np.sin(fit.target.angle_rad)) < UPRIGHT and _fields_apart(fit):
         flags.append("interlace-motion")
     return flags

@@ -20,6 +20,9 @@ BENT_SHARE = 0.08
 SIGNIFICANT = 4.0
 # Gain in ln likelihood by which scattered light must be told: less than once in a hundred by chance.
 VEIL_LIKELIHOOD = 5.0
+# Blurs of screens, fibres and chips fall no steeper than a Gaussian, but for a filter behind them: what does by so many
+# standard errors is beyond what forms and their priors were made for.
+STEEPEST, STEEP_SD = 2.5, 1.5
 # Chance of calling a right model wrong.
 MISFIT_LEVEL = 0.002
 
@@ -56,6 +59,9 @@ def findings_of(
     if _scattered(spectrum, peak):
         flags.append("model-misfit")
         notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
+    if _steep(peak):
+        flags.append("model-misfit")
+        notes.append(f"the transfer falls more steeply than exp(-(f/fc)^{STEEPEST:g}), as blurs do not")
     if context.sensor is not None and float(context.sensor.video.gamma) != 1.0:
         flags.append("gamma")
     return tuple(dict.fromkeys(flags)), tuple(notes)
@@ -78,6 +84,14 @@ def _curved(spectrum: Spectrum, peak: Peak) -> list[str]:
     away, sd = (np.array(ratio) - mean) / mean, np.array(error) / mean
     # The heights of pulses scatter, which all cells of a level share: by about a percent.
     return ["gamma"] if np.any(np.abs(away) > BENT_SHARE + SIGNIFICANT * np.hypot(sd, 0.01)) else []
+
+
+def _steep(peak: Peak) -> bool:
+    """Whether the exponent of the form is beyond those of blurs."""
+    if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
+        return False
+    place = peak.problem.names.index("exponent")
+    return float(peak.point[place]) > STEEPEST + STEEP_SD * float(np.sqrt(peak.covariance[place, place]))
 
 
 def _scattered(spectrum: Spectrum, peak: Peak) -> bool:

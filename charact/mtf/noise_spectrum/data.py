@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 LAG_SEEN = 4.0
 # Share of the cells that hold less noise of a dark than what is white in it is taken for.
 QUIETEST = 0.1
+# Power of a flat whose codes never change, DN^2: no weight is endless.
+STILL_DN2 = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,7 +256,7 @@ def _modes_of(bins: Bins, stack: FrameStack, context: Context) -> tuple[Array, A
 
 def _weights(flats: list[Stack], signals: list[float | None]) -> list[float]:
     """Weights near those of least variance: a flat's signal over the square of its power, times its exposures."""
-    mean = [float(one.plain_dn2.mean()) for one in flats]
+    mean = [max(float(one.plain_dn2.mean()), STILL_DN2) for one in flats]
     gain = [m if s is None else s for m, s in zip(mean, signals, strict=True)]
     weight = [one.runs * len(one.time) * g / m**2 for one, g, m in zip(flats, gain, mean, strict=True)]
     return [w / sum(w * g for w, g in zip(weight, gain, strict=True)) for w in weight]

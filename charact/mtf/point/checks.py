@@ -52,7 +52,8 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
 def _halo_stands_out(found: PointFit) -> bool:
     """Tell whether a disc of light lies about the core, of which a camera that is not described is taken to have none.
 
-    Its light is found to first order, all parameters free to give way.
+    Or one of missing light, as about the spots of a camera that sharpens. Its light is found to first order, all
+    parameters free to give way.
     """
     model = found.model
     step = 0.01 * np.sqrt(np.diag(found.covariance))
@@ -68,7 +69,7 @@ def _halo_stands_out(found: PointFit) -> bool:
     halos = halos - (halos @ basis) @ basis.T
     left = found.white @ found.data
     left = left - basis @ (basis.T @ left)
-    return bool(np.max(halos @ left / np.linalg.norm(halos, axis=1)) > HALO_ERRORS)
+    return bool(np.max(np.abs(halos @ left) / np.linalg.norm(halos, axis=1)) > HALO_ERRORS)
 
 
 def _disc(radius_px: Array, diameter_px: float) -> Array:

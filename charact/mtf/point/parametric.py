@@ -1,6 +1,6 @@
 """The parametric method for points: forms of the point spread, fitted to pixels and weighed by their evidence."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -43,9 +43,6 @@ DRAWS, QUICK_DRAWS = 1000, 500
 # least share of both that a form of little evidence gets, and of what it gets in full.
 QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT, LEAST_IN_FULL = 500.0, 1000, 0.5, 0.25
 MAX_STEPS = 1500
-# Half width of a 95 % interval over that of the draws: none of the forms is the blur itself, and of 1,435 random spots
-# inside the scope 6.6 % lay beyond the draws'.
-MARGIN = 1.1
 # Rings that a disc or glare must leave bare.
 BARE_RINGS = 2
 PINHOLE_PX = (0.0, 50.0)
@@ -239,9 +236,8 @@ class _Task:
             ]
             doubt = aperture.video.doubt if aperture.video is not None and cosine > 0 else None
             crossing = partial(_crossing, fine)
-            measurements += [_with_margin(doubted(number, doubt, crossing)) for number in own]
-            curve = curve_of(REPORTED, reported)
-            curves[name] = replace(curve, interval95=_wider(curve.value, np.asarray(curve.interval95)))
+            measurements += [doubted(number, doubt, crossing) for number in own]
+            curves[name] = curve_of(REPORTED, reported)
         return Result(
             measurements=doubted_where_sharp(measurements, sites[0].window),
             curves=curves,
@@ -289,19 +285,6 @@ def _shown(site: Site, fitter: PointFitter, fit: FormFit) -> dict[str, Any]:
         chi_squared=fit.chi2,
         degrees_of_freedom=fit.free,
     )
-
-
-def _with_margin(found: Measurement) -> Measurement:
-    """Return a number with its 95 % interval wider by the margin."""
-    if found.value is None or found.interval95 is None:
-        return found
-    low, high = _wider(found.value, np.array(found.interval95)).tolist()
-    return found.with_(interval95=(low, high))
-
-
-def _wider(value: Array | float, interval95: Array) -> Array:
-    """Return a wider interval about a value that cannot be negative, shape (2, ...)."""
-    return np.maximum(value + MARGIN * (interval95 - value), 0.0)
 
 
 def _crossing(fine: Array, level: float) -> float:

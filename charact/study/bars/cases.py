@@ -32,6 +32,7 @@ AXES: Axes = {
     "offset of the target": ("px", (0, 10, 20, 30, 40, 60), (0, 20)),
     "gap to a neighbour": ("px", (4, 8, 12, 20, 30, 40), (40, 40)),
     "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0)),
+    "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0)),
     "strip of 20 rows": ("cy/px", (0.03, 0.05, 0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.48), (0.05, 0.3)),
     "strip of 20 rows, SNR": ("level / pixel noise", (100, 30, 10, 5, 2, 1), (10, 100)),
 }
@@ -72,6 +73,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> Scene:
         "offset of the target": {"col_px": position},
         "gap to a neighbour": {"neighbour_px": position, "rows": 240, "row_px": -45.0},
         "stuck pixels": {"hot_share": position / 100},
+        "sharpening": {"sharpening": position},
     }.get(axis, {})
     return BarScene(**{**common, **knob})
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from charact.study.edge.scene import Blur
 from charact.study.noise import correlated
+from charact.study.sharpened import boost, sharpened
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
@@ -82,6 +83,8 @@ class BarScene:
         Share of pixels stuck at full scale.
     neighbour_px
         Gap between the target and another of three quarters of its frequency along the bars, px; infinite: none.
+    sharpening
+        Share by which the camera raises fine detail, see `charact.study.sharpened`.
     black_dn, full_scale_dn
         Codes at no light and at the top, DN.
     """
@@ -105,6 +108,7 @@ class BarScene:
     motion_px: float = 0.0
     clip_share: float = 0.0
     hot_share: float = 0.0
+    sharpening: float = 0.0
     neighbour_px: float = np.inf
     black_dn: float = 10.0
     full_scale_dn: float = 255.0
@@ -118,7 +122,8 @@ class BarScene:
     @property
     def truth_mtf(self) -> float:
         """MTF at the bars' frequency across them, pixel included, dimensionless."""
-        return float(self.blur.mtf(self.frequency_cy_per_px, self.angle_deg))
+        plain = self.blur.mtf(self.frequency_cy_per_px, self.angle_deg)
+        return float(plain * boost(self.frequency_cy_per_px, self.sharpening))
 
     def _target(self, along_px: float, frequency: float, motion_px: float) -> NDArray[np.floating]:
         """Light of one target from 0 to about 1, moved along its bars, shape (row, col)."""
@@ -168,6 +173,7 @@ class BarScene:
         shape = (self.frames, self.rows, self.cols)
         drawn = self._response(light + correlated(shot * rng.standard_normal(shape), self.noise_blur_px))
         drawn = drawn + np.sqrt(1 - self.shot_share) * sd * rng.standard_normal(shape)
+        drawn = sharpened(drawn, self.sharpening)
         drawn = np.where(rng.random(shape[1:]) < self.hot_share, self.full_scale_dn, drawn)
         codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint8 if self.full_scale_dn < 256 else "u2")
         return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)

@@ -26,6 +26,7 @@ AXES: Axes = {
     "offset of the edge": ("px", (0, 10, 25, 40, 47, 60), (0, 10)),
     "bow of the edge": ("px", (0, 0.25, 0.5, 1, 2, 5), (0, 0)),
     "stuck pixels": ("%", (0, 0.01, 0.1, 1, 5), (0, 0)),
+    "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0)),
     "contrast": ("DN of step, noise 0.6 DN", (200, 100, 30, 10, 4, 2), (100, 200)),
     "noise under a code": ("DN of noise, step 30 DN", (1, 0.5, 0.3, 0.2, 0.1, 0.05), (1, 1)),
 }
@@ -50,6 +51,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
         "offset of the edge": {"offset_px": position},
         "bow of the edge": {"sagitta_px": position},
         "stuck pixels": {"hot_share": position / 100},
+        "sharpening": {"sharpening": position},
         "contrast": {"bright_dn": 40.0 + position, "snr": position / 0.6},
     }[axis]
     return EdgeScene(**{**common, **knob})

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.noise import correlated
+from charact.study.sharpened import boost, sharpened
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
@@ -158,6 +159,8 @@ class EdgeScene:
         Share of the step that lies above full scale.
     hot_share
         Share of pixels stuck at full scale.
+    sharpening
+        Share by which the camera raises fine detail, see `charact.study.sharpened`.
     black_dn, full_scale_dn
         Codes at no light and at the top, DN.
     """
@@ -179,6 +182,7 @@ class EdgeScene:
     sagitta_px: float = 0.0
     clip_share: float = 0.0
     hot_share: float = 0.0
+    sharpening: float = 0.0
     black_dn: float = 10.0
     full_scale_dn: float = 255.0
 
@@ -191,7 +195,7 @@ class EdgeScene:
     @property
     def truth_mtf50(self) -> float:
         """MTF50 along the edge's normal, cycles per pixel."""
-        return self.blur.mtf50(self.angle_deg)
+        return level_crossing(lambda f: self.blur.mtf(f, self.angle_deg) * boost(f, self.sharpening), 0.5)
 
     def mean(self) -> NDArray[np.floating]:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
@@ -237,7 +241,7 @@ class EdgeScene:
         read = np.sqrt(1 - self.shot_share) * sd
         shape = (self.frames, self.rows, self.cols)
         drawn = self._response(light + correlated(shot * rng.standard_normal(shape), self.noise_blur_px))
-        drawn = drawn + read * rng.standard_normal(shape)
+        drawn = sharpened(drawn + read * rng.standard_normal(shape), self.sharpening)
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         drawn = np.where(stuck, self.full_scale_dn, drawn)
         kind = np.uint8 if self.full_scale_dn < 256 else np.uint16

@@ -59,6 +59,14 @@ class ScintillatingFlats:
         Whether odd and even rows are exposed one after the other.
     darks
         Whether there is a dark stack.
+    vignetting
+        Share of the light that the corners lose, growing with the square of the distance from the middle.
+    flicker
+        Relative standard deviation of the light from exposure to exposure.
+    row_noise_dn
+        Standard deviation of an offset that each row of each frame has for itself, DN.
+    ion_share, ion_photoelectrons
+        Share of the pulses that an ion makes, and how many photoelectrons' light such a one has.
     """
 
     half_frequency_cy_per_px: float = 0.25
@@ -80,6 +88,11 @@ class ScintillatingFlats:
     black_dn: float = 60.0
     interlaced: bool = False
     darks: bool = True
+    vignetting: float = 0.0
+    flicker: float = 0.0
+    row_noise_dn: float = 0.0
+    ion_share: float = 0.0
+    ion_photoelectrons: float = 20.0
 
     def core(self, column: Array, row: Array) -> Array:
         """Transfer without the pixel at frequencies in cycles per pixel."""
@@ -148,14 +161,31 @@ class ScintillatingFlats:
         """One exposure's light before the electrons: pulses, transfer, and sampling as a fold of the spectrum."""
         if self.gain_dn == 0.0:
             return np.full((self.rows, self.cols), 20.0 * level)
-        counts = rng.poisson(level / FINER**2, (self.rows * FINER, self.cols * FINER))
-        heights = np.zeros(counts.shape)
-        heights[counts > 0] = rng.standard_gamma(counts[counts > 0])
         from scipy import fft
+
+        heights = self._pulses(level * (1.0 + self.flicker * float(rng.standard_normal())), rng)
 
         spread: Any = fft.rfft2(heights, workers=1)
         fine = fft.irfft2(spread * self._transfer, heights.shape, workers=1)
         return self.gain_dn * FINER**2 * np.asarray(fine)[::FINER, ::FINER]
+
+    def _pulses(self, level: float, rng: np.random.Generator) -> Array:
+        """Heights of the pulses of one exposure on the fine grid, in means of a photoelectron's."""
+        light = self._even * max(level, 0.0) / FINER**2
+        counts = rng.poisson(light, (self.rows * FINER, self.cols * FINER))
+        heights = np.zeros(counts.shape)
+        heights[counts > 0] = rng.standard_gamma(counts[counts > 0])
+        if self.ion_share:
+            heights += self.ion_photoelectrons * rng.poisson(light * self.ion_share, counts.shape)
+        return heights
+
+    @cached_property
+    def _even(self) -> Array | float:
+        """Light at each place of the fine grid over that in the middle."""
+        if not self.vignetting:
+            return 1.0
+        row, col = (np.linspace(-1.0, 1.0, n * FINER) for n in (self.rows, self.cols))
+        return 1.0 - self.vignetting * 0.5 * (row[:, None] ** 2 + col[None, :] ** 2)
 
     def _read_noise(self, rng: np.random.Generator) -> Array:
         white = rng.standard_normal((self.frames, self.rows, self.cols))
@@ -164,7 +194,10 @@ class ScintillatingFlats:
 
             white = gaussian_filter1d(white, self.read_smoothing_px, axis=2, mode="wrap")
             white = white / white.std()
-        return self.read_noise_dn * white
+        noise = self.read_noise_dn * white
+        if self.row_noise_dn:
+            noise += self.row_noise_dn * rng.standard_normal((self.frames, self.rows, 1))
+        return noise
 
 
 AXES: Axes = {

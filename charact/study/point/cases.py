@@ -29,6 +29,7 @@ AXES: Axes = {
     "neighbour's light, at 10 px": ("% of the source's", (0, 1, 3, 10, 30), (0, 0)),
     "pinhole, its size told": ("px", (0, 1, 2, 3, 5), (0, 2)),
     "stuck pixels": ("%", (0, 0.01, 0.1, 1), (0, 0)),
+    "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0)),
 }
 
 
@@ -53,6 +54,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> PointScene:
         "neighbour's light, at 10 px": {"neighbour_px": 10.0, "neighbour_share": position / 100},
         "pinhole, its size told": {"pinhole_px": position},
         "stuck pixels": {"hot_share": position / 100},
+        "sharpening": {"sharpening": position},
     }[axis]
     return PointScene(**{**common, **knob})
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.edge.scene import Blur, level_crossing
+from charact.study.sharpened import boost, sharpened
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
@@ -86,6 +87,8 @@ class PointScene:
         Diameter of the source, px.
     hot_share
         Share of pixels stuck at full scale.
+    sharpening
+        Share by which the camera raises fine detail, see `charact.study.sharpened`.
     black_dn, full_scale_dn
         Codes at no light and at the top, DN.
     """
@@ -110,6 +113,7 @@ class PointScene:
     neighbour_share: float = 0.5
     pinhole_px: float = 0.0
     hot_share: float = 0.0
+    sharpening: float = 0.0
     black_dn: float = 12.0
     full_scale_dn: float = 255.0
 
@@ -122,7 +126,7 @@ class PointScene:
     def mtf(self, frequency_cy_per_px: NDArray[np.floating] | float) -> NDArray[np.floating]:
         """MTF along the rows, pixel included; a pinhole's own transfer is not the camera's."""
         pulse = np.exp(-2 * (np.pi * np.asarray(frequency_cy_per_px, float) * self.pulse_px) ** 2)
-        return self.blur.mtf(frequency_cy_per_px, 0.0) * pulse
+        return self.blur.mtf(frequency_cy_per_px, 0.0) * pulse * boost(frequency_cy_per_px, self.sharpening)
 
     @property
     def truth_mtf50(self) -> float:
@@ -142,7 +146,7 @@ class PointScene:
         light = np.stack([self._frame(number, rng) for number in range(self.frames)])
         room = self.full_scale_dn - self.black_dn
         signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
-        signal = signal + self.read_dn * rng.standard_normal(signal.shape)
+        signal = sharpened(signal + self.read_dn * rng.standard_normal(signal.shape), self.sharpening)
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         codes = np.clip(np.rint(np.where(stuck, self.full_scale_dn, signal)), 0, self.full_scale_dn)
         return FrameStack(

@@ -1,4 +1,4 @@
-"""The committed maps of bars and points: their cells are what the methods still do, and what they show."""
+"""The committed maps of bars, points and noise spectra: their cells are what the methods still do, and what they show."""
 
 import json
 
@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from charact.study.bars import map as bars
+from charact.study.flats import spectrum_map as spectra
 from charact.study.point import map as points
 
 # What a method says of itself that it does not tell, by the axis of the map.
-UNTOLD = {bars: ("gamma",), points: ("gamma", "neighbour_px")}
+UNTOLD = {bars: ("gamma",), points: ("gamma", "neighbour_px"), spectra: ("gamma",)}
 
 
-@pytest.fixture(params=[bars, points], ids=["bars", "points"])
+@pytest.fixture(params=[bars, points, spectra], ids=["bars", "points", "spectra"])
 def study(request):
     return request.param
 
