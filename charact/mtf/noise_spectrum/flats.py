@@ -31,10 +31,8 @@ KIND = "post-gain"
 NOTE = "MTF of what comes after the gain (screen, taper, chip, video): lens and cathode gap are not in it"
 # Evidence, in ln, by which a blurred spectrum must beat a white one.
 LEAST_EVIDENCE = 8.0
-# Forms of less than this share of the evidence take no part. None of them is the blur itself, and what they say of
-# frequency 0, where nothing is measured, differs by more than each is sure of: they are weighed by the root of their
-# evidence, as 494 random cameras ask for (3 of them were silently wrong by the whole of it, 3 to 6 % off).
-LEAST_WEIGHT, EVIDENCE_POWER = 0.02, 0.5
+# Forms of less than this share of the weight take no part.
+LEAST_WEIGHT = 0.02
 QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_share")
 
 
@@ -109,7 +107,7 @@ def _measured(session: Session, shapes: tuple[Shape, ...], method: str, context:
         return _refusal("the flats are no noisier than their darks: no light scintillates in them", fields)
     context.progress("noise spectrum of the flats", 0.9)
     known = known_of(context)
-    peaks = sorted((peak_of(spectrum, known, shape) for shape in shapes), key=lambda p: -p.log_evidence)
+    peaks = sorted((peak_of(spectrum, known, shape) for shape in shapes), key=lambda p: -p.log_weight)
     gained = peaks[0].log_evidence - white_log_probability(peaks[0])
     if gained < LEAST_EVIDENCE:
         return _refusal(
@@ -154,8 +152,8 @@ def _quickly(context: Context) -> Context:
 
 def _drawn(peaks: list[Peak], context: Context) -> Drawn:
     """Draw from the posteriors of the forms that have a say."""
-    height = np.array([peak.log_evidence for peak in peaks])
-    share = np.exp(EVIDENCE_POWER * (height - height.max()))
+    height = np.array([peak.log_weight for peak in peaks])
+    share = np.exp(height - height.max())
     kept = share / share.sum() > LEAST_WEIGHT
     share = share[kept] / share[kept].sum()
     own = [peak for peak, keep in zip(peaks, kept, strict=True) if keep]

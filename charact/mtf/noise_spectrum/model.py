@@ -24,6 +24,10 @@ Array = NDArray[np.float64]
 FAMILIES: tuple[Family, ...] = (Family(core="gaussian"), Family(core="exponential"), Family(core="moffat"))
 # How much likelier than any other the form of image tubes is that of a described one, in ln.
 TUBE, TUBE_ODDS = "exponential", 3.0
+# None of the forms is the blur itself, and what they say of frequency 0, where nothing is measured, differs by more
+# than each is sure of: they are weighed by the root of their evidence, as 494 random cameras ask for (3 of them were
+# silently wrong by the whole of it, 3 to 6 % off).
+EVIDENCE_POWER = 0.5
 # Light scattered behind the gain, looked for beside the forms: its reach from so many px to this share of the
 # image's shorter side, and its share.
 SCATTER_PX, SCATTER_SHARE = 3.0, 0.08
@@ -183,6 +187,11 @@ class Peak:
     covariance: Array
     log_evidence: float
 
+    @property
+    def log_weight(self) -> float:
+        """ln of the weight of this form among others: the root of its evidence, and its odds before the data."""
+        return EVIDENCE_POWER * self.log_evidence - (TUBE_ODDS if _strange_to_tubes(self.problem) else 0.0)
+
 
 def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[Problem], Array] | None = None) -> Peak:
     """Climb to the best fit under a form: roughly, then with the replicas, cells and looks that belong to it."""
@@ -195,7 +204,7 @@ def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[
     for _ in range(2):
         problem = _refined(problem, whole, point)
         point, covariance = maximum(problem.log_probability, point, problem.bounds, iterations=25)
-    height = float(problem.log_probability(point[None])[0]) - (TUBE_ODDS if _strange_to_tubes(problem) else 0.0)
+    height = float(problem.log_probability(point[None])[0])
     _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
     return Peak(problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume))
 

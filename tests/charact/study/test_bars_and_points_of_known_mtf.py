@@ -7,6 +7,7 @@ from scipy.special import erf
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import Blur
 from charact.study.point.scene import PointScene, landing_places
+from charact.study.sharpened import boost, sharpened
 
 
 def _supersampled(scene: BarScene, fine: int = 6) -> np.ndarray:
@@ -81,3 +82,11 @@ def test_pulses_behind_the_gain_tie_neighbours_and_an_ordinary_cameras_do_not(se
         data = data - data.mean()
         neighbour = np.mean(data[..., 1:] * data[..., :-1]) / data.var()
         assert neighbour == pytest.approx(expected, abs=0.05)
+
+
+def test_sharpening_raises_a_wave_as_it_says():
+    """A wave through a camera that sharpens comes out higher by the factor that its frequency has."""
+    for frequency in (0.02, 0.1, 0.25):
+        wave = np.cos(2.0 * np.pi * frequency * np.arange(400))[None, :] * np.ones((40, 1))
+        raised = sharpened(wave, 0.7)[20, 50:350]
+        assert raised == pytest.approx(wave[20, 50:350] * boost(frequency, 0.7), abs=2e-3)

@@ -240,3 +240,16 @@ def test_another_number_of_bars_is_not_found_in_four(asked: int, seed: int) -> N
 def test_still_bars_along_the_rows_have_not_moved(seed: int) -> None:
     scene = BarScene(bars=3, angle_deg=85.0, frequency_cy_per_px=0.21, snr=50.0)
     assert scene_mtf(scene, np.random.default_rng(seed)).status == "ok"
+
+
+def test_a_camera_that_sharpens_is_told(seed: int) -> None:
+    """What it takes off around the bars is no blur's doing; without it nothing is missing there."""
+    plain, sharp = (
+        mtf_at(
+            BarScene(blur=Blur(sigma_px=0.9), snr=30.0, sharpening=amount).frames_drawn(np.random.default_rng(seed)),
+            0.12,
+        )
+        for amount in (0.0, 0.4)
+    )
+    assert "processed" in sharp.flags
+    assert "processed" not in plain.flags

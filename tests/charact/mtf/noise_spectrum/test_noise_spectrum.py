@@ -1,12 +1,19 @@
 """The noise of flats tells the MTF after the gain: pulses of closed form, whose transfer is known exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from charact import mtf
 from charact.method import Context
+from charact.mtf.curve import falls_to
 from charact.mtf.forms.families import Family
+from charact.mtf.noise_spectrum.data import chosen_of, spectrum_of
 from charact.mtf.noise_spectrum.folding import Known, folding
+from charact.mtf.noise_spectrum.model import Peak, known_of, peak_of
+from charact.mtf.noise_spectrum.result import transfer_of
+from charact.mtf.noise_spectrum.unseen import SURE, Veiled, unseen
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
 from labdata.errors import BadInput
 
@@ -136,3 +143,46 @@ def test_the_whole_posterior_agrees_with_the_curvature(seed):
     )
     assert whole.posterior.sampler == "importance" and whole.status == "ok"
     assert abs(errors(quick, whole.value)) < 0.5
+
+
+def peak(scene: ScintillatingFlats, seed: int) -> Peak:
+    context = Context(seed=1, quick=True, full_scale_dn=scene.full_scale_dn)
+    session = scene.session_drawn(np.random.default_rng(seed))
+    spectrum = spectrum_of(session, chosen_of(session, context), context)
+    return peak_of(spectrum, known_of(context), Family(core="exponential"))
+
+
+def likelihood(found: Peak) -> float:
+    return float(found.problem.log_likelihood(found.problem.model(found.point[None]))[0])
+
+
+def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
+    """A power with so much light scattered and no noise: the form fits it worse by 12 in ln L, and MTF50 is higher."""
+    before = peak(ScintillatingFlats(half_frequency_cy_per_px=0.15, frames=16), seed)
+    near, _ = unseen(before)
+    veiled = Veiled(shape=before.problem.shape, share=near.share, length_px=near.length_px)
+    power = replace(before.problem, shape=veiled).model(before.point[None])[0]
+    after = peak_of(replace(before.problem.spectrum, power_dn2=power), before.problem.known, before.problem.shape)
+    assert -likelihood(after) == pytest.approx(SURE, rel=0.25)
+    frequency = np.geomspace(0.01, 0.5, 4000)
+
+    def curve(one: Peak):
+        return transfer_of(one, one.point[None], frequency, vertical=False, pitch_ratio=1.0)
+
+    veil = 1.0 - near.share + near.share / (1.0 + (2.0 * np.pi * frequency * near.length_px) ** 2)
+    told, true = (float(falls_to(frequency, one, 0.5)[0]) for one in (curve(after), curve(before) * veil))
+    assert 100.0 * (1.0 - true / told) == pytest.approx(near.lower_percent, rel=0.25)
+
+
+def test_how_much_light_would_not_show_is_said(seed):
+    assert any("would not show for sure" in note for note in half(measured(ScintillatingFlats(), seed)).notes)
+
+
+def test_flats_whose_codes_never_change_are_refused(seed):
+    """A gain of a sixth of a code and no read noise: whole codes stand still, and the power is 0."""
+    still = ScintillatingFlats(gain_dn=1e-3, read_noise_dn=0.0, electron_gain_dn=0.0, black_dn=60.3)
+    assert half(measured(still, seed)).status == "refused"
+
+
+def test_a_blur_steeper_than_blurs_are_is_no_blur_of_the_forms(seed):
+    assert "model-misfit" in half(measured(ScintillatingFlats(exponent=3.8), seed)).flags

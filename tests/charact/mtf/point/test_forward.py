@@ -301,3 +301,14 @@ def test_a_pinhole_that_passes_nothing_at_the_crossing_is_refused(seed):
     scene = PointScene(blur=Blur(sigma_px=0.5), pulse_px=0.3, pinhole_px=5.0)
     found = point_spread(scene.frames_drawn(np.random.default_rng(seed)), pinhole_px=5.0, context=QUICK)
     assert found.measurements[0].status != "ok"
+
+
+def test_light_missing_about_a_spot_is_told_as_light_too_much_is(seed):
+    """A camera that sharpens takes off what a halo adds: of 21 such spots 9 were silently wrong."""
+    scene = PointScene(blur=Blur(sigma_px=0.8), photoelectrons=10000.0, black_dn=40.0)
+    plain, sharp = (
+        point_forward(replace(scene, sharpening=amount).frames_drawn(np.random.default_rng(seed)), context=QUICK)
+        for amount in (0.0, 0.4)
+    )
+    assert "model-misfit" in sharp.measurements[0].flags
+    assert "model-misfit" not in plain.measurements[0].flags
