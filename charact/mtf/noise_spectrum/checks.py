@@ -15,9 +15,12 @@ Array = NDArray[np.float64]
 # Fewer frames cannot tell light that exposures share from pattern.
 LEAST_FRAMES = 4
 FLICKER = 0.05
-# Change of the power over the signal along the levels that a straight response may have, and in standard errors.
-BENT_SHARE = 0.08
+# Change of the power over the signal along the levels that a straight response may have, and that of a described tube,
+# whose plate tires; and in standard errors.
+BENT_SHARE, TIRED_SHARE = 0.02, 0.08
 SIGNIFICANT = 4.0
+# Fourth moment over the square of the second of pulse heights that are exponential, and over their relative square.
+KURTOSIS, RELATIVE_SQUARE = 6.0, 2.0
 # Gain in ln likelihood by which scattered light must be told: less than once in a hundred by chance.
 VEIL_LIKELIHOOD = 5.0
 # Blurs of screens, fibres and chips fall no steeper than a Gaussian, but for a filter behind them: what does by so many
@@ -55,7 +58,7 @@ def findings_of(
         notes.append("one level of light only: whether the response is straight cannot be seen")
     if min(float(np.mean(level.power_dn2)) for level in spectrum.levels) < QUANTISED_DN2:
         flags.append("quantised")
-    flags += _curved(spectrum, peak)
+    flags += _curved(spectrum, peak, BENT_SHARE if context.sensor is None else TIRED_SHARE)
     if _scattered(spectrum, peak):
         flags.append("model-misfit")
         notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
@@ -67,23 +70,39 @@ def findings_of(
     return tuple(dict.fromkeys(flags)), tuple(notes)
 
 
-def _curved(spectrum: Spectrum, peak: Peak) -> list[str]:
-    """Whether the power of the pulses over the signal changes along the levels, as under a gamma."""
+def _curved(spectrum: Spectrum, peak: Peak, straight: float) -> list[str]:
+    """Whether the power of pulses over the signal changes along the levels by more than a share, as under a gamma."""
     levels = [level for level in spectrum.levels if level.signal_dn]
     if len(levels) < 2:
         return []
     white, pulses = peak.problem.parts(peak.point[None])
     shape = (white + pulses)[0]
-    signal, ratio, error = [], [], []
-    for level in levels:
-        weight = (shape / level.power_sd_dn2) ** 2
-        signal.append(level.signal_dn)
-        ratio.append(float(np.average(level.power_dn2 / shape, weights=weight)) / float(level.signal_dn or 1.0))
-        error.append(1.0 / np.sqrt(float(weight.sum())) / float(level.signal_dn or 1.0))
-    mean = float(np.average(ratio, weights=1.0 / np.square(error)))
-    away, sd = (np.array(ratio) - mean) / mean, np.array(error) / mean
-    # The heights of pulses scatter, which all cells of a level share: by about a percent.
-    return ["gamma"] if np.any(np.abs(away) > BENT_SHARE + SIGNIFICANT * np.hypot(sd, 0.01)) else []
+    signal = np.array([float(level.signal_dn or 1.0) for level in levels])
+    weight = np.array([(shape / level.power_sd_dn2) ** 2 for level in levels])
+    power = np.array([
+        float(np.average(level.power_dn2 / shape, weights=own)) for level, own in zip(levels, weight, strict=True)
+    ])  # fmt: skip
+    error = 1.0 / np.sqrt(weight.sum(axis=1))
+    low, high = np.array([level.hidden_dn2 for level in levels]).T / (power * float(shape.mean()))
+    ratio = power * (1.0 - 0.5 * (low + high)) / signal
+    mean = float(np.average(ratio, weights=(signal / error) ** 2))
+    sd = np.hypot(error / power, _of_heights(spectrum, peak, signal, power))
+    allowed = straight + SIGNIFICANT * sd + 0.5 * (high - low)
+    return ["gamma"] if np.any(np.abs(ratio / mean - 1.0) > allowed) else []
+
+
+def _of_heights(spectrum: Spectrum, peak: Peak, signal_dn: Array, power: Array) -> Array:
+    """Relative error of each level's power by the heights of its pulses, which all of its cells share, shape (level,).
+
+    Of N pulses with heights h the power scatters by E h^4 / (E h^2)^2 / N; N from the signal and the power at
+    frequency 0, k E h^2 / (E h)^2 per signal.
+    """
+    looks = np.array([
+        float(np.sum((level.power_dn2 / level.power_sd_dn2) ** 2)) for level in spectrum.levels if level.signal_dn
+    ])  # fmt: skip
+    at_zero = power * float(np.exp(peak.point[0]))
+    pulses = RELATIVE_SQUARE * signal_dn**2 / at_zero * 2.0 * looks
+    return np.sqrt(KURTOSIS / np.maximum(pulses, 1.0))
 
 
 def _steep(peak: Peak) -> bool:

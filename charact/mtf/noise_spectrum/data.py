@@ -86,12 +86,13 @@ class Spectrum:
 
 @dataclass(frozen=True, kw_only=True)
 class Alone:
-    """One flat above its dark; names as in `Spectrum`."""
+    """One flat above its dark; names as in `Spectrum`, what is hidden that of this flat alone, DN^2."""
 
     label: str
     power_dn2: Array
     power_sd_dn2: Array
     signal_dn: float | None
+    hidden_dn2: tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +179,7 @@ def spectrum_of(session: Session, chosen: Chosen, context: Context) -> Spectrum:
         lag_open=still_open,
         lag_tested=tested,
         levels=tuple(
-            _alone(flat, None if dark is None else own[dark], own[flat], signal, lag)
+            _alone(flat, None if dark is None else own[dark], own[flat], signal, lag, whole=whole)
             for flat, dark, signal in chosen.pairs
         ),
         hidden_dn2=pool.hidden_dn2() if whole else (0.0, 0.0),
@@ -286,11 +287,12 @@ def _lag(flats: list[Stack]) -> tuple[Array, bool, bool]:
     return full, True, bool(tail > max(0.05, LAG_SEEN * float(sd[-3:].mean())))
 
 
-def _alone(label: str, dark: Stack | None, flat: Stack, signal: float | None, lag: Array) -> Alone:
+def _alone(label: str, dark: Stack | None, flat: Stack, signal: float | None, lag: Array, *, whole: bool) -> Alone:
     modes = flat.bins.modes * flat.bins.efficiency
     power = flat.power(lag)
     square = power**2 / (modes * flat.independent(lag))
     if dark is not None:
         below = dark.power(lag)
         power, square = power - below, square + below**2 / (modes * dark.independent(lag[:0]))
-    return Alone(label=label, power_dn2=power, power_sd_dn2=np.sqrt(square), signal_dn=signal)
+    hidden = _hidden_dn2(dark, 1.0) if dark is not None and whole else (0.0, 0.0)
+    return Alone(label=label, power_dn2=power, power_sd_dn2=np.sqrt(square), signal_dn=signal, hidden_dn2=hidden)
