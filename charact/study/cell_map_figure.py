@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,7 @@ def draw_map(
     for axis, (_, _, log) in breaking.items():
         own = [cell for cell in cells if cell["axis"] == axis]
         _draw_fates(next(panels), own, [cell["strength"] for cell in own], log=log, label=labels[axis],
-                    title=axis.removesuffix("_px").removesuffix("_dn").replace("_", " "))  # fmt: skip
+                    title=re.sub("_(cy_per_px|px|dn)$", "", axis).replace("_", " "))  # fmt: skip
     if last is not None:
         last(next(panels), inside)
     for spare in panels:
