@@ -15,6 +15,7 @@ from charact.mtf.point import source as point_source
 from charact.mtf.point.data import Window, window_of
 from charact.mtf.point.forward_fit import PointFit, fit
 from charact.mtf.point.forward_model import Optics
+from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.sharp import doubted_where_sharp
 from charact.mtf.region import Region
 from charact.posterior import draw, weighed
@@ -104,11 +105,14 @@ def point_forward(
                             "that full scale spoils", "saturated")  # fmt: skip
     found = fit(window, context, _optics(context, pinhole_px or 0.0))
     if found is None:
-        return task.nothing("no target: what stands out of the background is not the picture of a point", "no-target")
+        return task.nothing(
+            "no target: what stands out of the background is not the picture of a point", "no-target", *_moved(window)
+        )
     if found.light < LEAST_LIGHT * found.light_sd:
         return task.nothing(
             f"no target: the light stands {found.light / found.light_sd:.1f} standard errors out of {LEAST_LIGHT:g}",
             "no-target",
+            *_moved(window),
         )
     return task.result(found, window, source, used, _posterior(found, context))
 
@@ -126,6 +130,14 @@ def _kept(window: Window) -> float:
     """Return the share of the core's light in unspoilt pixels, what is spoilt counted at its cut height."""
     height = np.maximum(window.core - np.median(window.core), 0.0)
     return float(height[window.keep].sum() / max(float(height.sum()), 1e-12))
+
+
+def _moved(window: Window) -> tuple[str, ...]:
+    """Return the flags of a source that moves: its light, lost in its own changes, may look like none."""
+    if window.frames < 2 or not window.keep.all():
+        return ()
+    border = np.concatenate([window.core[0], window.core[-1], window.core[:, 0], window.core[:, -1]])
+    return tuple(motion_flags(window.frames_above(float(np.median(border))), *window.centred, window.row_parity))
 
 
 def _optics(context: Context, pinhole_px: float) -> Optics:
@@ -173,9 +185,9 @@ class Task:
         settings = {"quick": self.context.quick, "pinhole_px": self.pinhole_px}
         return Provenance(version=charact.__version__, seed=self.context.seed, settings=settings)
 
-    def nothing(self, reason: str, flag: str) -> Result:
+    def nothing(self, reason: str, *flags: str) -> Result:
         """Return the refusal of all that a point gives."""
-        common = {"method": METHOD, "flags": (flag,), "region": self.where}
+        common = {"method": METHOD, "flags": flags, "region": self.where}
         return Result(measurements=tuple(
             refused(name, "cy/px", reason, orientation_deg=angle, provenance=self.provenance, **common)
             for name in QUANTITIES for angle in (0.0, 90.0)

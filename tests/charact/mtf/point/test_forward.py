@@ -168,7 +168,7 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(number, monkeypatch)
     assert picked.posterior.sampler == quick.posterior.sampler == "importance"
     assert picked.posterior.effective_sample_size.min() >= 2000
     monkeypatch.setattr(drawing, "ENOUGH", np.inf)
-    monkeypatch.setattr(forward, "MAX_STEPS", 8000)
+    monkeypatch.setattr(forward, "MAX_STEPS", 16000)
     chained = measured()
     assert chained.posterior.sampler == "emcee"
     width = np.diff(chained.interval68)
