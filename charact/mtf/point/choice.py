@@ -80,10 +80,8 @@ def _prepared(sites: list[Site], form: PointForm, point: Array, light: Array | N
 
 def _light(site: Site) -> float:
     """Return about the light of a source, from the sum of its core above its border."""
-    core = site.window.core
-    border = np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])
     area = float(np.diff(site.window.x[:2])[0] * np.diff(site.window.y[:2])[0])
-    return max(float((core - np.median(border)).sum()) * area, 1e-9)
+    return max(float((site.window.core - site.window.border_dn).sum()) * area, 1e-9)
 
 
 def _moved(fit: FormFit, core: str, **changes) -> Array:

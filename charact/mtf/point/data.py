@@ -91,6 +91,12 @@ class Window:
         return self.x - x, self.y - y
 
     @property
+    def border_dn(self) -> float:
+        """Median of the core's outermost pixels, DN: what is left where the source's light is small."""
+        core = self.core
+        return float(np.median(np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])))
+
+    @property
     def row_parity(self) -> NDArray[np.bool_]:
         """Field of every row of the core."""
         return self.parity[:: self.x.size]

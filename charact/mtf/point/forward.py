@@ -136,8 +136,7 @@ def _moved(window: Window) -> tuple[str, ...]:
     """Return the flags of a source that moves: its light, lost in its own changes, may look like none."""
     if window.frames < 2 or not window.keep.all():
         return ()
-    border = np.concatenate([window.core[0], window.core[-1], window.core[:, 0], window.core[:, -1]])
-    return tuple(motion_flags(window.frames_above(float(np.median(border))), *window.centred, window.row_parity))
+    return tuple(motion_flags(window.frames_above(window.border_dn), *window.centred, window.row_parity))
 
 
 def _optics(context: Context, pinhole_px: float) -> Optics:
