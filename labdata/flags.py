@@ -7,7 +7,7 @@ FLAGS: dict[str, str] = {
     "lag": "Light of earlier frames is still in this one.",
     "agc": "An automatic gain or brightness control moved during the series: the mean does not follow the light.",
     "flicker": "The light changes periodically from frame to frame.",
-    "drift": "The level moves steadily through the stack.",
+    "drift": "The level, or the place of what is seen, moves through the stack.",
     "clipped": "Pixels sit at the lowest or the highest code.",
     "saturated": "The signal is beyond the linear range of the camera.",
     "nonlinear": "The response departs from a straight line by more than its noise.",

@@ -31,6 +31,8 @@ class Picture:
     pitch_ratio
         Pitch along the picture's rows' normal over the pitch along its columns' normal: row pitch over column pitch
         of the upright picture.
+    interlaced
+        Whether odd and even rows of the original are two fields, each exposed for itself.
     """
 
     value: Array
@@ -41,6 +43,12 @@ class Picture:
     whole_codes: bool
     black_dn: float | None
     pitch_ratio: float
+    interlaced: bool = False
+
+    @property
+    def field_axis(self) -> int | None:
+        """Axis along which two fields alternate; None: there are none."""
+        return int(self.transposed) if self.interlaced else None
 
     def turned(self, *, transpose: bool, mirror: bool) -> "Picture":
         """Return the picture transposed and then mirrored."""
@@ -58,10 +66,16 @@ class Picture:
             whole_codes=self.whole_codes,
             black_dn=self.black_dn,
             pitch_ratio=1.0 / self.pitch_ratio if transpose else self.pitch_ratio,
+            interlaced=self.interlaced,
         )
 
+    def upright(self, frame: NDArray) -> Array:
+        """Return a single frame turned as the picture is."""
+        turned = frame.T if self.transposed else frame
+        return np.ascontiguousarray(turned[:, ::-1] if self.mirrored else turned, np.float64)
 
-def mean_picture(stack: FrameStack, pitch_ratio: float) -> Picture:
+
+def mean_picture(stack: FrameStack, pitch_ratio: float, *, interlaced: bool = False) -> Picture:
     """Average a stack into a picture."""
     data = stack.data
     frames, rows, cols = data.shape
@@ -76,4 +90,5 @@ def mean_picture(stack: FrameStack, pitch_ratio: float) -> Picture:
         whole_codes=whole,
         black_dn=stack.black_level_dn,
         pitch_ratio=pitch_ratio,
+        interlaced=interlaced,
     )

@@ -6,8 +6,10 @@ import charact
 from charact.method import Context, register
 from charact.mtf.bars.checks import LEAST_FUNDAMENTAL_SD
 from charact.mtf.bars.found import found_in
+from charact.mtf.bars.motion import wander_of_bars
 from charact.mtf.bars.profile import profile
 from charact.mtf.region import Region
+from charact.mtf.wander import UNTOLD
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, from_draws, refused
 
@@ -74,6 +76,9 @@ def bars_forward(
         flags = (*flags, "model-misfit")
     if found.mtf.mean() < LEAST_FUNDAMENTAL_SD * found.mtf.std():
         flags = (*flags, "low-signal")
+    wander = wander_of_bars(used, found.target)
+    if wander.moves and wander.lowers(found.target.frequency) * found.mtf.mean() > UNTOLD * found.mtf.std():
+        flags = (*flags, "drift")
     measurement = from_draws(
         "mtf",
         "1",

@@ -72,7 +72,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
         return nothing(METHOD, found, edge.where, context)
     model = found.fit.model
     response = curvature(found.fit, found.edge.profile)
-    odds = curved_ln_odds(growth_of(found.edge.profile))
+    odds = curved_ln_odds(growth_of(found.edge))
     posterior = bent(_posterior(found.fit, context), response, odds, context.seed)
     outcome = Outcome(
         method=METHOD,

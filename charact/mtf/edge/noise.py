@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from charact.mtf.edge.pixels.profile import Profile
+from charact.mtf.edge.pixels.find import FoundEdge
 
 # Level over noise beyond which unequal pixels may be the noise.
 QUIETEST = 80.0
@@ -27,7 +27,7 @@ class Growth:
     ratio, scatter
         Bright over dark variance, and its relative standard error, dimensionless.
     photons
-        The same ratio for photons' noise under a straight response; None: black is not known, frames were averaged or
+        The same ratio for photons' noise under a straight response; None: black is not known, or of a single frame
         pixels so quiet that their unequal gain is seen.
     """
 
@@ -36,15 +36,24 @@ class Growth:
     photons: float | None
 
 
-def growth_of(profile: Profile) -> Growth:
-    """Return how the variance of a profile's pixels grows with the light."""
+def growth_of(edge: FoundEdge) -> Growth:
+    """Return how the variance of an edge's pixels grows with the light, from frame to frame where there are several."""
+    profile = edge.profile
+    if edge.shimmer is not None:
+        dark, bright = edge.shimmer
+        light = None if profile.black is None else (bright.level - profile.black, dark.level - profile.black)
+        return Growth(
+            ratio=bright.variance / max(dark.variance, 1e-300),
+            scatter=float(np.hypot(dark.scatter, bright.scatter)),
+            photons=light[0] / light[1] if light and light[1] > 0 else None,
+        )
     grain = profile.grain
     pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
     photons = None
     if profile.black is not None and profile.frames == 1 and profile.dark > profile.black:
-        bright = profile.bright - profile.black
-        if bright < QUIETEST * np.sqrt(grain.bright_variance):
-            photons = bright / (profile.dark - profile.black)
+        bright_dn = profile.bright - profile.black
+        if bright_dn < QUIETEST * np.sqrt(grain.bright_variance):
+            photons = bright_dn / (profile.dark - profile.black)
     return Growth(
         ratio=grain.bright_variance / grain.dark_variance,
         # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
@@ -53,13 +62,12 @@ def growth_of(profile: Profile) -> Growth:
     )
 
 
-def noise_flags(profile: Profile) -> tuple[str, ...]:
+def noise_flags(growth: Growth) -> tuple[str, ...]:
     """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
 
     Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
     that the response steepens.
     """
-    growth = growth_of(profile)
     falling = 1.0 / growth.ratio > FALLING[0] + FALLING[1] * growth.scatter
     rising = growth.photons is not None and growth.ratio > growth.photons * (RISING[0] + RISING[1] * growth.scatter)
     return ("gamma",) if falling or rising else ()

@@ -95,7 +95,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     if context.quick and _unsure(drawn[0], known):
         drawn = _drawn(fitter, fits, context, parabolic=False)
     response = fitter.response_curvature(best)
-    odds = curved_ln_odds(growth_of(edge.profile))
+    odds = curved_ln_odds(growth_of(edge))
     drawn = [(form, bent(posterior, response, odds, context.seed), count) for form, posterior, count in drawn]
     outcome = Outcome(
         method=METHOD,

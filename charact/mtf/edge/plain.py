@@ -15,7 +15,7 @@ from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, falls_to
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.geometry import orientation_deg
-from charact.mtf.edge.noise import noise_flags
+from charact.mtf.edge.noise import growth_of, noise_flags
 from charact.mtf.edge.pixels import line
 from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge
 from charact.mtf.edge.pixels.profile import Profile
@@ -34,6 +34,8 @@ LEAST_ROWS, LEAST_COLS = 20, 16
 LEAST_STEP_SD = 3.0
 # Step below which half a code at either plateau counts beside the bias of these methods, DN.
 COARSE_DN = 40.0
+# Share by which an edge that moves from frame to frame may lower MTF50 untold.
+LOWERED = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +181,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
     return (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
-        *noise_flags(profile),
+        *noise_flags(growth_of(edge)),
         *(("low-signal",) if profile.step < plain.least_snr * _noise(profile) else ()),
         *(
             ("quantised",)
@@ -188,6 +190,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
         ),
         *(("defects",) if profile.defects else ()),
         *edge.flags,
+        *(("drift",) if edge.wander.moves and not edge.wander.lowers(half) < LOWERED else ()),
         *_window_flags(profile, half),
     )
 

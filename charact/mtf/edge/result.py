@@ -19,6 +19,7 @@ from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, hidden, response_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
+from charact.mtf.wander import UNTOLD
 from charact.posterior import has_several_peaks
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, from_draws, measured, refused
@@ -133,10 +134,17 @@ def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
     yield from edge_checks.fit_flags(edge.picture, edge.profile, outcome.fitted, half if half > 0 else 0.01)
     if outcome.response:
         yield from response_flags(*outcome.response)
-    yield from noise_flags(edge.profile)
+    yield from noise_flags(growth_of(edge))
     yield from _posterior_flags(outcome.posterior, context)
     yield from outcome.flags
     yield from edge.flags
+    if edge.wander.moves and edge.wander.lowers(half) > UNTOLD * _relative_sd(halves):
+        yield "drift"
+
+
+def _relative_sd(halves: Array) -> float:
+    known = halves[np.isfinite(halves)]
+    return float(np.std(np.log(known))) if known.size else np.inf
 
 
 def _curve(draws: Array) -> Curve:
@@ -254,7 +262,7 @@ def _hidden_by_response(outcome: Outcome, halves: Array, context: Context) -> tu
     A described camera's response, or one under which noise grows as photons' does, is taken to be straight.
     """
     known = halves[np.isfinite(halves)]
-    straight = curved_ln_odds(growth_of(outcome.edge.profile)) < STRAIGHT_LN_ODDS
+    straight = curved_ln_odds(growth_of(outcome.edge)) < STRAIGHT_LN_ODDS
     if context.sensor is not None or straight or not known.size:
         return (), ()
     flags, notes = hidden(outcome.response or NOT_LOOKED_FOR, float(np.std(np.log(known))))

@@ -10,10 +10,14 @@ FIELDS_APART_PX, DRIFT_PX = 0.15, 0.3
 # Light is followed within this distance of its middle, px, from this share of its height on.
 NEAR_PX, HIGH = 5.0, 0.1
 LEAST_FRAMES = 4
+# Share by which motion from frame to frame may lower MTF50 untold, and probability of as much by chance.
+SHAKEN, CHANCE = 0.01, 5e-4
+# Median of chi squared of one degree of freedom.
+CHI2_MEDIAN = 0.455
 
 
 def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return `interlace-motion` where the fields disagree about the source's column, `drift` where it wanders.
+    """Return `interlace-motion` where the fields disagree about the source's column, `drift` where it moves on.
 
     Parameters
     ----------
@@ -26,7 +30,8 @@ def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -
     """
     if len(frames) < LEAST_FRAMES:
         return ()
-    found = (("interlace-motion", _fields_apart(frames, x, y, parity)), ("drift", _wanders(frames, x, y)))
+    moves = _wanders(frames, x, y) or _shakes(frames, x, y)
+    found = (("interlace-motion", _fields_apart(frames, x, y, parity)), ("drift", moves))
     return tuple(name for name, seen in found if seen)
 
 
@@ -47,15 +52,53 @@ def _fields_apart(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) 
 
 def _wanders(frames: Array, x: Array, y: Array) -> bool:
     """Tell whether the light moves steadily along rows or columns from frame to frame."""
-    mean = frames.mean(axis=0)
-    used = (np.hypot(x[None, :], y[:, None]) < NEAR_PX) & (mean > HIGH * mean.max())
     time = np.linspace(-0.5, 0.5, len(frames))
-    for slope in (np.gradient(mean, x, axis=1), np.gradient(mean, y, axis=0)):
-        rise = np.where(used, slope, 0.0)
-        place = -np.sum((frames - mean) * rise, axis=(1, 2)) / max(float(np.sum(rise**2)), 1e-300)
+    for place, _ in _places(frames, x, y):
         travel = float(time @ place / (time @ time))
         left = place - place.mean() - travel * time
         error = float(np.sqrt(left @ left / (len(frames) - 2) / (time @ time)))
         if abs(travel) > max(SIGNIFICANT * error, DRIFT_PX):
             return True
     return False
+
+
+def _shakes(frames: Array, x: Array, y: Array) -> bool:
+    """Tell whether the light moves from frame to frame by more than its photons make it, and by enough to matter.
+
+    Notes
+    -----
+    Photons of a spot S scatter its place by at most a sum(w^2 S) / sum(w^2)^2, w its slope and a the variance of all
+    light over that light: pulses wider than a pixel share theirs among pixels, which moves the place less (Jensen).
+    All light hardly depends on the place, and what makes it flicker makes the bound larger. The mean of the frames is
+    blurred by the mean square of places, which lowers MTF50 by half of it over that of the blur.
+    """
+    from scipy.special import fdtrc
+
+    mean = frames.mean(axis=0)
+    near = np.hypot(x[None, :], y[:, None]) < NEAR_PX
+    light, freedom = frames[:, near].sum(axis=1), len(frames) - 1
+    if not light.mean() > 0:
+        return False
+    per_light = light.var(ddof=1) / light.mean()
+    dark = 0.5 * float(np.median(np.diff(frames[:, ~near], axis=0) ** 2)) / CHI2_MEDIAN if not near.all() else 0.0
+    area = light.mean() / max(float(mean.max()), 1e-300) * float(np.diff(x[:2])[0] * np.diff(y[:2])[0])
+    for place, rise in _places(frames, x, y):
+        power = max(float(np.sum(rise**2)), 1e-300)
+        noise = per_light * float(np.sum(rise**2 * np.maximum(mean, 0.0))) / power**2 + dark / power
+        square = place.var(ddof=1)
+        lowered = np.pi * (square - noise) / area
+        if lowered > SHAKEN and fdtrc(freedom, freedom, square / max(noise, 1e-300)) < CHANCE:
+            return True
+    return False
+
+
+def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
+    """Return how far the light of each frame stands off their mean along rows and columns, and the slopes that tell."""
+    mean = frames.mean(axis=0)
+    used = (np.hypot(x[None, :], y[:, None]) < NEAR_PX) & (mean > HIGH * mean.max())
+    found = []
+    for slope in (np.gradient(mean, x, axis=1), np.gradient(mean, y, axis=0)):
+        rise = np.where(used, slope, 0.0)
+        place = -np.sum((frames - mean) * rise, axis=(1, 2)) / max(float(np.sum(rise**2)), 1e-300)
+        found.append((place, rise))
+    return found

@@ -35,6 +35,7 @@ AXES: Axes = {
     "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0)),
     "strip of 20 rows": ("cy/px", (0.03, 0.05, 0.1, 0.2, 0.3, 0.35, 0.4, 0.45, 0.48), (0.05, 0.3)),
     "strip of 20 rows, SNR": ("level / pixel noise", (100, 30, 10, 5, 2, 1), (10, 100)),
+    "motion from frame to frame": ("px rms, 8 frames", (0, 0.1, 0.2, 0.5, 1, 2, 4), (0, 0)),
 }
 # Deep noise clips on eight bits, which is another axis.
 TWELVE_BITS: dict[str, Any] = {"pedestal_dn": 1200.0, "level_dn": 300.0, "full_scale_dn": 4095.0}
@@ -74,6 +75,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> Scene:
         "gap to a neighbour": {"neighbour_px": position, "rows": 240, "row_px": -45.0},
         "stuck pixels": {"hot_share": position / 100},
         "sharpening": {"sharpening": position},
+        "motion from frame to frame": {"jitter_px": position, "frames": 8},
     }.get(axis, {})
     return BarScene(**{**common, **knob})
 

@@ -35,6 +35,7 @@ BREAKING: Breaking = {
     "gamma": (0.45, 2.2, True),
     "gradient": (0.03, 0.8, True),
     "motion_px": (0.03, 4.0, True),
+    "jitter_px": (0.03, 4.0, True),
     "clip_share": (0.005, 0.5, True),
     "hot_share": (1e-5, 0.05, True),
     "neighbour_px": (2.0, 40.0, True),

@@ -18,6 +18,7 @@ LABELS = {
     "gamma": "exponent of the response (1)",
     "gradient": "light, right over left less 1 (1)",
     "motion_px": "motion between fields (px)",
+    "jitter_px": "motion from frame to frame (px rms)",
     "clip_share": "share of the step clipped (1)",
     "hot_share": "share of stuck pixels (1)",
     "neighbour_px": "gap to another target (px)",

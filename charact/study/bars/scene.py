@@ -77,6 +77,8 @@ class BarScene:
         Illumination at the right border over that at the left, minus 1.
     motion_px
         Horizontal displacement of odd rows, exposed in the later field, px.
+    jitter_px
+        Standard deviation of a horizontal displacement that each frame has for itself, px.
     clip_share
         Share of `level_dn` that lies above full scale.
     hot_share
@@ -106,6 +108,7 @@ class BarScene:
     gamma: float = 1.0
     gradient: float = 0.0
     motion_px: float = 0.0
+    jitter_px: float = 0.0
     clip_share: float = 0.0
     hot_share: float = 0.0
     sharpening: float = 0.0
@@ -146,18 +149,30 @@ class BarScene:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
         return self._response(self.light())
 
-    def light(self) -> NDArray[np.floating]:
-        """Noiseless light signal over black, DN of a straight response, shape (row, col)."""
-        light = self._light(0.0)
+    def light(self, moved_px: float = 0.0) -> NDArray[np.floating]:
+        """Noiseless light signal over black, DN of a straight response, shape (row, col).
+
+        Parameters
+        ----------
+        moved_px
+            Horizontal displacement of the target, px.
+        """
+        light = self._light(moved_px)
         if self.motion_px:
             odd = (np.arange(self.rows) % 2 == 1)[:, None]
-            light = np.where(odd, self._light(self.motion_px), light)
+            light = np.where(odd, self._light(moved_px + self.motion_px), light)
         place = (np.arange(self.cols) + 0.5) / self.cols
         light = (self.pedestal_dn - self.black_dn + self.level_dn * light) * (1 + self.gradient * place)
         if self.clip_share > 0:
             room = self.full_scale_dn - self.black_dn
             light = light * room / (self.pedestal_dn - self.black_dn + (1 - self.clip_share) * self.level_dn)
         return light
+
+    def _frames_light(self, rng: np.random.Generator) -> NDArray[np.floating]:
+        """Light of every frame, or of all of them where nothing moves."""
+        if not self.jitter_px:
+            return self.light()
+        return np.stack([self.light(moved) for moved in self.jitter_px * rng.standard_normal(self.frames)])
 
     def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
         """What the camera makes of light: DN, black included."""
@@ -166,7 +181,7 @@ class BarScene:
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
         """Draw the stack: noise of the light correlated after the gain, the response, white read noise, digitised."""
-        light = self.light()
+        light = self._frames_light(rng)
         sd = self.level_dn / self.snr if np.isfinite(self.snr) else 0.0
         half_way = self.pedestal_dn + 0.5 * self.level_dn - self.black_dn
         shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)

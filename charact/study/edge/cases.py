@@ -29,6 +29,7 @@ AXES: Axes = {
     "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0)),
     "contrast": ("DN of step, noise 0.6 DN", (200, 100, 30, 10, 4, 2), (100, 200)),
     "noise under a code": ("DN of noise, step 30 DN", (1, 0.5, 0.3, 0.2, 0.1, 0.05), (1, 1)),
+    "motion from frame to frame": ("px rms, 8 frames", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 2), (0, 0)),
 }
 
 
@@ -46,6 +47,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
         "illumination gradient": {"gradient": position / 100},
         "noise blur after the gain": {"noise_blur_px": position, "snr": 25.0},
         "interlace motion": {"motion_px": position},
+        "motion from frame to frame": {"jitter_px": position, "frames": 8},
         "frames": {"frames": int(position), "snr": 25.0, "noise_blur_px": 0.7},
         "region": {"rows": int(position), "cols": int(position)},
         "offset of the edge": {"offset_px": position},

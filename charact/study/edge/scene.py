@@ -59,15 +59,17 @@ class Blur:
 
     def transfer(self, fx: NDArray[np.floating] | float, fy: NDArray[np.floating] | float) -> NDArray[np.floating]:
         """MTF at frequencies along rows and columns, cycles per pixel, pixel included."""
-        pixel = np.sinc(fx) * np.sinc(fy)
-        f = np.hypot(fx, fy)
+        return self.before_pixel(np.hypot(fx, fy)) * np.sinc(fx) * np.sinc(fy)
+
+    def before_pixel(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
+        """MTF at frequencies in any direction, cycles per pixel, without the pixel."""
         core = {"gaussian": self._gaussian, "exponential": self._exponential, "moffat": self._moffat}[self.form](f)
         if self.halo_share == 0:
-            return core * pixel
+            return core
         from scipy.special import j1
 
         x = np.maximum(np.pi * self.halo_px * f, 1e-9)
-        return core * (1 - self.halo_share + self.halo_share * 2 * j1(x) / x) * pixel
+        return core * (1 - self.halo_share + self.halo_share * 2 * j1(x) / x)
 
     def _gaussian(self, f: NDArray[np.floating]) -> NDArray[np.floating]:
         return np.exp(-2 * (np.pi * f * self.sigma_px) ** 2)
@@ -153,6 +155,8 @@ class EdgeScene:
         Illumination at the right border over that at the left, minus 1.
     motion_px
         Horizontal displacement of odd rows, exposed in the later field, px.
+    jitter_px
+        Standard deviation of a horizontal displacement that each frame has for itself, px.
     sagitta_px
         Bow of the edge over its length in the frame, px.
     clip_share
@@ -179,6 +183,7 @@ class EdgeScene:
     gamma: float = 1.0
     gradient: float = 0.0
     motion_px: float = 0.0
+    jitter_px: float = 0.0
     sagitta_px: float = 0.0
     clip_share: float = 0.0
     hot_share: float = 0.0
@@ -201,12 +206,18 @@ class EdgeScene:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
         return self._response(self.light())
 
-    def light(self) -> NDArray[np.floating]:
-        """Noiseless light signal over black, DN of a straight response, shape (row, col)."""
+    def light(self, moved_px: float = 0.0) -> NDArray[np.floating]:
+        """Noiseless light signal over black, DN of a straight response, shape (row, col).
+
+        Parameters
+        ----------
+        moved_px
+            Horizontal displacement of the edge, px.
+        """
         angle = np.deg2rad(self.angle_deg)
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
         col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
-        moved = col - self.motion_px * (np.arange(self.rows) % 2)[:, None]
+        moved = col - moved_px - self.motion_px * (np.arange(self.rows) % 2)[:, None]
         along = row * np.cos(angle) - col * np.sin(angle)
         length = min(self.rows / max(abs(np.cos(angle)), 1e-9), self.cols / max(abs(np.sin(angle)), 1e-9))
         bow = self.sagitta_px * (1 - (2 * along / length) ** 2)
@@ -219,6 +230,12 @@ class EdgeScene:
             room = self.full_scale_dn - self.black_dn
             light = light * room / (self.bright_dn - self.black_dn - self.clip_share * step)
         return light
+
+    def _frames_light(self, rng: np.random.Generator) -> NDArray[np.floating]:
+        """Light of every frame, or of all of them where nothing moves."""
+        if not self.jitter_px:
+            return self.light()
+        return np.stack([self.light(moved) for moved in self.jitter_px * rng.standard_normal(self.frames)])
 
     def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
         """What the camera makes of light: DN, black included."""
@@ -234,7 +251,7 @@ class EdgeScene:
         v_s + v_r, covariance v_s R_h. The signal's part of the variance is proportional to the light; the response
         bends light and its noise alike.
         """
-        light = self.light()
+        light = self._frames_light(rng)
         sd = (self.bright_dn - self.dark_dn) / self.snr if np.isfinite(self.snr) else 0.0
         half_way = (self.bright_dn + self.dark_dn) / 2 - self.black_dn
         shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)

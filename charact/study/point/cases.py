@@ -30,6 +30,7 @@ AXES: Axes = {
     "pinhole, its size told": ("px", (0, 1, 2, 3, 5), (0, 2)),
     "stuck pixels": ("%", (0, 0.01, 0.1, 1), (0, 0)),
     "sharpening": ("of detail finer than 2 px", (0, 0.1, 0.2, 0.3, 0.5, 1, 3), (0, 0)),
+    "motion from frame to frame": ("px rms, 8 frames", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 2), (0, 0)),
 }
 
 
@@ -55,6 +56,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> PointScene:
         "pinhole, its size told": {"pinhole_px": position},
         "stuck pixels": {"hot_share": position / 100},
         "sharpening": {"sharpening": position},
+        "motion from frame to frame": {"jitter_px": position, "frames": 8},
     }[axis]
     return PointScene(**{**common, **knob})
 

@@ -37,6 +37,7 @@ BREAKING: Breaking = {
     "gradient": (0.1, 3.0, True),
     "motion_px": (0.03, 4.0, True),
     "drift_px": (0.1, 6.0, True),
+    "jitter_px": (0.03, 3.0, True),
     "frames": (1.0, 4.0, False),
     "rows": (10.0, 64.0, False),
     "off_centre_px": (4.0, 46.0, False),
@@ -46,6 +47,8 @@ BREAKING: Breaking = {
     "hot_share": (1e-5, 0.01, True),
     "halo_px": (40.0, 300.0, True),
 }
+# Those in codes of eight bits: they grow with full scale.
+OF_FULL_SCALE = ("read_dn", "peak_dn")
 # Places of a second source of little light, and background of light that slopes, photoelectrons a pixel.
 SECOND_PX, SLOPING = 10.0, 0.5
 # Bare ground beyond a halo that tells it from the background, and how far methods look, px.
@@ -68,22 +71,29 @@ def _scene_in_scope(rng: np.random.Generator) -> PointScene:
         halo_px=float(rng.uniform(8.0, 30.0)),
     )
     ordinary = rng.random() < 1.0 / 3.0
+    # One camera in three has twelve bits.
+    full_scale_dn = float(rng.choice([255.0, 255.0, 4095.0]))
+    scale = full_scale_dn / 255.0
     return PointScene(
         blur=blur,
         pulse_px=0.0 if ordinary else float(rng.uniform(0.4, 0.8)),
         gain_spread=0.0 if ordinary else float(rng.uniform(0.3, 1.0)),
         photoelectrons=float(np.exp(rng.uniform(np.log(1000.0 if ordinary else 300.0), np.log(30000.0)))),
-        peak_dn=float(rng.uniform(80.0, 180.0)),
+        peak_dn=float(rng.uniform(80.0, 180.0)) * scale,
         background=float(rng.uniform(0.0, 0.05)),
         frames=int(rng.choice([4, 8, 16])),
         row_px=float(rng.uniform(-3.0, 3.0)),
         col_px=float(rng.uniform(-3.0, 3.0)),
-        read_dn=float(rng.uniform(0.5, 2.0)),
+        read_dn=float(rng.uniform(0.5, 2.0) * np.sqrt(scale)),
+        black_dn=12.0 * scale,
+        full_scale_dn=full_scale_dn,
     )
 
 
 def _broken(scene: PointScene, axis: str, strength: float) -> PointScene:
     """Return a scene with one thing wrong."""
+    if axis in OF_FULL_SCALE:
+        strength *= scene.full_scale_dn / 255.0
     changed: dict[str, Any] = {
         "sharpness": {"blur": Blur(sigma_px=strength), "pulse_px": min(scene.pulse_px, strength)},
         "blur_px": {"blur": Blur(sigma_px=strength)},

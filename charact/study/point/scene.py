@@ -79,8 +79,9 @@ class PointScene:
         Background at the right border over that at the left, minus 1.
     motion_px
         Horizontal displacement of odd rows, exposed in the later field, px.
-    drift_px
-        Horizontal displacement from the first frame to the last, px.
+    drift_px, jitter_px
+        Horizontal displacement from the first frame to the last, and standard deviation of one that each frame has for
+        itself, px.
     neighbour_px, neighbour_share
         Distance of another source along the rows, px, and its light; infinite: none.
     pinhole_px
@@ -109,6 +110,7 @@ class PointScene:
     gradient: float = 0.0
     motion_px: float = 0.0
     drift_px: float = 0.0
+    jitter_px: float = 0.0
     neighbour_px: float = np.inf
     neighbour_share: float = 0.5
     pinhole_px: float = 0.0
@@ -143,7 +145,8 @@ class PointScene:
 
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
         """Draw the stack: Poisson photoelectrons, pulses of random height, read noise, digitised and clipped."""
-        light = np.stack([self._frame(number, rng) for number in range(self.frames)])
+        jitter = self.jitter_px * rng.standard_normal(self.frames) if self.jitter_px else np.zeros(self.frames)
+        light = np.stack([self._frame(number, float(jitter[number]), rng) for number in range(self.frames)])
         room = self.full_scale_dn - self.black_dn
         signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
         signal = sharpened(signal + self.read_dn * rng.standard_normal(signal.shape), self.sharpening)
@@ -155,9 +158,9 @@ class PointScene:
             black_level_dn=self.black_dn,
         )
 
-    def _frame(self, number: int, rng: np.random.Generator) -> NDArray[np.floating]:
+    def _frame(self, number: int, jitter_px: float, rng: np.random.Generator) -> NDArray[np.floating]:
         """Light of one frame over black, DN."""
-        moved = self.drift_px * (number / max(self.frames - 1, 1) - 0.5)
+        moved = self.drift_px * (number / max(self.frames - 1, 1) - 0.5) + jitter_px
         centre = np.array([(self.rows - 1) / 2 + self.row_px, (self.cols - 1) / 2 + self.col_px + moved])
         spots = [centre + self._landed(self.photoelectrons, rng)]
         if np.isfinite(self.neighbour_px):

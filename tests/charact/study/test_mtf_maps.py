@@ -1,4 +1,4 @@
-"""The committed maps of bars, points and spectra: their cells are what the methods still do, and what they show."""
+"""The maps of bars, points, spectra and edges of pulses: cells are what the methods still do, and what they show."""
 
 import json
 
@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from charact.study.bars import map as bars
+from charact.study.edge import pulse_map as pulses
 from charact.study.flats import spectrum_map as spectra
 from charact.study.point import map as points
 
 # What a method says of itself that it does not tell, by the axis of the map.
-UNTOLD = {bars: ("gamma",), points: ("gamma", "neighbour_px"), spectra: ()}
+UNTOLD = {bars: ("gamma",), points: ("gamma", "neighbour_px"), spectra: (), pulses: ()}
 
 
-@pytest.fixture(params=[bars, points, spectra], ids=["bars", "points", "spectra"])
+@pytest.fixture(params=[bars, points, spectra, pulses], ids=["bars", "points", "spectra", "edges of pulses"])
 def study(request):
     return request.param
 

@@ -1,6 +1,6 @@
 """From frames to an edge ready to be fitted: where it is, how its rows lie, and its profile."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,8 +9,10 @@ from charact.mtf.edge.pixels import line
 from charact.mtf.edge.pixels.extent import LEAST_ROWS, extent
 from charact.mtf.edge.pixels.fields import with_fields_apart
 from charact.mtf.edge.pixels.profile import Profile, centred, profile_of
+from charact.mtf.edge.pixels.shimmer import Side, shimmer_of
 from charact.mtf.picture import Picture, mean_picture
 from charact.mtf.region import Region
+from charact.mtf.wander import Wander, wander_across
 from labdata.frames import FrameStack
 
 WIDEST_PX = 110.0
@@ -39,6 +41,10 @@ class FoundEdge:
         Its line and how single rows depart from it.
     profile
         Its profile with the noise that is in it.
+    wander
+        How it moves from frame to frame.
+    shimmer
+        The noise of both its sides from frame to frame; None: of a single frame.
     flags, notes
         What finding it brought up.
     """
@@ -48,6 +54,8 @@ class FoundEdge:
     picture: Picture
     rows: line.RowFit
     profile: Profile
+    wander: Wander = field(default_factory=Wander)
+    shimmer: tuple[Side, Side] | None = None
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -78,13 +86,13 @@ def find_edge(
     where: Region = (row, col, height, width)
     if min(height, width) < 8:
         return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {height} x {width}", where=where)
-    picture, coarse = line.find(mean_picture(used, context.pitch_ratio))
+    picture, coarse = line.find(mean_picture(used, context.pitch_ratio, interlaced=bool(context.interlaced)))
     part = extent(picture, coarse) if min(height, width) >= 2 * LEAST_ROWS else None
     if part is not None:
         used, where = used.region(*part), (row + part[0], col + part[1], part[2], part[3])
         if min(part[2:]) < 8:
             return NoEdge(reason=f"an edge needs a region of at least 8 x 8 px, got {part[2]} x {part[3]}", where=where)
-        picture, coarse = line.find(mean_picture(used, context.pitch_ratio))
+        picture, coarse = line.find(mean_picture(used, context.pitch_ratio, interlaced=bool(context.interlaced)))
     rows = line.refine(picture, coarse)
     if context.interlaced and fields_apart:
         rows = with_fields_apart(picture, rows)
@@ -100,9 +108,19 @@ def find_edge(
         picture=picture,
         rows=rows,
         profile=profile,
+        wander=_wander(used, picture, rows.line),
+        shimmer=shimmer_of(used, picture, profile),
         flags=("several-targets",) if part is not None and region is not None else (),
         notes=_notes(used, profile, rows.line, cut=part is not None),
     )
+
+
+def _wander(used: FrameStack, picture: Picture, edge: line.Line) -> Wander:
+    """Return how an edge moves across itself from frame to frame."""
+    across = edge.across(picture.value.shape)
+    row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
+    normal = across * float(np.cos(edge.angle_rad(picture.pitch_ratio)))
+    return wander_across([picture.upright(one) for one in used.data], normal, row, np.abs(across) < line.ROW_REACH_PX)
 
 
 def _notes(used: FrameStack, profile: Profile, edge: line.Line, *, cut: bool) -> tuple[str, ...]:

@@ -54,7 +54,7 @@ class Grain:
         return self.dark_variance + (self.bright_variance - self.dark_variance) * share
 
 
-def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) -> Grain:
+def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float, field_axis: int | None = None) -> Grain:
     """Estimate the noise from residuals.
 
     Parameters
@@ -67,6 +67,8 @@ def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) ->
         The band along the edge.
     floor
         Least variance, DN^2.
+    field_axis
+        Along which axis of the picture two fields alternate; None: there are none.
     """
     used = gathered.used
     dark, bright = _variances(residual, level, used, floor)
@@ -76,7 +78,8 @@ def grain_of(residual: Array, level: Array, gathered: Gathered, floor: float) ->
         return grain
     standard = np.where(used, residual / np.sqrt(grain.variance(level)), 0.0)
     slopes = float(np.diff(gathered.distance[0, :2])[0]), float(np.diff(gathered.distance[:2, 0])[0])
-    return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation_of(standard, used, slopes))
+    correlation = correlation_of(standard, used, slopes, field_axis)
+    return Grain(dark_variance=dark, bright_variance=bright, correlation=correlation)
 
 
 def _variances(residual: Array, level: Array, used: NDArray[np.bool_], floor: float) -> tuple[float, float]:
@@ -115,7 +118,9 @@ def _squares(residual: Array, level: Array, used: NDArray[np.bool_], floor: floa
     return normal, pull, mean
 
 
-def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float, float]) -> Array:
+def correlation_of(
+    standard: Array, used: NDArray[np.bool_], slopes: tuple[float, float], field_axis: int | None = None
+) -> Array:
     """Return the correlation of standardised residuals at lags up to REACH: a smooth form, and what departs from it.
 
     Parameters
@@ -124,6 +129,8 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
         Residuals in units of their deviation and which of them count, shape (row, col).
     slopes
         Change of the distance from the edge with one column and with one row, px.
+    field_axis
+        As of `grain_of`.
     """
     rows, cols = standard.shape
     reach_row, reach_col = min(REACH, rows - 1), min(REACH, cols - 1)
@@ -137,7 +144,8 @@ def correlation_of(standard: Array, used: NDArray[np.bool_], slopes: tuple[float
         return np.ones((1, 1))
     correlation = correlation / correlation[reach_row, reach_col]
     across = np.add.outer(take_row * slopes[1], take_col * slopes[0])
-    form, taken = form_of(correlation, pairs, across)
+    odd = np.broadcast_to((take_row[:, None], take_col[None, :])[field_axis or 0] % 2 == 1, correlation.shape)
+    form, taken = form_of(correlation, pairs, across, None if field_axis is None else odd)
     left = correlation - form - taken
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))

@@ -22,7 +22,9 @@ ITERATIONS = 30
 LEAST_GAIN, LEAST_DAMPING, MOST_DAMPING, DAMPED = 0.1, 1e-3, 100.0, 10.0
 
 
-def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Array]:
+def form_of(
+    correlation: Array, pairs: Array, across: Array, between: NDArray[np.bool_] | None = None
+) -> tuple[Array, Array]:
     """Fit the form to a correlation and return it, and what the removal of bin means took from it.
 
     Parameters
@@ -33,6 +35,9 @@ def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Arr
         Pairs of pixels behind each lag.
     across
         Distance across the edge that each lag makes, px.
+    between
+        Which lags lead from one field to the other, whose exposures share less of the noise or none; None: there are
+        no fields.
 
     Returns
     -------
@@ -50,7 +55,8 @@ def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Arr
     strip = np.maximum(1.0 - np.abs(across) / STRIP_PX, 0.0)
     # One of each pair of opposite lags, and not the pixel itself.
     half = (y > 0) | ((y == 0) & (x > 0))
-    telling = half & (np.abs(x) <= TELLING_PX) & (np.abs(y) <= TELLING_PX) & (pairs > 50)
+    near = half & (np.abs(x) <= TELLING_PX) & (np.abs(y) <= TELLING_PX) & (pairs > 50)
+    telling = near if between is None else near & ~between
     weight = np.sqrt(pairs[telling])
     lags = np.stack([x[telling], y[telling]]).astype(float)
     found = _fitted(correlation[telling] * weight, lags, strip[telling], weight)
@@ -61,7 +67,15 @@ def form_of(correlation: Array, pairs: Array, across: Array) -> tuple[Array, Arr
         return np.where(middle, 1.0, 0.0), np.where(middle, 0.0, taken * strip)
     theta, (share, taken) = found
     form = share * _shape(theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)).reshape(x.shape)
+    if between is not None:
+        form = np.where(between, _shared(correlation - taken * strip, form, pairs, near & between) * form, form)
     return np.where(middle, 1.0, form), np.where(middle, 0.0, taken * strip)
+
+
+def _shared(correlation: Array, form: Array, pairs: Array, lags: NDArray[np.bool_]) -> float:
+    """Return how much of the form there is at some lags, from 0 to 1, by least squares."""
+    weight = pairs[lags] * form[lags]
+    return float(np.clip(weight @ correlation[lags] / max(weight @ form[lags], 1e-300), 0.0, 1.0))
 
 
 @njit(cache=True)

@@ -179,7 +179,7 @@ def _assembled(
     slopes = (float(np.cos(angle)), float(-line.slope * np.cos(angle)))
     rounding = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
     floor = max(rounding, (3e-4 * (bright - dark)) ** 2, 1e-30)
-    grain = grain_of(residual, level, gathered, floor)
+    grain = grain_of(residual, level, gathered, floor, picture.field_axis)
     profile = Profile(
         gathered=gathered,
         distance=distance[keep],
@@ -214,7 +214,8 @@ def refined(profile: Profile, picture: Picture, model_value: Array) -> Profile:
     level = (at_pixel - profile.dark) / profile.step
     value = np.where(profile.gathered.used, picture.value - at_pixel, 0.0)
     residual = without_slope(value, profile.gathered, level)
-    anew = with_grain(profile, grain_of(residual, level, profile.gathered, profile.variance_floor))
+    grain = grain_of(residual, level, profile.gathered, profile.variance_floor, picture.field_axis)
+    anew = with_grain(profile, grain)
     return with_shading(anew, profile.value)
 
 

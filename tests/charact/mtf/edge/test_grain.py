@@ -117,3 +117,24 @@ def test_the_quick_look_for_a_pile_up_overlooks_none(monkeypatch, rng, kind, cei
             patch.setattr(codes, "_piled", lambda _: True)
             assert quick == codes.code_flags(data, full_scale)
     assert ("clipped" in codes.code_flags(data, min(ceiling, 4095.0))) == np.isfinite(ceiling)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("lag", [0.0, 0.3])
+def test_fields_exposed_apart_share_what_lingers(rng, axis, lag):
+    """Two exposures of blurred noise on alternate lines, one with a share of the other: correlations as drawn."""
+    lags, sigma = np.arange(-REACH, REACH + 1), 0.8
+    kernel = gaussian_filter((np.add.outer(lags**2, lags**2) == 0) * 1.0, sigma)
+    truth = correlate(kernel, kernel, "same") / np.sum(kernel**2)
+    one, fresh = (correlate(rng.standard_normal((228, 228)), kernel, "valid") for _ in range(2))
+    other = lag * one + np.sqrt(1.0 - lag**2) * fresh
+    lines = np.arange(200).reshape((-1, 1) if axis == 0 else (1, -1)) % 2 == 1
+    noise = np.where(lines, other, one)
+    found = correlation_of(noise / noise.std(), np.ones(noise.shape, bool), (1.0, 0.1), axis)
+    between = np.broadcast_to((lags[:, None] if axis == 0 else lags) % 2 == 1, truth.shape)
+    truth = np.where(between, lag * truth, truth)
+    near = np.ix_(np.abs(lags) <= 3, np.abs(lags) <= 3)
+    error = np.sqrt(np.sum(truth**2)) / 200.0
+    assert found[near] == pytest.approx(truth[near], abs=4.0 * error)
+    assert found.sum() == pytest.approx(truth.sum(), rel=0.15)
+    assert found.sum() != pytest.approx(correlation_of(noise / noise.std(), lines | True, (1.0, 0.1)).sum(), rel=0.01)
