@@ -1,6 +1,7 @@
 """From frames to an edge ready to be fitted: where it is, how its rows lie, and its profile."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -41,10 +42,6 @@ class FoundEdge:
         Its line and how single rows depart from it.
     profile
         Its profile with the noise that is in it.
-    wander
-        How it moves from frame to frame.
-    shimmer
-        The noise of both its sides from frame to frame; None: of a single frame.
     flags, notes
         What finding it brought up.
     """
@@ -54,10 +51,25 @@ class FoundEdge:
     picture: Picture
     rows: line.RowFit
     profile: Profile
-    wander: Wander = field(default_factory=Wander)
-    shimmer: tuple[Side, Side] | None = None
     flags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @cached_property
+    def wander(self) -> Wander:
+        """How it moves across itself from frame to frame."""
+        if len(self.used.data) < 2:
+            return Wander()
+        edge, picture = self.rows.line, self.picture
+        across = edge.across(picture.value.shape)
+        row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
+        normal = across * float(np.cos(edge.angle_rad(picture.pitch_ratio)))
+        frames = [picture.upright(one) for one in self.used.data]
+        return wander_across(frames, normal, row, np.abs(across) < line.ROW_REACH_PX)
+
+    @cached_property
+    def shimmer(self) -> tuple[Side, Side] | None:
+        """The noise of both its sides; None: a side has few pixels."""
+        return shimmer_of(self.used, self.picture, self.profile)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,19 +120,9 @@ def find_edge(
         picture=picture,
         rows=rows,
         profile=profile,
-        wander=_wander(used, picture, rows.line),
-        shimmer=shimmer_of(used, picture, profile),
         flags=("several-targets",) if part is not None and region is not None else (),
         notes=_notes(used, profile, rows.line, cut=part is not None),
     )
-
-
-def _wander(used: FrameStack, picture: Picture, edge: line.Line) -> Wander:
-    """Return how an edge moves across itself from frame to frame."""
-    across = edge.across(picture.value.shape)
-    row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
-    normal = across * float(np.cos(edge.angle_rad(picture.pitch_ratio)))
-    return wander_across([picture.upright(one) for one in used.data], normal, row, np.abs(across) < line.ROW_REACH_PX)
 
 
 def _notes(used: FrameStack, profile: Profile, edge: line.Line, *, cut: bool) -> tuple[str, ...]:

@@ -59,8 +59,6 @@ class Profile:
         Standard deviation of slow undulations of the plateaus that the grain does not hold, DN.
     defects
         Pixels left out for values that the noise cannot explain.
-    frames
-        Frames averaged.
     angle_rad, slopes
         Angle of the edge; change of distance with one column and one row, px.
     variance_floor
@@ -80,7 +78,6 @@ class Profile:
     covariance: Array
     shading_sd: float
     defects: int
-    frames: int
     angle_rad: float
     slopes: tuple[float, float]
     variance_floor: float
@@ -194,7 +191,6 @@ def _assembled(
         covariance=np.eye(int(keep.sum())),
         shading_sd=0.0,
         defects=defects,
-        frames=picture.frames,
         angle_rad=angle,
         slopes=slopes,
         variance_floor=floor,

@@ -1,8 +1,12 @@
-"""Noise that changes from frame to frame on both sides of an edge: no fixed pattern and no flicker of all is in it."""
+"""Noise on both sides of an edge: its variance, and what neighbours share of it, which is light's and not read-out's.
+
+From frame to frame where there are several: no fixed pattern and no flicker of all is in it then.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.profile import Profile
@@ -13,52 +17,116 @@ Array = NDArray[np.float64]
 
 # Share of the step up to which a pixel belongs to either side, and least pixels there.
 PLATEAU, LEAST_PIXELS = 0.1, 50
+# Lags along a row: of neighbours, and of pixels so far apart that only what a row has in common ties them.
+LAGS = (1, 8, 9, 10)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """One side of an edge through all frames.
+    """One side of an edge.
 
     Parameters
     ----------
     level
         Mean of its pixels, DN.
     variance, scatter
-        Mean variance of a pixel from frame to frame, DN^2, and its relative standard error.
+        Mean variance of a pixel, DN^2, and its relative standard error.
+    covariance, covariance_sd
+        Mean covariance of neighbours along a row, beyond that of pixels far apart in it, and its standard error, DN^2.
     """
 
     level: float
     variance: float
     scatter: float
+    covariance: float
+    covariance_sd: float
 
 
 def shimmer_of(stack: FrameStack, picture: Picture, profile: Profile) -> tuple[Side, Side] | None:
-    """Return the dark and the bright side of an edge; None: a single frame, or a side of few pixels.
+    """Return the dark and the bright side of an edge; None: a side of few pixels.
 
     Notes
     -----
-    The mean of a side in each frame and that of each pixel are taken off. The error follows from how unequal the
-    pixels' variances are, so that heavy-tailed pulses count as they are, and from what neighbours share.
+    Of several frames the mean of a side in each frame and that of each pixel are taken off, of a single one the
+    profile. Errors follow from how unequal pixels are, so that heavy-tailed pulses count as they are, and from what
+    neighbours share. Pulses tie neighbours, read-out and rounding do not.
     """
-    if len(stack.data) < 2:
-        return None
-    value = np.interp(profile.gathered.distance, profile.distance, profile.value)
+    value = np.zeros(profile.keep.size)
+    value[profile.keep] = profile.value
+    value = value[profile.gathered.bin_index]
     level = (value - profile.dark) / (profile.step or 1.0)
-    sides = [profile.gathered.used & side for side in (level < PLATEAU, level > 1.0 - PLATEAU)]
-    if min(np.count_nonzero(side) for side in sides) < LEAST_PIXELS:
-        return None
+    sides = np.where(level < PLATEAU, 1, np.where(level > 1.0 - PLATEAU, 2, 0)) * profile.gathered.used
     frames = np.stack([picture.upright(one) for one in stack.data])
-    tied = max(profile.grain.covariance_over_variance, 1.0)
-    dark, bright = (_side(frames[:, side], tied) for side in sides)
+    # Rows of the camera, whose neighbours belong to one field.
+    down, across = (1, 0) if picture.transposed else (0, 1)
+    sums = _tallied(frames, frames.mean(axis=0) if len(frames) > 1 else value, sides, down, across)
+    if sums[:, 0].min() < LEAST_PIXELS:
+        return None
+    tied, free = max(profile.grain.covariance_over_variance, 1.0), max(len(frames) - 1, 1)
+    dark, bright = (_side(one / np.array([1, 1, *([free, free**2] * 2), 1, free, 1]), tied) for one in sums)
     return dark, bright
 
 
-def _side(values: Array, tied: float) -> Side:
-    """Return a side from its pixels, shape (frame, pixel), whose averages are noisier by a factor."""
-    frames, pixels = values.shape
-    left = values - values.mean(axis=1)[:, None]
-    left -= left.mean(axis=0)
-    variances = np.sum(left**2, axis=0) / (frames - 1) * pixels / (pixels - 1)
-    mean = float(variances.mean())
-    scatter = float(variances.std(ddof=1)) / max(mean, 1e-300) * np.sqrt(tied / pixels)
-    return Side(level=float(values.mean()), variance=mean, scatter=scatter)
+def _side(sums: Array, tied: float) -> Side:
+    """Return a side from the sums over its pixels and pairs; averages are noisier by a factor."""
+    pixels, level, variances, squares, near, near_squares, pairs, far, far_pairs = sums.tolist()
+    variance, covariance = variances / pixels, near / max(pairs, 1.0)
+    scatter = max(squares / pixels - variance**2, 0.0)
+    error = max(near_squares / max(pairs, 1.0) - covariance**2, 0.0)
+    return Side(
+        level=level / pixels,
+        variance=variance,
+        scatter=float(np.sqrt(scatter * tied / pixels)) / max(variance, 1e-300),
+        covariance=covariance - far / max(far_pairs, 1.0),
+        covariance_sd=float(np.sqrt(error * tied / pairs)) if pairs else np.inf,
+    )
+
+
+@njit(cache=True)
+def _tallied(values: Array, mean: Array, sides: NDArray[np.int64], down: int, across: int) -> Array:
+    """Return sums over both sides, shape (side, 9).
+
+    Of pixels and their values; of each pixel's squares, of those squared, of neighbours' products, of those squared,
+    each summed over frames, and of neighbours; of far pixels' products, and of those.
+    """
+    frames, rows, cols = values.shape
+    out, left = np.zeros((2, 9)), np.zeros((frames, rows, cols))
+    for k in range(frames):
+        total, count = np.zeros(3), np.zeros(3)
+        for i in range(rows):
+            for j in range(cols):
+                left[k, i, j] = values[k, i, j] - mean[i, j]
+                total[sides[i, j]] += left[k, i, j]
+                count[sides[i, j]] += 1.0
+        for i in range(rows):
+            for j in range(cols):
+                left[k, i, j] -= total[sides[i, j]] / count[sides[i, j]]
+    for i in range(rows):
+        for j in range(cols):
+            side = sides[i, j]
+            if side == 0:
+                continue
+            here = out[side - 1]
+            square, value = 0.0, 0.0
+            for k in range(frames):
+                square += left[k, i, j] ** 2
+                value += values[k, i, j] / frames
+            here[0] += 1.0
+            here[1] += value
+            here[2] += square
+            here[3] += square**2
+            for lag in LAGS:
+                p, q = i + lag * down, j + lag * across
+                if p >= rows or q >= cols or sides[p, q] != side:
+                    continue
+                product = 0.0
+                for k in range(frames):
+                    product += left[k, i, j] * left[k, p, q]
+                if lag == 1:
+                    here[4] += product
+                    here[5] += product**2
+                    here[6] += 1.0
+                else:
+                    here[7] += product
+                    here[8] += 1.0
+    return out
