@@ -11,6 +11,7 @@ from charact.mtf.bars.bias import rounding_sd
 from charact.mtf.bars.checks import (
     flags_of_codes,
     flags_of_fit,
+    flags_of_light,
     flags_of_sums,
     light_in_standard_errors,
     not_identifiable,
@@ -154,7 +155,7 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
         target=replace(fit.target, frequency=asked),
         posterior=posterior,
         mtf=mtf_of(posterior, fit),
-        flags=(*flags, *flags_of_codes(used, near, context)),
+        flags=(*flags, *flags_of_light(used, fit), *flags_of_codes(used, near, context)),
         notes=tuple(notes),
         margin_px=margin,
     )

@@ -5,12 +5,13 @@ import numpy as np
 from charact.method import Context, register
 from charact.mtf.edge.fit.family_fit import FamilyFitter
 from charact.mtf.edge.fit.forms import departs, stands_alone, wides
-from charact.mtf.edge.noise import curved_ln_odds, growth_of
+from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
 from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.forms.families import Family
+from charact.mtf.growth import curved_ln_odds
 from charact.mtf.optics import known_of
 from charact.mtf.region import Region
 from charact.posterior import laplace

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from charact.method import Context, register
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.forward_fit import EdgeFit, curvature, fit, refit
-from charact.mtf.edge.noise import curved_ln_odds, growth_of
+from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import WIDEST_PX, FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.profile import refined, with_shading
 from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
+from charact.mtf.growth import curved_ln_odds
 from charact.mtf.optics import halo_of, known_of
 from charact.mtf.region import Region
 from charact.posterior import draw, weighed

@@ -1,88 +1,23 @@
-"""What the noise on both sides of an edge says of the response: photons' variance grows as their light."""
-
-from dataclasses import dataclass
+"""How the noise of an edge grows with the light: between neighbours, from frame to frame, or of single pixels."""
 
 import numpy as np
-from scipy.special import ndtr
 
 from charact.mtf.edge.pixels.find import FoundEdge
+from charact.mtf.growth import Growth, growth_of_light, growth_of_variance
 
 # Level over noise beyond which unequal pixels may be the noise.
 QUIETEST = 80.0
-# By how much the variance of two levels may fall towards the light, or rise beyond what photons make of it, and by how
-# many standard errors besides: processed pictures fall, pixels are unequal and blacks not quite so.
-FALLING, RISING = (1.15, 5.7), (1.1, 4.0)
-# How often noise is all read-out's, and the deviation of 1 - 1/g for responses of exponent g.
-READ_OUT, BENDING = 0.5, 0.4
-# Standard errors of what neighbours share from which on light made it, and how well black is known, DN.
-SHARED_SD, BLACK_SD_DN = 8.0, 0.2
-# Most that noise may count for or against a curved response, ln: a picture may have been processed otherwise.
-MOST_LN_ODDS = np.log(10.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Growth:
-    """How noise grows from the dark to the bright side of an edge.
-
-    Parameters
-    ----------
-    ratio, scatter
-        Bright over dark, and its relative standard error, dimensionless: of the variance, or of what neighbours share.
-    photons
-        The same ratio for photons' noise under a straight response; None: black is not known, or of a single frame
-        pixels so quiet that their unequal gain is seen.
-    of_light
-        Whether it is what neighbours share: pulses of light tie them, read-out does not.
-    """
-
-    ratio: float
-    scatter: float
-    photons: float | None
-    of_light: bool = False
 
 
 def growth_of(edge: FoundEdge) -> Growth:
     """Return how the noise of an edge grows with the light, from frame to frame where there are several."""
-    return _of_light(edge) or (_of_one(edge) if len(edge.used.data) == 1 else None) or _of_frames(edge)
-
-
-def _of_light(edge: FoundEdge) -> Growth | None:
-    """Return how what neighbours share grows; None where they share too little, or black is not known."""
-    photons = _photons(edge)
-    if edge.shimmer is None or photons is None:
-        return None
-    dark, bright = edge.shimmer
-    if min(one.covariance / max(one.covariance_sd, 1e-300) for one in edge.shimmer) < SHARED_SD:
-        return None
-    scatter = [one.covariance_sd / one.covariance for one in edge.shimmer]
-    black = BLACK_SD_DN / (dark.level - edge.profile.black) if edge.profile.black is not None else 0.0
-    return Growth(
-        ratio=bright.covariance / dark.covariance,
-        scatter=float(np.linalg.norm([*scatter, black])),
-        photons=photons,
-        of_light=True,
-    )
-
-
-def _of_frames(edge: FoundEdge) -> Growth:
-    """Return how the variance grows."""
-    if edge.shimmer is None:
-        return Growth(ratio=1.0, scatter=np.inf, photons=None)
-    dark, bright = edge.shimmer
-    return Growth(
-        ratio=bright.variance / max(dark.variance, 1e-300),
-        scatter=float(np.hypot(dark.scatter, bright.scatter)),
-        photons=_photons(edge),
-    )
-
-
-def _photons(edge: FoundEdge) -> float | None:
-    """Return the ratio of the light of both sides; None: black is not known, or lies above the dark side."""
     black = edge.profile.black
-    if edge.shimmer is None or black is None:
-        return None
-    dark, bright = (one.level - black for one in edge.shimmer)
-    return bright / dark if dark > 0 and bright > dark else None
+    found = edge.shimmer and growth_of_light(edge.shimmer, black)
+    if found:
+        return found
+    if len(edge.used.data) == 1 or edge.shimmer is None:
+        return _of_one(edge)
+    return growth_of_variance(edge.shimmer, black)
 
 
 def _of_one(edge: FoundEdge) -> Growth:
@@ -101,49 +36,3 @@ def _of_one(edge: FoundEdge) -> Growth:
         scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
         photons=photons,
     )
-
-
-def noise_flags(growth: Growth) -> tuple[str, ...]:
-    """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
-
-    Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
-    that the response steepens. What neighbours share grows as the level, neither more nor less.
-    """
-    rising = growth.photons is not None and growth.ratio > growth.photons * (RISING[0] + RISING[1] * growth.scatter)
-    if growth.of_light and growth.photons is not None:
-        falling = growth.photons / growth.ratio > RISING[0] + RISING[1] * growth.scatter
-    else:
-        falling = 1.0 / growth.ratio > FALLING[0] + FALLING[1] * growth.scatter
-    return ("gamma",) if falling or rising else ()
-
-
-def curved_ln_odds(growth: Growth) -> float:
-    """Return ln of how much likelier a growth of the noise is under a curved response than under a straight one.
-
-    Notes
-    -----
-    Half of all noise is read-out's, which comes after the response and tells nothing; what neighbours share is none of
-    it. Of the other, photons have any share: under a straight response ln of the ratio is anywhere from 0 to ln r, r
-    that of the light; of what neighbours share it is ln r. A power law of exponent g over levels that it makes r apart
-    moves it by 2 (1 - 1/g) ln r.
-    """
-    if growth.photons is None or not growth.photons > 1.0:
-        return 0.0
-    found, most, error = np.log(growth.ratio), np.log(growth.photons), growth.scatter
-    apart = error, float(np.hypot(error, 2.0 * BENDING * most))
-    if growth.of_light:
-        straight, curved = (_normal(found - most, sd) for sd in apart)
-    else:
-        read_out = READ_OUT * _normal(found, error)
-        straight, curved = (read_out + (1.0 - READ_OUT) * _evenly_to(most, found, sd) for sd in apart)
-    ratio = np.log(np.maximum(curved, 1e-300)) - np.log(np.maximum(straight, 1e-300))
-    return float(np.clip(ratio, -MOST_LN_ODDS, MOST_LN_ODDS))
-
-
-def _normal(away: float, sd: float) -> float:
-    return float(np.exp(-0.5 * (away / sd) ** 2) / (np.sqrt(2.0 * np.pi) * sd))
-
-
-def _evenly_to(most: float, found: float, sd: float) -> float:
-    """Return the density of what lies anywhere between 0 and a most, found with a normal error."""
-    return float(ndtr(found / sd) - ndtr((found - most) / sd)) / most

@@ -11,12 +11,13 @@ from charact.method import Context, register
 from charact.mtf.curve import FINE, falls_to
 from charact.mtf.edge.fit.family_fit import FamilyFit, FamilyFitter
 from charact.mtf.edge.fit.forms import Weighed, departs, fitted_forms, wides
-from charact.mtf.edge.noise import curved_ln_odds, growth_of
+from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.forms.families import Family, VeilPrior
+from charact.mtf.growth import curved_ln_odds
 from charact.mtf.optics import Known, known_of
 from charact.mtf.region import Region
 from charact.posterior import draw, laplace, weighed

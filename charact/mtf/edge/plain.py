@@ -15,10 +15,11 @@ from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, falls_to
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.geometry import orientation_deg
-from charact.mtf.edge.noise import growth_of, noise_flags
+from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels import line
 from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge
 from charact.mtf.edge.pixels.profile import Profile
+from charact.mtf.growth import noise_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
 from labdata.frames import FrameStack

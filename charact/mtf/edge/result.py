@@ -13,10 +13,11 @@ from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.doubt import doubted
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.geometry import orientation_deg
-from charact.mtf.edge.noise import curved_ln_odds, growth_of, noise_flags
+from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import FoundEdge
 from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, hidden, response_flags
+from charact.mtf.growth import curved_ln_odds, noise_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
 from charact.mtf.wander import UNTOLD

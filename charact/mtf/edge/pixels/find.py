@@ -10,13 +10,15 @@ from charact.mtf.edge.pixels import line
 from charact.mtf.edge.pixels.extent import LEAST_ROWS, extent
 from charact.mtf.edge.pixels.fields import with_fields_apart
 from charact.mtf.edge.pixels.profile import Profile, centred, profile_of
-from charact.mtf.edge.pixels.shimmer import Side, shimmer_of
 from charact.mtf.picture import Picture, mean_picture
 from charact.mtf.region import Region
+from charact.mtf.shimmer import Sides, sides_of
 from charact.mtf.wander import Wander, wander_across
 from labdata.frames import FrameStack
 
 WIDEST_PX = 110.0
+# Share of the step up to which a pixel belongs to either side.
+PLATEAU = 0.1
 # Least reach and number of pixels on either side.
 LEAST_HALF_WIDTH_PX, LEAST_PIXELS = 3.0, 16
 NO_STEP = "no target: no step from dark to bright was found in the region"
@@ -67,9 +69,17 @@ class FoundEdge:
         return wander_across(frames, normal, row, np.abs(across) < line.ROW_REACH_PX)
 
     @cached_property
-    def shimmer(self) -> tuple[Side, Side] | None:
+    def shimmer(self) -> Sides | None:
         """The noise of both its sides; None: a side has few pixels."""
-        return shimmer_of(self.used, self.picture, self.profile)
+        profile, picture = self.profile, self.picture
+        value = np.zeros(profile.keep.size)
+        value[profile.keep] = profile.value
+        value = value[profile.gathered.bin_index]
+        level = (value - profile.dark) / (profile.step or 1.0)
+        sides = np.where(level < PLATEAU, 1, np.where(level > 1.0 - PLATEAU, 2, 0)) * profile.gathered.used
+        frames = np.stack([picture.upright(one) for one in self.used.data])
+        tied = profile.grain.covariance_over_variance
+        return sides_of(frames, value, sides, along=0 if picture.transposed else 1, tied=tied)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -253,3 +253,14 @@ def test_a_camera_that_sharpens_is_told(seed: int) -> None:
     )
     assert "processed" in sharp.flags
     assert "processed" not in plain.flags
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.6, 1.6])
+def test_noise_that_neighbours_share_tells_a_response_that_no_harmonic_shows(gamma: float, seed: int) -> None:
+    """Bars blurred to one harmonic: only what pulses share of the noise grows otherwise than the light."""
+    scene = BarScene(
+        blur=Blur(sigma_px=2.2), frequency_cy_per_px=0.12, snr=12.0, shot_share=1.0, noise_blur_px=0.9, frames=16,
+        pedestal_dn=300.0, level_dn=1500.0, black_dn=100.0, full_scale_dn=2100.0, gamma=gamma,
+    )  # fmt: skip
+    flags = [scene_mtf(scene, np.random.default_rng([seed, n])).flags for n in range(4)]
+    assert sum("gamma" in one for one in flags) == (4 if gamma != 1.0 else 0)

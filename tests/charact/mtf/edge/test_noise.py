@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.mtf.edge.noise import (
+from charact.mtf.edge.noise import growth_of
+from charact.mtf.edge.pixels.find import find_edge
+from charact.mtf.growth import (
     BENDING,
     MOST_LN_ODDS,
     READ_OUT,
     Growth,
-    _of_frames,
     curved_ln_odds,
-    growth_of,
+    growth_of_variance,
     noise_flags,
 )
-from charact.mtf.edge.pixels.find import find_edge
 from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, EdgeScene
 
@@ -99,7 +99,10 @@ def test_noise_says_nothing_where_it_may_be_something_else(unknown, seed):
 @pytest.mark.parametrize("pattern", [0.0, 0.1], ids=["even", "pattern"])
 def test_pulses_grow_as_their_light_from_frame_to_frame(pattern, seed):
     """Heavy-tailed and tied, beside read noise: the ratio within four of its errors, whatever the fixed pattern."""
-    found = [_of_frames(edge) for edge in edges(replace(PULSES, pattern=pattern, flicker=0.1), seed, count=12)]
+    found = [
+        growth_of_variance(edge.shimmer, edge.profile.black)
+        for edge in edges(replace(PULSES, pattern=pattern, flicker=0.1), seed, count=12)
+    ]
     ratios, scatter = np.array([one.ratio for one in found]), np.mean([one.scatter for one in found])
     # Photoelectrons and their heights, each pulse shared out among pixels.
     line = edge_square(PULSES.pulse_px)

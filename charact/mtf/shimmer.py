@@ -1,4 +1,4 @@
-"""Noise on both sides of an edge: its variance, and what neighbours share of it, which is light's and not read-out's.
+"""Noise where a target is dark and bright: its variance, and what neighbours share, which is light's, not read-out's.
 
 From frame to frame where there are several: no fixed pattern and no flicker of all is in it then.
 """
@@ -9,21 +9,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.picture import Picture
-from labdata.frames import FrameStack
-
 Array = NDArray[np.float64]
 
-# Share of the step up to which a pixel belongs to either side, and least pixels there.
-PLATEAU, LEAST_PIXELS = 0.1, 50
+# Least pixels of a side.
+LEAST_PIXELS = 50
 # Lags along a row: of neighbours, and of pixels so far apart that only what a row has in common ties them.
 LAGS = (1, 8, 9, 10)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Side:
-    """One side of an edge.
+    """One side of a target.
 
     Parameters
     ----------
@@ -42,28 +38,37 @@ class Side:
     covariance_sd: float
 
 
-def shimmer_of(stack: FrameStack, picture: Picture, profile: Profile) -> tuple[Side, Side] | None:
-    """Return the dark and the bright side of an edge; None: a side of few pixels.
+Sides = tuple[Side, Side]
+
+
+def sides_of(frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, tied: float) -> Sides | None:
+    """Return the dark and the bright side of a target; None: a side of few pixels.
+
+    Parameters
+    ----------
+    frames
+        Shape (frame, row, col), DN.
+    expected
+        What a single frame's noise is measured from, shape (row, col), DN.
+    sides
+        0 for pixels that do not count, 1 on the dark and 2 on the bright side, shape (row, col).
+    along
+        Axis of a frame along which neighbours belong to one field: 0 down its rows, 1 along them.
+    tied
+        Sum of the noise's correlation: by how much averages are noisier than those of independent pixels.
 
     Notes
     -----
-    Of several frames the mean of a side in each frame and that of each pixel are taken off, of a single one the
-    profile. Errors follow from how unequal pixels are, so that heavy-tailed pulses count as they are, and from what
-    neighbours share. Pulses tie neighbours, read-out and rounding do not.
+    Of several frames the mean of a side in each frame and that of each pixel are taken off. Errors follow from how
+    unequal pixels are, so that heavy-tailed pulses count as they are, and from what neighbours share. Pulses tie
+    neighbours, read-out and rounding do not.
     """
-    value = np.zeros(profile.keep.size)
-    value[profile.keep] = profile.value
-    value = value[profile.gathered.bin_index]
-    level = (value - profile.dark) / (profile.step or 1.0)
-    sides = np.where(level < PLATEAU, 1, np.where(level > 1.0 - PLATEAU, 2, 0)) * profile.gathered.used
-    frames = np.stack([picture.upright(one) for one in stack.data])
-    # Rows of the camera, whose neighbours belong to one field.
-    down, across = (1, 0) if picture.transposed else (0, 1)
-    sums = _tallied(frames, frames.mean(axis=0) if len(frames) > 1 else value, sides, down, across)
+    mean = frames.mean(axis=0) if len(frames) > 1 else expected
+    sums = _tallied(frames, mean, sides, 1 - along, along)
     if sums[:, 0].min() < LEAST_PIXELS:
         return None
-    tied, free = max(profile.grain.covariance_over_variance, 1.0), max(len(frames) - 1, 1)
-    dark, bright = (_side(one / np.array([1, 1, *([free, free**2] * 2), 1, free, 1]), tied) for one in sums)
+    free = max(len(frames) - 1, 1)
+    dark, bright = (_side(one / np.array([1, 1, *([free, free**2] * 2), 1, free, 1]), max(tied, 1.0)) for one in sums)
     return dark, bright
 
 
