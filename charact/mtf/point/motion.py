@@ -10,6 +10,8 @@ FIELDS_APART_PX, DRIFT_PX = 0.15, 0.3
 # Light is followed within this distance of its middle, px, from this share of its height on.
 NEAR_PX, HIGH = 5.0, 0.1
 LEAST_FRAMES = 4
+# Light is all within this distance of its middle, px, also where it moves.
+ALL_PX = 10.0
 # Share by which motion from frame to frame may lower MTF50 untold, and probability of as much by chance.
 SHAKEN, CHANCE = 0.01, 5e-4
 # Median of chi squared of one degree of freedom.
@@ -75,7 +77,7 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     from scipy.special import fdtrc
 
     mean = frames.mean(axis=0)
-    near = np.hypot(x[None, :], y[:, None]) < NEAR_PX
+    near = np.hypot(x[None, :], y[:, None]) < ALL_PX
     light, freedom = frames[:, near].sum(axis=1), len(frames) - 1
     if not light.mean() > 0:
         return False
