@@ -69,7 +69,7 @@ def flags_of_fit(fit: Fit) -> list[str]:
 
 
 def flags_of_light(used: FrameStack, fit: Fit) -> tuple[str, ...]:
-    """Return `gamma` where what neighbours share of the noise does not grow as the light from the ground to the bars."""
+    """Return `gamma` where what neighbours share of the noise does not grow from ground to bars as the light does."""
     light, model = np.zeros(fit.window.shape), np.zeros(fit.window.shape)
     light[fit.window], model[fit.window] = fit.model_dn - fit["pedestal_dn"], fit.model_dn
     share = light / max(float(light.max()), 1e-300)
