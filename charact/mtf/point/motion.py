@@ -85,7 +85,10 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     dark = 0.5 * float(np.median(np.diff(frames[:, ~near], axis=0) ** 2)) / CHI2_MEDIAN if not near.all() else 0.0
     area = light.mean() / max(float(mean.max()), 1e-300) * float(np.diff(x[:2])[0] * np.diff(y[:2])[0])
     for place, rise in _places(frames, x, y):
-        power = max(float(np.sum(rise**2)), 1e-300)
+        power = float(np.sum(rise**2))
+        if not power > 0:
+            # All light in one pixel: its place does not show.
+            continue
         noise = per_light * float(np.sum(rise**2 * np.maximum(mean, 0.0))) / power**2 + dark / power
         square = place.var(ddof=1)
         lowered = np.pi * (square - noise) / area
