@@ -35,7 +35,7 @@ LABELS = {
 def draw_map(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `charact.study.point.map`; returns the path of the PNG."""
     scope = (LABELS["photoelectrons"], lambda number: cell_of(number).scene.photoelectrons)
-    return cell_map_figure.draw_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=7)
+    return cell_map_figure.draw_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=6)
 
 
 def main() -> None:
