@@ -32,7 +32,7 @@ LABELS = {
 def draw_map(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `charact.study.bars.map`; returns the path of the PNG."""
     scope = ("frequency (cy/px)", lambda number: cell_of(number).scene.scene.frequency_cy_per_px)
-    return cell_map_figure.draw_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=6)
+    return cell_map_figure.draw_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=5)
 
 
 def main() -> None:
