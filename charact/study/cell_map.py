@@ -316,6 +316,8 @@ def make(
     parser.add_argument("--method", default=method, choices=sorted(of_kind(kind)), help="name of a method")
     parser.add_argument("--out", type=Path, default=table, help="table to write")
     asked = parser.parse_args()
+    if min(asked.cells, asked.repeats) < 1:
+        parser.error(f"cells and repeats must be at least 1, got {asked.cells} and {asked.repeats}")
     numbers = range(asked.first, asked.first + asked.cells)
     measured: Measure[Outcome] = partial(measure, method=asked.method)
     quick = mapped(measured, numbers, repeats=asked.repeats)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import Blur, edge_spread, level_crossing
+from charact.study.edge.scene import Blur, distance_across, edge_spread, level_crossing
 from charact.study.noise import correlated
 from charact.study.sharpened import boost, sharpened
 from labdata.errors import BadInput
@@ -219,13 +219,12 @@ class PulseEdge:
 
     def _mean(self, moved_px: float) -> Array:
         """Mean photoelectrons of each place of the fine grid."""
-        angle = np.deg2rad(self.angle_deg)
         row, col = (_fine_places(size) for size in (self.rows, self.cols))
         row, col = row[:, None], col[None, :]
-        along = row * np.cos(angle) - col * np.sin(angle)
-        length = min(self.rows / max(abs(np.cos(angle)), 1e-9), self.cols / max(abs(np.sin(angle)), 1e-9))
-        bow = self.sagitta_px * (1 - (2 * along / length) ** 2)
-        distance = (col - moved_px) * np.cos(angle) + row * np.sin(angle) - self.offset_px - bow
+        distance = distance_across(
+            row, col, (self.rows, self.cols), angle_deg=self.angle_deg, moved_px=moved_px, sagitta_px=self.sagitta_px
+        )
+        distance = distance - self.offset_px
         spread: Any = edge_spread(_BeforePixel(self.blur), distance, self.angle_deg)  # pyright: ignore[reportArgumentType]
         light = self.dark_share + (1.0 - self.dark_share) * spread
         light = light * (1 + self.gradient * (col / self.cols + 0.5))

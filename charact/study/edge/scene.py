@@ -127,6 +127,37 @@ def edge_spread(blur: Blur, distance_px: NDArray[np.floating], angle_deg: float)
     return np.interp(distance_px, distance, spread)
 
 
+def distance_across(
+    row: NDArray[np.floating],
+    col: NDArray[np.floating],
+    size: tuple[int, int],
+    *,
+    angle_deg: float,
+    moved_px: NDArray[np.floating] | float,
+    sagitta_px: float,
+) -> NDArray[np.floating]:
+    """Signed distance along its normal from an edge through the middle of a frame, px.
+
+    Parameters
+    ----------
+    row, col
+        Places from the middle, shapes (row, 1) and (1, col), px.
+    size
+        Rows and columns of the frame.
+    angle_deg
+        Angle of the normal to the rows, degrees.
+    moved_px
+        Displacement of the edge along the rows, px.
+    sagitta_px
+        Bow of the edge over its length in the frame, px.
+    """
+    angle = np.deg2rad(angle_deg)
+    along = row * np.cos(angle) - col * np.sin(angle)
+    length = min(size[0] / max(abs(np.cos(angle)), 1e-9), size[1] / max(abs(np.sin(angle)), 1e-9))
+    bow = sagitta_px * (1 - (2 * along / length) ** 2)
+    return (col - moved_px) * np.cos(angle) + row * np.sin(angle) - bow
+
+
 @dataclass(frozen=True, kw_only=True)
 class EdgeScene:
     """An edge as a camera would digitise it, with one knob for each way in which edge methods break.
@@ -214,14 +245,13 @@ class EdgeScene:
         moved_px
             Horizontal displacement of the edge, px.
         """
-        angle = np.deg2rad(self.angle_deg)
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
         col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
-        moved = col - moved_px - self.motion_px * (np.arange(self.rows) % 2)[:, None]
-        along = row * np.cos(angle) - col * np.sin(angle)
-        length = min(self.rows / max(abs(np.cos(angle)), 1e-9), self.cols / max(abs(np.sin(angle)), 1e-9))
-        bow = self.sagitta_px * (1 - (2 * along / length) ** 2)
-        distance = moved * np.cos(angle) + row * np.sin(angle) - self.offset_px - bow
+        moved = moved_px + self.motion_px * (np.arange(self.rows) % 2)[:, None]
+        distance = distance_across(
+            row, col, (self.rows, self.cols), angle_deg=self.angle_deg, moved_px=moved, sagitta_px=self.sagitta_px
+        )
+        distance = distance - self.offset_px
         step = self.bright_dn - self.dark_dn
         light = self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
         light = light * (1 + self.gradient * (col / self.cols + 0.5))

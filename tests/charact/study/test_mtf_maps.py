@@ -81,3 +81,10 @@ def test_spectra_that_one_form_alone_told_wrongly_are_not_silent(number):
 def test_a_curved_response_is_told_by_levels_of_few_dn(number):
     """Exponents of 1.8 and 1.6 over signals of 0.4 to 7 DN: 7 and 4 % off, and ok, before pulses were counted."""
     assert spectra.measured_cell(number).suspect == 1
+
+
+def test_a_map_of_no_cells_is_refused_in_one_sentence(study, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["map", "--cells", "0"])
+    with pytest.raises(SystemExit):
+        study.main()
+    assert "cells and repeats must be at least 1, got 0 and" in capsys.readouterr().err
