@@ -30,6 +30,10 @@ class Memory:
     frame_same: float
     frame_other: float
 
+    def between_rows(self, parity: NDArray[np.bool_]) -> Array:
+        """Covariance between frames of pixels in rows of fields, shape (pixel,) -> (pixel, pixel)."""
+        return np.where(parity[:, None] == parity, self.frame_same, self.frame_other)
+
     @property
     def widening(self) -> float:
         """Variance of the mean of pixels, over that of as many fresh frames with the scatter seen."""

@@ -4,10 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.memory import memory_of
 from charact.mtf.point.data import Window
 from charact.mtf.point.forward_fit import PointFit
 from charact.mtf.point.motion import motion_flags
+from charact.mtf.point.noise import near_pixels
 from charact.mtf.point.profile import evidence
+from charact.mtf.point.response import profile, response_of
 from charact.mtf.point.source import Source
 
 Array = NDArray[np.float64]
@@ -21,7 +24,7 @@ STRANGE = 3.0
 # standard errors of their light one must stand out.
 HALOS_PX, RIM_PX, HALO_ERRORS = (8.0, 11.0, 15.0, 20.0, 27.0, 36.0), 2.0, 3.0
 # Power of the light by which noise falls behind its model that only a curved response explains.
-FALLING, LEAST_FRAMES, LEAST_PIXELS = 0.35, 4, 6
+FALLING, LEAST_FRAMES = 0.35, 4
 
 
 def flags(found: PointFit, window: Window, source: Source, context: Context) -> tuple[str, ...]:
@@ -45,7 +48,7 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
         out.append("prior-bound")
     if window.keep.all():
         out += motion_flags(window.frames_above(found.pedestal), *window.centred, window.row_parity)
-        out += ["gamma"] if _noise_falls(found, window) else []
+        out += ["gamma"] if _noise_falls(found, window, context) else []
     return tuple(out)
 
 
@@ -77,25 +80,23 @@ def _disc(radius_px: Array, diameter_px: float) -> Array:
     return 0.5 * (1.0 - np.tanh((radius_px - 0.5 * diameter_px) / RIM_PX)) / (0.25 * np.pi * diameter_px**2)
 
 
-def _noise_falls(found: PointFit, window: Window) -> bool:
+def _noise_falls(found: PointFit, window: Window, context: Context) -> bool:
     """Tell whether the frames' noise grows less with the light than pulses make it: only a flattened response does.
 
-    The variance over its model is taken to go as the light to some power, found by maximum likelihood.
+    The pulses are of a few widths only, so that noise may seem to grow faster where it does not.
     """
     if found.noise is None or window.frames < LEAST_FRAMES:
         return False
     light = found.light * found.model.core(found.point[None])[0].ravel()
-    expected = found.noise.gain * found.light * np.diag(found.noise.pulse) + window.floor
-    clear = (expected > 2.0 * window.floor) & (light > 0.05 * light.max())
-    if np.count_nonzero(clear) < LEAST_PIXELS:
-        return False
-    ratio = np.mean(window.deviations[:, clear] ** 2, axis=0) * window.frames / (window.frames - 1) / expected[clear]
-    design = np.stack([np.ones(ratio.size), np.log(light[clear] / light.max())], axis=1)
-    power = np.zeros(2)
-    for _ in range(20):
-        power = power + np.linalg.lstsq(design, ratio * np.exp(-design @ power) - 1.0, rcond=None)[0]
-    error = np.sqrt(2.0 / (window.frames - 1) * np.linalg.inv(design.T @ design)[1, 1])
-    return bool(power[1] < -max(FALLING, SIGNIFICANT * float(error)))
+    pulses = found.noise.gain * found.light * found.noise.pulse
+    pulses = pulses * memory_of(context, window.frames).between_rows(window.parity)
+    dark = window.floor * np.eye(light.size)
+    near = near_pixels(found.model, found.point)
+    near = near[window.noisy(np.diag(pulses + dark)[near])]
+    both = np.ix_(near, near)
+    one = profile(window.contrasts[:, near], light[near], pulses[both], dark[both])
+    response = None if one is None else response_of([one])
+    return response is not None and response.curved and response.power < -FALLING
 
 
 def _leans(found: PointFit, context: Context) -> bool:
@@ -116,8 +117,7 @@ def _core(free: tuple[str, ...]) -> NDArray[np.bool_]:
 
 def notes(found: PointFit, window: Window, context: Context, pinhole_px: float | None) -> tuple[str, ...]:
     """Return what a reader may want to know and what lowers no trust."""
-    out = []
-    out.append("The response is taken as straight: one spot hardly shows a gamma correction.")
+    out = ["The response is taken as straight: one spot hardly shows a gamma correction."]
     if pinhole_px is None:
         out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
     if found.model.prior.halo_px is None:

@@ -23,6 +23,10 @@ FULL_SHARE = 0.97
 AFTERMATH_PX = 8
 
 
+# Variance from which on rounding to whole codes adds its own and changes nothing else, DN^2.
+UNROUNDED_DN2 = 0.25
+
+
 @dataclass(frozen=True, kw_only=True)
 class Window:
     """Pixels around a source.
@@ -83,6 +87,16 @@ class Window:
     def frames_above(self, pedestal: float) -> Array:
         """Return the frames of the core above a level, shape (frame, row, col), DN."""
         return self.deviations.reshape(-1, *self.core.shape) + (self.core - pedestal)
+
+    def noisy(self, variance: Array) -> NDArray[np.bool_]:
+        """Tell where noise of a variance, DN^2, is so large that rounding leaves it as it is."""
+        return (variance > UNROUNDED_DN2) | np.isinf(self.quiet_sd)
+
+    @property
+    def contrasts(self) -> Array:
+        """Contrasts of frames, each an independent sample of one frame's noise, shape (frame - 1, pixel), DN."""
+        mixed = np.linalg.qr(np.eye(self.frames)[:, : self.frames - 1] - 1.0 / self.frames)[0]
+        return np.asarray(mixed.T @ self.deviations, np.float64)
 
     @property
     def centred(self) -> tuple[Array, Array]:

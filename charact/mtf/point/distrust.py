@@ -3,10 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.curve import FINE, falls_to
 from charact.mtf.point.choice import Weighed
 from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.motion import motion_flags
-from charact.mtf.point.pixels import Site
+from charact.mtf.point.pixels import Site, dark_noise
+from charact.mtf.point.response import Response, profile, response_of
 from charact.mtf.point.table import cosines, pictures, radial
 
 Array = NDArray[np.float64]
@@ -17,10 +19,8 @@ DEPARTED_SD = 4.5
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 MISFIT, SIGNIFICANT = 1.8, 5.0
 LOW_LIGHT = 10.0
-LEAST_FRAMES = 4
-# Power of the light by which noise may go off its model before only a bent response explains it.
-NOISE_POWER = 0.35
-NEAR_PX = 5.0
+# Ratio of the half frequencies along rows and columns from which on light is that of no one source.
+ELONGATED = 1.5
 
 
 def flags(sites: list[Site], fitter: PointFitter, found: list[Weighed], pedestals: Array) -> tuple[str, ...]:
@@ -30,17 +30,24 @@ def flags(sites: list[Site], fitter: PointFitter, found: list[Weighed], pedestal
         out.append("low-signal")
     if fit.chi2 / fit.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fit.free) or departs(sites, fitter, fit):
         out.append("model-misfit")
+    if _elongated(fit):
+        out.append("several-targets")
     if any(site.window.cut for site in sites):
         out.append("window-too-small")
     at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)[: fit.form.blur_parameters]
     if at.min() < 1e-6 and not fit.form.lens:
         out.append("prior-bound")
-    for site, pedestal, light in zip(sites, pedestals, fit.light, strict=True):
+    for site, pedestal in zip(sites, pedestals, strict=True):
         if site.window.keep.all():
             window = site.window
             out += motion_flags(window.frames_above(float(pedestal)), *window.centred, window.row_parity)
-            out += ["gamma"] if noise_bends(site, fit, float(light)) else []
     return tuple(dict.fromkeys(out))
+
+
+def _elongated(fit: FormFit) -> bool:
+    """Tell whether light is spread much further along rows than along columns, or the other way."""
+    along, down = falls_to(FINE, fit.form.camera(fit.point[None], FINE, np.array([1.0, -1.0]))[0], 0.5)
+    return bool(max(along / down, down / along) > ELONGATED)
 
 
 def light_errors(fitter: PointFitter, fit: FormFit) -> Array:
@@ -103,32 +110,16 @@ def _explained(columns: Array, residual: Array) -> float:
     return float(np.sum((basis.T @ residual) ** 2))
 
 
-def noise_bends(site: Site, fit: FormFit, light: float) -> bool:
-    """Tell whether noise goes with another power of the light than pulses make it: only a bent response does.
-
-    What all pixels share from frame to frame, a flickering source, is left aside.
-    """
-    window, pulses = site.window, site.pulses
-    if pulses is None or window.frames < LEAST_FRAMES:
-        return False
-    transfer = fit.form.transfer(fit.point[None], radial(site.aperture.top)[1], cosines())[0]
-    mean = light * pictures(site.aperture, transfer, *site.axes)[0]
-    expected = np.diag(pulses.covariance) * site.memory.frame_same + site.dark.variance
-    clear = (expected > 2.0 * site.dark.variance) & (mean > 0.05 * mean.max())
-    if np.count_nonzero(clear) < 6:
-        return False
-    off = window.deviations - np.outer(window.deviations @ mean, mean) / (mean @ mean)
-    expected = expected * (1.0 - mean**2 / (mean @ mean))
-    ratio = np.mean(off[:, clear] ** 2, axis=0) * window.frames / (window.frames - 1) / expected[clear]
-    design = np.stack([np.ones(ratio.size), np.log(mean[clear] / mean.max())], axis=1)
-    power = np.zeros(2)
-    for _ in range(20):
-        power = power + np.linalg.lstsq(design, ratio * np.exp(-design @ power) - 1.0, rcond=None)[0]
-    whole = pulses.covariance[np.ix_(clear, clear)] * site.memory.frame_same
-    whole = whole + site.dark.variance * np.eye(len(whole))
-    sd = np.sqrt(np.diag(whole))
-    # Neighbours share pulses: squares of deviations go together as the squares of their correlations.
-    alike = (whole / np.outer(sd, sd)) ** 2
-    weigh = np.linalg.pinv(design)[1]
-    error = np.sqrt(2.0 / (window.frames - 1) * weigh @ alike @ weigh)
-    return bool(abs(power[1]) > max(NOISE_POWER, SIGNIFICANT * float(error)))
+def response(sites: list[Site], fit: FormFit) -> Response | None:
+    """Return what the noise of sources says of the camera's response; None: of single frames, or where few are lit."""
+    transfer = fit.form.transfer(fit.point[None], radial(sites[0].aperture.top)[1], cosines())[0]
+    found = []
+    for site, light in zip(sites, fit.light, strict=True):
+        if site.window.frames < 2 or site.pulses is None or not site.window.keep.all():
+            continue
+        mean = light * pictures(site.aperture, transfer, *site.axes)[0]
+        pulses, dark = site.pulses.covariance * site.memory.between_rows(site.window.parity), dark_noise(site)
+        near = site.near[site.window.noisy(np.diag(pulses + dark)[site.near])]
+        both = np.ix_(near, near)
+        found.append(profile(site.window.contrasts[:, near], mean[near], pulses[both], dark[both]))
+    return response_of([one for one in found if one is not None])

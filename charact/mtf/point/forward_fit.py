@@ -196,7 +196,8 @@ def _core_covariance(window: Window, bright: Array, noise: Noise | None, memory,
     """Return the covariance of the core's mean: pulses, the pixels' own noise, and the screen's pattern."""
     count = window.frames
     if noise is None:
-        covariance = np.diag(0.02 * bright * max(float(bright.max()), 1.0)) / count
+        # A model without high frequencies rings below no light.
+        covariance = np.diag(0.02 * np.maximum(bright, 0.0) * max(float(bright.max()), 1.0)) / count
     else:
         same = window.parity[:, None] == window.parity[None, :]
         covariance = noise.gain * light * noise.pulse * np.where(same, memory.mean_same, memory.mean_other) / count

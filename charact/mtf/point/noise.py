@@ -84,7 +84,7 @@ def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, kee
     return model.image(shifted, transfer).reshape(rows.size, -1)
 
 
-def _near(model: PointModel, point: Array) -> NDArray[np.int64]:
+def near_pixels(model: PointModel, point: Array) -> NDArray[np.int64]:
     """Return the pixels near the source, where nearly all of its noise is."""
     p = model.prior.named(point[None])
     x, y = np.broadcast_arrays(model.x - p["x_px"], (model.y - p["y_px"])[:, None])
@@ -116,9 +116,9 @@ def noise_of(
     shares
         Shares of blur behind the gain to choose from; None: no gain, white noise of the light.
     """
-    near = _near(model, point)
+    near = near_pixels(model, point)
     deviations, parity = deviations[:, near], parity[near]
-    factor = np.where(parity[:, None] == parity[None, :], memory.frame_same, memory.frame_other)
+    factor = memory.between_rows(parity)
     best: tuple[float, Noise] | None = None
     area = float(np.diff(model.y[:2])[0] * np.diff(model.x[:2])[0])
     freedom = len(deviations) - 1

@@ -23,6 +23,7 @@ from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.pixels import Site
 from charact.mtf.point.profile import evidence
 from charact.mtf.point.pulses import dark_of
+from charact.mtf.point.response import straightness
 from charact.mtf.point.sharp import doubted_where_sharp
 from charact.mtf.point.table import Aperture
 from charact.mtf.region import Region
@@ -203,8 +204,10 @@ class _Task:
         """Return measurements and curves of fitted sources."""
         drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])
+        response = point_distrust.response(sites, found[0].fit)
         flags = (
             *point_distrust.flags(sites, fitter, found, pedestals),
+            *(("gamma",) if response is not None and response.curved else ()),
             *(("several-targets",) if crowded else ()),
             *(("too-few-frames",) if sites[0].window.frames < 2 else ()),
             *(flag for one in drawn for flag in one.flags if flag not in ("prior-bound", "several-modes")),
@@ -212,7 +215,7 @@ class _Task:
         common = {
             **self._common,
             "flags": tuple(dict.fromkeys(flags)),
-            "notes": (*notes, *_notes(sites, found, self.pinhole, self.context)),
+            "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), straightness(response)),
         }
         total = sum(one.share for one in found)
         wanted = QUICK_DRAWS if self.context.quick else DRAWS

@@ -74,6 +74,12 @@ class Site:
         return self.window.x - self.place[0], self.window.y - self.place[1]
 
     @property
+    def near(self) -> NDArray[np.int64]:
+        """Core pixels near the source that may be compared."""
+        x, y = self.axes
+        return np.flatnonzero((np.hypot(x, y[:, None]) < NEAR_PX).ravel() & self.window.keep.ravel())
+
+    @property
     def used(self) -> NDArray[np.bool_]:
         """Which of core pixels and rings are values, shape (value,)."""
         return np.append(self.window.keep.ravel(), np.ones(self.window.ring_dn.size, bool))
@@ -170,21 +176,17 @@ def with_noise(site: Site, fit: FormFit, light: float) -> Site:
     mean = light * pictures(site.aperture, transfer, x, y)[0]
     blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
     units = {share: pulse_covariance((_nodes(site)[0], blur), share, mean, x, y) for share in SHARES}
-    same = site.window.parity[:, None] == site.window.parity[None, :]
-    factor = np.where(same, site.memory.frame_same, site.memory.frame_other)
-    near = np.flatnonzero((np.hypot(x, y[:, None]) < NEAR_PX).ravel() & site.window.keep.ravel())
+    factor, near = site.memory.between_rows(site.window.parity), site.near
     if near.size < 9:
         return site
-    pulses = pulses_of(_samples(site, mean), _dark(site), {k: unit * factor for k, unit in units.items()}, near)
+    pulses = pulses_of(_samples(site, mean), dark_noise(site), {k: unit * factor for k, unit in units.items()}, near)
     return replace(site, pulses=replace(pulses, unit=units[pulses.share]))
 
 
 def _samples(site: Site, mean: Array) -> Array:
     """Return independent samples of one frame's noise: contrasts of frames, or of one what the model leaves."""
-    count = site.window.frames
-    if count > 1:
-        contrasts = np.linalg.qr(np.eye(count)[:, : count - 1] - 1.0 / count)[0]
-        return contrasts.T @ site.window.deviations
+    if site.window.frames > 1:
+        return site.window.contrasts
     background, used = site.background()[: mean.size], site.window.keep.ravel()
     left = site.window.core.ravel() - mean
     level = np.linalg.lstsq(background[used], left[used], rcond=None)[0]
@@ -195,7 +197,8 @@ def _nodes(site: Site) -> tuple[Array, Array]:
     return radial(site.aperture.top)[1], cosines()
 
 
-def _dark(site: Site) -> Array:
+def dark_noise(site: Site) -> Array:
+    """Return the covariance of the core's pixels without light, shape (pixel, pixel), DN^2."""
     return site.dark.covariance(*(np.arange(at.size, dtype=np.float64) for at in (site.window.x, site.window.y)))
 
 
@@ -210,7 +213,7 @@ def covariance(site: Site, mean: Array, light: float) -> Array:
         same = window.parity[:, None] == window.parity[None, :]
         core = site.pulses.covariance * np.where(same, site.memory.mean_same, site.memory.mean_other)
         pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
-    out[:size, :size] = (core + _dark(site)) / count
+    out[:size, :size] = (core + dark_noise(site)) / count
     if site.screen:
         pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
         out[:size, :size] += PATTERN**2 * np.outer(mean[:size], mean[:size]) * pattern

@@ -312,3 +312,16 @@ def test_light_missing_about_a_spot_is_told_as_light_too_much_is(seed):
     )
     assert "model-misfit" in sharp.measurements[0].flags
     assert "model-misfit" not in plain.measurements[0].flags
+
+
+def test_a_spot_of_many_codes_in_two_frames_is_measured(seed):
+    # Its model rings below no light, which is no variance.
+    scene = PointScene(
+        blur=Blur(sigma_px=0.68), photoelectrons=1300.0, peak_dn=2200.0, frames=2, read_dn=2.2, black_dn=190.0,
+        full_scale_dn=4095.0,
+    )  # fmt: skip
+    for one in range(3):
+        stack = scene.frames_drawn(np.random.default_rng([seed, one]))
+        found = point_forward(stack, context=QUICK).find("mtf50", orientation_deg=0.0)[0]
+        assert found.status == "suspect"
+        assert found.value == pytest.approx(scene.truth_mtf50, rel=0.25)
