@@ -94,9 +94,8 @@ def _noise_falls(found: PointFit, window: Window, context: Context) -> bool:
     near = near_pixels(found.model, found.point)
     near = near[window.noisy(np.diag(pulses + dark)[near])]
     both = np.ix_(near, near)
-    one = profile(window.contrasts[:, near], light[near], pulses[both], dark[both])
-    response = None if one is None else response_of([one])
-    return response is not None and response.curved and response.power < -FALLING
+    response = response_of([profile(window.contrasts[:, near], light[near], pulses[both], dark[both])])
+    return response.curved and response.power < -FALLING
 
 
 def _leans(found: PointFit, context: Context) -> bool:

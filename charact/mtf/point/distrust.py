@@ -110,8 +110,8 @@ def _explained(columns: Array, residual: Array) -> float:
     return float(np.sum((basis.T @ residual) ** 2))
 
 
-def response(sites: list[Site], fit: FormFit) -> Response | None:
-    """Return what the noise of sources says of the camera's response; None: of single frames, or where few are lit."""
+def response(sites: list[Site], fit: FormFit) -> Response:
+    """Return what the frames' noise of sources says of the camera's response."""
     transfer = fit.form.transfer(fit.point[None], radial(sites[0].aperture.top)[1], cosines())[0]
     found = []
     for site, light in zip(sites, fit.light, strict=True):
@@ -122,4 +122,4 @@ def response(sites: list[Site], fit: FormFit) -> Response | None:
         near = site.near[site.window.noisy(np.diag(pulses + dark)[site.near])]
         both = np.ix_(near, near)
         found.append(profile(site.window.contrasts[:, near], mean[near], pulses[both], dark[both]))
-    return response_of([one for one in found if one is not None])
+    return response_of(found)

@@ -23,7 +23,6 @@ from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.pixels import Site
 from charact.mtf.point.profile import evidence
 from charact.mtf.point.pulses import dark_of
-from charact.mtf.point.response import straightness
 from charact.mtf.point.sharp import doubted_where_sharp
 from charact.mtf.point.table import Aperture
 from charact.mtf.region import Region
@@ -207,7 +206,7 @@ class _Task:
         response = point_distrust.response(sites, found[0].fit)
         flags = (
             *point_distrust.flags(sites, fitter, found, pedestals),
-            *(("gamma",) if response is not None and response.curved else ()),
+            *(("gamma",) if response.curved else ()),
             *(("several-targets",) if crowded else ()),
             *(("too-few-frames",) if sites[0].window.frames < 2 else ()),
             *(flag for one in drawn for flag in one.flags if flag not in ("prior-bound", "several-modes")),
@@ -215,7 +214,7 @@ class _Task:
         common = {
             **self._common,
             "flags": tuple(dict.fromkeys(flags)),
-            "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), straightness(response)),
+            "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), response.note),
         }
         total = sum(one.share for one in found)
         wanted = QUICK_DRAWS if self.context.quick else DRAWS

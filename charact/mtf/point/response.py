@@ -1,4 +1,4 @@
-"""What the noise of a spot says of a camera's response: pulses of light make it grow as the light where that is straight.
+"""What the noise of a spot says of a camera's response: it grows as the light where that is straight.
 
 A response S = c L^g makes the variance of S go as S^(2 - 1/g), by the power 1 - 1/g of the light off what pulses make.
 """
@@ -45,23 +45,19 @@ class Response:
         """Whether noise is that of no straight response."""
         return self.significance > SIGNIFICANT and abs(self.power) > LEAST_POWER
 
-
-def straightness(response: Response | None) -> str:
-    """Return as a note what is known of how straight the response is, and what that does to an MTF."""
-    told = "the noise does not tell"
-    if response is not None:
-        told = "the noise goes with exponents from {:.2g} to {:.2g}".format(*response.exponents)
-    return (
-        f"The response is taken as straight: {told}. One of exponent g makes MTF50 about sqrt(g) times what it is, and "
-        "more where there is a halo or a tail."
-    )
+    @property
+    def note(self) -> str:
+        """What the noise leaves open, and what that does to an MTF."""
+        low, high = self.exponents
+        return (
+            f"The response is taken as straight; of exponents from 0.4 to 2.5 the noise leaves {low:.2g} to {high:.2g} "
+            "open. One of g makes MTF50 about sqrt(g) times what it is, and more where there is a halo or a tail."
+        )
 
 
-def response_of(profiles: list[Array]) -> Response | None:
-    """Return what the profiles of sources of one camera say together; None: there are none."""
-    if not profiles:
-        return None
-    fine = CubicSpline(POWERS, np.sum(profiles, axis=0))(FINE_POWERS)
+def response_of(profiles: list[Array]) -> Response:
+    """Return what the profiles of sources of one camera say together: none of them leave all exponents open."""
+    fine = CubicSpline(POWERS, np.sum([np.zeros(POWERS.size), *profiles], axis=0))(FINE_POWERS)
     best = int(np.argmax(fine))
     gain = 2.0 * (fine[best] - np.interp(0.0, FINE_POWERS, fine))
     within = FINE_POWERS[fine > fine[best] - 0.5 * SIGNIFICANT**2]
@@ -72,8 +68,8 @@ def response_of(profiles: list[Array]) -> Response | None:
     )
 
 
-def profile(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array | None:
-    """Return ln of the likelihood of each of `POWERS`, the size of the noise being the likeliest; None: few pixels.
+def profile(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array:
+    """Return ln of the likelihood of each of `POWERS`, the size of the noise being the likeliest.
 
     Parameters
     ----------
@@ -86,11 +82,12 @@ def profile(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array | 
 
     Notes
     -----
-    What all pixels share from frame to frame, a flickering source, is left aside.
+    What all pixels share from frame to frame, a flickering source, is left aside. A few pixels tell nothing: all powers
+    are as likely.
     """
     lit = np.flatnonzero(mean > LIT * np.max(mean, initial=0.0))
     if lit.size < LEAST_PIXELS:
-        return None
+        return np.zeros(POWERS.size)
     light = mean[lit] / mean.max()
     aside = np.linalg.svd(light[None])[2][1:]
     root = np.linalg.inv(np.linalg.cholesky(aside @ dark[np.ix_(lit, lit)] @ aside.T)) @ aside

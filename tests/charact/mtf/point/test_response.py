@@ -1,5 +1,6 @@
 """Laws of what a spot's noise says of the response: it grows as the light where that is straight, else as a power."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -70,8 +71,11 @@ def test_a_response_that_noise_shows_to_be_curved_is_told_and_a_straight_one_is_
 def test_every_result_says_what_its_noise_leaves_open(seed):
     scene = PointScene(blur=Blur(sigma_px=1.4), frames=16, photoelectrons=1500.0)
     stack = scene.frames_drawn(np.random.default_rng(seed))
-    assert "goes with exponents from 0." in said(stack)
-    assert "noise does not tell" in said(replace(stack, data=stack.data[:1]))
+    told = re.search(r"the noise leaves ([0-9.]+) to ([0-9.]+) open", said(stack))
+    assert told is not None
+    low, high = (float(number) for number in told.groups())
+    assert 0.5 < low < 1.0 < high < 2.0
+    assert "the noise leaves 0.4 to 2.5 open" in said(replace(stack, data=stack.data[:1]))
 
 
 def said(stack):
