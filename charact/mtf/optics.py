@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.forms import transfer as forms
 from charact.mtf.forms.families import GlarePrior, HaloPrior, Wide
-from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.picture import Picture
+from charact.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from charact.mtf.edge.fit.evidence import Evidence
 from charact.mtf.edge.fit.phases import turned
 from charact.mtf.forms import transfer as forms
 from charact.mtf.forms.families import EXPONENT, EXPONENT_PRIOR, HALF_FREQUENCY, HALF_FREQUENCY_PRIOR, Wide
-from charact.mtf.forms.video_filter import powers
 from charact.mtf.optics import Known
+from charact.video_filter import powers
 
 Array = NDArray[np.float64]
 

@@ -82,26 +82,3 @@ def halo_edge(distance: Array, diameter_px: float, elastic_share: float) -> Arra
     x = np.clip(2.0 * np.asarray(distance, float) / diameter_px, -1.0, 1.0)
     magnitude = np.maximum(np.abs(x), 1e-12)
     return 0.5 + 0.5 * x * (elastic_share + (1.0 - elastic_share) * (1.0 - np.log(magnitude)))
-
-
-def video(frequency: Array, bandwidth_mhz: float, clock_mhz: float, order: int) -> NDArray[np.complex128]:
-    """Return the complex transfer of a Butterworth low pass sampled at the pixel clock, its linear phase removed.
-
-    Notes
-    -----
-    Each pixel is held for one clock and sampled at its end, so the sampled response is the difference of the step
-    response at whole clocks. The step response is the impulse response's own running integral, done numerically.
-    """
-    fine = 64
-    clocks = 40
-    omega = 2.0 * np.pi * bandwidth_mhz / clock_mhz
-    angles = np.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
-    poles = omega * np.exp(1j * angles)
-    # Impulse response by partial fractions, then its integral over each whole clock.
-    time = (np.arange(clocks * fine) + 0.5) / fine
-    others = np.array([np.prod(np.delete(pole - poles, index)) for index, pole in enumerate(poles)])
-    impulse = np.real((omega**order / others) @ np.exp(np.outer(poles, time)))
-    taps = impulse.reshape(clocks, fine).mean(axis=1)
-    taps = taps / taps.sum()
-    delay = float(np.sum(np.arange(clocks) * taps))
-    return np.exp(-2j * np.pi * np.outer(frequency, np.arange(clocks) - delay)) @ taps

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.forms import transfer as forms
-from charact.mtf.forms.video_filter import VideoFilter
+from charact.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.forms.families import Family, GlarePrior
-from charact.mtf.forms.video_filter import VideoFilter, powers
 from charact.mtf.noise_spectrum.data import Spectrum
 from charact.mtf.noise_spectrum.folding import Folding, Known, Shape, folding, sparser
 from charact.posterior import maximum
+from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 

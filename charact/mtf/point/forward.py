@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.curve import FINE, REPORTED, curve_of, falls_to
-from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import checks as point_checks
 from charact.mtf.point import source as point_source
@@ -19,6 +18,7 @@ from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.sharp import doubted_where_sharp
 from charact.mtf.region import Region
 from charact.posterior import draw, weighed
+from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused

@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.forms.video_filter import NODES_SD, VideoFilter, powers
 from charact.mtf.forms.wide_tables import sine_integral
 from charact.mtf.point.forward_prior import Prior
 from charact.posterior.curvature import root_of
+from charact.video_filter import NODES_SD, VideoFilter, powers
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.optics import halo_diameters_px
+from charact.video_filter import VideoFilter
 from labdata.parameter import Parameter
 
 Array = NDArray[np.float64]

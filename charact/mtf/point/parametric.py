@@ -12,7 +12,6 @@ from charact.method import Context, register
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.doubt import LEVELS, doubted
 from charact.mtf.forms.families import DiscPrior, GlarePrior, HaloPrior, Wide
-from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.memory import memory_of
 from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import distrust as point_distrust
@@ -27,6 +26,7 @@ from charact.mtf.point.sharp import doubted_where_sharp
 from charact.mtf.point.table import Aperture
 from charact.mtf.region import Region
 from charact.posterior import draw, has_several_peaks, weighed
+from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.forms.video_filter import VideoFilter
+from charact.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 

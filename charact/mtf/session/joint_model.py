@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.forms.families import Core, Family, Wide
-from charact.mtf.forms.video_filter import VideoFilter, powers
+from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 

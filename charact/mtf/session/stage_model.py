@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import video_filter
 from charact.mtf.forms import transfer as forms
 from labdata.parameter import Parameter
 from labdata.sensor import Sensor
@@ -154,7 +155,7 @@ class StageModel:
 def _video_table(frequency: tuple[float, ...], clock_mhz: float, order: int) -> Array:
     """Return ln of the video's transfer at every tabulated bandwidth, shape (bandwidth, frequency)."""
     at = np.array(frequency)
-    return np.log(np.array([np.abs(forms.video(at, float(one), clock_mhz, order)) for one in BANDWIDTHS_MHZ]))
+    return np.log(np.array([np.abs(video_filter.transfer(at, float(one), clock_mhz, order)) for one in BANDWIDTHS_MHZ]))
 
 
 def spread_of(parameter: Parameter) -> float:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.gain.reading import Reading
 from charact.noise.gain.summary import Summary
 from charact.posterior import laplace, maximum, weighed
 from labdata.measurement import Posterior
@@ -67,31 +68,40 @@ class Fit:
     chance: float
 
 
-def transfer(parameters: Array, column: Array, row: Array) -> Array:
-    """Return |H|^2 of the blur after the gain, shape (draw, bin).
+def transfer(parameters: Array, column: Array, row: Array, reading: Reading) -> Array:
+    """Return |H|^2 of the blur after the gain as it is read, shape (draw, bin).
 
     exp(-b r^n - cx x^2 - cy y^2), frequencies in units of the reference: the tube's form times the leading term of
-    every aperture and filter. The parameters are the falls b + cx and b + cy at the reference, b and n.
+    every other aperture and filter, of which those that read are put in as they are. The parameters are the falls
+    b + cx and b + cy at the reference with all of them, b and n.
     """
     columns, rows, strength, exponent = (parameters[:, i, None] for i in range(1, 5))
-    x, y = column / REFERENCE_CY_PER_PX, row / REFERENCE_CY_PER_PX
-    return np.exp(-strength * np.hypot(x, y) ** exponent - (columns - strength) * x**2 - (rows - strength) * y**2)
+    known_columns, known_rows = (REFERENCE_CY_PER_PX**2 * fall for fall in reading.falls)
+
+    def before(column: Array, row: Array) -> Array:
+        x, y = column / REFERENCE_CY_PER_PX, row / REFERENCE_CY_PER_PX
+        gauss = (columns - strength - known_columns) * x**2 + (rows - strength - known_rows) * y**2
+        return np.exp(-strength * np.hypot(x, y) ** exponent - gauss)
+
+    return reading.shown(before, column, row)
 
 
-def spectrum_at(parameters: Array, column: Array, row: Array) -> Array:
+def spectrum_at(parameters: Array, column: Array, row: Array, reading: Reading) -> Array:
     """Return the power per DN of signal at one time lag 0, shape (draw, bin), DN."""
     share = parameters[:, 5:]
-    return parameters[:, :1] * ((1.0 - share) * transfer(parameters, column, row) + share)
+    return parameters[:, :1] * ((1.0 - share) * transfer(parameters, column, row, reading) + share)
 
 
-def leaked(point: Array, column: Array, row: Array, leak_cy2_per_px2: tuple[float, float]) -> Array:
+def leaked(point: Array, column: Array, row: Array, reading: Reading, leak_cy2_per_px2: tuple[float, float]) -> Array:
     """Return the power that the modes of faded images have over that of `spectrum_at`, shape (bin,), dimensionless.
 
     Each mode is a mean over frequencies nearby, which to second order is the mean of two on either side.
     """
     across, down = np.sqrt(leak_cy2_per_px2)
-    around = [spectrum_at(point[None], column + i * across, row + j * down)[0] for i in (-1, 1) for j in (-1, 1)]
-    return np.mean(around, axis=0) / spectrum_at(point[None], column, row)[0]
+    around = [
+        spectrum_at(point[None], column + i * across, row + j * down, reading)[0] for i in (-1, 1) for j in (-1, 1)
+    ]
+    return np.mean(around, axis=0) / spectrum_at(point[None], column, row, reading)[0]
 
 
 def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, float] = EXPONENT) -> Fit:
@@ -117,7 +127,7 @@ def fit(summary: Summary, *, seed: int, quick: bool, exponent: tuple[float, floa
         bounds=BOUNDS,
     )  # fmt: skip
     posterior = _with_gain(drawn, summary, np.random.default_rng([seed, 1]))
-    everywhere = summary.column_cy_per_px, summary.row_cy_per_px
+    everywhere = summary.column_cy_per_px, summary.row_cy_per_px, summary.reading
     model = spectrum_at(peak.point[None], *everywhere)[0] * leaked(peak.point, *everywhere, summary.leak_cy2_per_px2)
     return Fit(posterior=posterior, used=used, model_dn=model, chi2=peak.chi2, freedom=peak.freedom, chance=peak.chance)
 
@@ -149,12 +159,12 @@ def _climb(summary: Summary, used: NDArray[np.bool_], exponent: tuple[float, flo
     column, row, power = summary.column_cy_per_px[used], summary.row_cy_per_px[used], summary.power_dn[used]
     point = _start(summary, used, exponent[0])
     for _ in range(2):
-        leak = leaked(point, column, row, summary.leak_cy2_per_px2)
-        model = spectrum_at(point[None], column, row)[0] * leak
+        leak = leaked(point, column, row, summary.reading, summary.leak_cy2_per_px2)
+        model = spectrum_at(point[None], column, row, summary.reading)[0] * leak
         own = summary.power_sd_dn[used] * model / np.maximum(power, 0.2 * model)
         log_probability = _log_probability(summary, used, model, leak, own, exponent)
         point, covariance = maximum(log_probability, point, BOUNDS)
-    model = spectrum_at(point[None], column, row)[0] * leak
+    model = spectrum_at(point[None], column, row, summary.reading)[0] * leak
     chi2, freedom = float(np.sum(((power - model) / own) ** 2)), int(used.sum()) - len(NAMES)
     return _Peak(log_probability=log_probability, point=point, covariance=covariance, chi2=chi2, freedom=freedom,
                  chance=float(chi_squared.sf(chi2, freedom)))  # fmt: skip
@@ -210,7 +220,7 @@ def _log_probability(summary: Summary, used: NDArray[np.bool_], model: Array, le
     def log_probability(points: Array) -> Array:
         inside = np.all((points >= BOUNDS[:, 0]) & (points <= BOUNDS[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, BOUNDS.mean(axis=1, where=np.isfinite(BOUNDS)))
-        residual = (power - leak * spectrum_at(safe, column, row)) @ root
+        residual = (power - leak * spectrum_at(safe, column, row, summary.reading)) @ root
         known = np.array([exponent, ELECTRON_SHARE])
         prior = (((safe[:, 4:] - known[:, 0]) / known[:, 1]) ** 2).sum(axis=1)
         return np.where(inside, -0.5 * ((residual**2).sum(axis=1) + prior), -np.inf)

@@ -107,7 +107,7 @@ def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimat
     estimate
         How the covariance gain is estimated; None: as the model of the spectrum has it.
     """
-    summary = summarise(series)
+    summary = summarise(series, context.sensor)
     quick = quick or estimate is not None
     fit = model.fit(summary, seed=context.seed, quick=quick, exponent=blur_exponent(context))
     if estimate is not None:

@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from charact.noise.gain.glow import unseen
+from charact.noise.gain.reading import Reading
 from charact.noise.gain.series import Series
 from charact.noise.stack.level import Level, rows_lags
 from charact.noise.stack.temporal import errors_together, independent
+from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
@@ -63,6 +65,8 @@ class Summary:
     ----------
     column_cy_per_px, row_cy_per_px
         Frequencies of the bins, cycles per column pitch, shape (bin,).
+    reading
+        How the light is read.
     leak_cy2_per_px2
         Variance of the frequencies mixed into one mode, along rows and along columns.
     modes
@@ -79,6 +83,7 @@ class Summary:
 
     column_cy_per_px: Array
     row_cy_per_px: Array
+    reading: Reading
     leak_cy2_per_px2: tuple[float, float]
     modes: Array
     power_dn: Array
@@ -89,8 +94,8 @@ class Summary:
     lag: Lag
 
 
-def summarise(series: Series) -> Summary:
-    """Pool the fitted flats of a series, each by what it knows."""
+def summarise(series: Series, sensor: Sensor | None) -> Summary:
+    """Pool the fitted flats of a series, each by what it knows; the sensor, if described, says how they are read."""
     chosen, weight = pooling(series)
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]
     exposures = np.array([_exposures(flat) for flat, _ in pairs])
@@ -106,6 +111,7 @@ def summarise(series: Series) -> Summary:
     return Summary(
         column_cy_per_px=bins.column_cy_per_px,
         row_cy_per_px=bins.row_cy_per_px,
+        reading=Reading.of(bins.row_pitch, sensor),
         leak_cy2_per_px2=bins.leak_cy2_per_px2,
         modes=bins.modes * bins.efficiency * known[:, 0].sum(),
         power_dn=power[:, 0],

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.gain.model import transfer
+from charact.noise.gain.reading import Reading
 from charact.noise.gain.series import Series
 from charact.noise.light.area import shares_of
 from charact.noise.light.calibrated import drawn
@@ -72,7 +73,7 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
     count = len(posterior.draws)
     power, sd = power_beyond(series)
     share = 1.0 - posterior["electron_share"]
-    pulses = float(np.median(posterior["power"] * share)) * _transfer_beyond(series, posterior)
+    pulses = float(np.median(posterior["power"] * share)) * _transfer_beyond(series, posterior, context)
     white = not _smoothed(series, context)
     error = float(np.hypot(sd, BEYOND_BAND * pulses))
     if white and power > SIGNIFICANT * sd and pulses < PULSES_SHARE * power and power - pulses > SIGNIFICANT * error:
@@ -112,7 +113,7 @@ def power_beyond(series: Series) -> tuple[float, float]:
     return mean, float(np.sqrt(max(1.0, excess) / weight.sum()))
 
 
-def _transfer_beyond(series: Series, posterior: Posterior) -> float:
+def _transfer_beyond(series: Series, posterior: Posterior, context: Context) -> float:
     """Mean of |H|^2 of the blur as fitted over the modes beyond the band."""
     bins = series.flats[0].bins
     rows, cols = bins.window.shape
@@ -121,7 +122,8 @@ def _transfer_beyond(series: Series, posterior: Posterior) -> float:
     beyond = np.hypot(y, x) >= BAND_CY_PER_PX
     names = ("power", "fall_columns", "fall_rows", "strength", "exponent")
     middle = np.median(np.column_stack([posterior[name] for name in names]), axis=0)
-    return float(np.minimum(transfer(middle[None], x[beyond], y[beyond]), 1.0).mean())
+    reading = Reading.of(bins.row_pitch, context.sensor)
+    return float(np.minimum(transfer(middle[None], x[beyond], y[beyond], reading), 1.0).mean())
 
 
 def _smoothed(series: Series, context: Context) -> bool:

@@ -80,7 +80,7 @@ def _of_gain(series: Series, several: bool, context: Context) -> tuple[list[Meas
     if reason is not None or not len(series.flats):
         return [refused("minimum_illumination", "lux", reason or "there are no flats", **fields)], None
     small = _too_small(series)
-    lag = NO_LAG if small else summarise(series).lag
+    lag = NO_LAG if small else summarise(series, None).lag
     findings = series_findings(series, context=context)
     findings += exposure_findings(shared_by_exposures(series)) if not lag.seen else []
     findings += [("lag", "earlier exposures still glow where the sum over lags ends")] if lag.open else []

@@ -145,9 +145,9 @@ def _laws(pooled: OneGain, index: int, gain_dn: Array | None, rng: np.random.Gen
     """What gives the noise of a level by one draw of the posterior after another."""
     if gain_dn is not None:
         return lambda: of_electrons(float(rng.choice(gain_dn)))
-    posterior, pitch = pooled.posterior, pooled.series.flats[index].bins.row_pitch
+    posterior, reading = pooled.posterior, pooled.summary.reading
     share = pooled.level_share(index)
-    return lambda: of_pulses(posterior, int(rng.integers(len(posterior.draws))), share, pitch, rng)
+    return lambda: of_pulses(posterior, int(rng.integers(len(posterior.draws))), share, reading, rng)
 
 
 def _told(label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator

@@ -1,11 +1,12 @@
 """What the light's noise is made of under one draw of the posterior, and frames of it: pulses, blurred, glowing on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.gain import model
+from charact.noise.gain.reading import Reading
 from labdata.measurement import Posterior
 
 Array = NDArray[np.floating]
@@ -31,8 +32,8 @@ class LightNoise:
         K, DN per electron of the CCD; 0: their own noise is none.
     blur
         Parameters of the blur as `charact.noise.gain.model.transfer` takes them, shape (6,); None: no blur.
-    row_pitch
-        Distance of the rows of an exposure, column pitches.
+    reading
+        How the light is read.
     kept
         Share of the glow that is left one exposure later, dimensionless.
     """
@@ -41,7 +42,7 @@ class LightNoise:
     height_variance: float
     electron_gain_dn: float
     blur: NDArray[np.float64] | None = None
-    row_pitch: float = 1.0
+    reading: Reading = field(default_factory=Reading)
     kept: float = 0.0
 
     def frames(self, light_dn: Array, count: int, every: int, rng: np.random.Generator) -> Array:
@@ -77,8 +78,9 @@ class LightNoise:
         """Transfer at every frequency of an image."""
         if self.blur is None:
             return None
-        column, row = np.meshgrid(np.fft.rfftfreq(shape[1]), np.abs(np.fft.fftfreq(shape[0])) / self.row_pitch)
-        power = model.transfer(self.blur[None], column.ravel().astype(float), row.ravel().astype(float))[0]
+        column, row = np.meshgrid(np.fft.rfftfreq(shape[1]), np.abs(np.fft.fftfreq(shape[0])) / self.reading.row_pitch)
+        frequency = column.ravel().astype(float), row.ravel().astype(float)
+        power = model.transfer(self.blur[None], *frequency, self.reading)[0]
         return np.sqrt(power).reshape(column.shape)
 
     def _electrons(self, light_dn: Array, rng: np.random.Generator) -> Array:
@@ -88,7 +90,7 @@ class LightNoise:
         return self.electron_gain_dn * rng.poisson(np.maximum(light_dn, 0.0) / self.electron_gain_dn)
 
 
-def of_pulses(posterior: Posterior, index: int, share: float, row_pitch: float, rng: np.random.Generator
+def of_pulses(posterior: Posterior, index: int, share: float, reading: Reading, rng: np.random.Generator
               ) -> LightNoise:  # fmt: skip
     """Return the noise of an intensified camera at one draw of the model of the noise spectrum.
 
@@ -98,8 +100,8 @@ def of_pulses(posterior: Posterior, index: int, share: float, row_pitch: float, 
         Draws of `charact.noise.gain.model`, and which of them.
     share
         Covariance over signal of this level over that of all, dimensionless.
-    row_pitch
-        Distance of the rows of an exposure, column pitches.
+    reading
+        How the light is read.
     rng
         Generator of what the spectrum does not tell.
 
@@ -117,7 +119,7 @@ def of_pulses(posterior: Posterior, index: int, share: float, row_pitch: float, 
         height_variance=spread,
         electron_gain_dn=share * at["power"] * electrons,
         blur=np.array([at[name] for name in model.NAMES]),
-        row_pitch=row_pitch,
+        reading=reading,
         kept=(factor - 1.0) / (factor + 1.0),
     )
 

@@ -57,13 +57,6 @@ def test_aperture_vanishes_where_a_whole_period_falls_on_the_pixel():
     assert transfer.aperture(np.array([0.5]), 0.0)[0] == pytest.approx(2 / np.pi)
 
 
-def test_video_filter_passes_all_light_and_only_delays_low_frequencies():
-    response = transfer.video(np.array([1e-6, 0.05, 0.4]), 6.5, 14.318, 3)
-    assert abs(response[0]) == pytest.approx(1.0)
-    assert abs(np.angle(response[1])) < 2e-3
-    assert abs(response[2]) < abs(response[1])
-
-
 def test_node_interpolation_is_exact_for_cubics():
     grid, points = spread.nodes(fine=False), np.array([0.013, 0.21, 0.9, 3.3])
     matrix = spread.interpolation(grid, points)

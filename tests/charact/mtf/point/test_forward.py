@@ -9,7 +9,6 @@ from scipy.optimize import brentq
 from scipy.special import erf, j1
 
 from charact.method import Context
-from charact.mtf.forms.video_filter import VideoFilter
 from charact.mtf.point import forward
 from charact.mtf.point.data import window_of
 from charact.mtf.point.forward import point_forward
@@ -20,6 +19,7 @@ from charact.posterior import drawing
 from charact.study.edge.scene import Blur
 from charact.study.point.cases import chart_cases
 from charact.study.point.scene import PointScene
+from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.sensors import load_sensor

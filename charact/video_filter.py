@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.forms.transfer import video
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -84,9 +83,32 @@ class VideoFilter:
 
     def _at(self, frequency: Array, ln_bandwidth: float) -> NDArray[np.complex128]:
         bandwidth = self.bandwidth_mhz * float(np.exp(ln_bandwidth))
-        return video(np.ravel(frequency), bandwidth, self.clock_mhz, self.order).reshape(np.shape(frequency))
+        return transfer(np.ravel(frequency), bandwidth, self.clock_mhz, self.order).reshape(np.shape(frequency))
 
 
 def powers(ln_bandwidth: Array) -> Array:
     """Return powers of ln of bandwidth over described, from the first on, shape (n,) -> (n, power)."""
     return ln_bandwidth[:, None] ** np.arange(1, len(NODES_SD) + 1)
+
+
+def transfer(frequency: Array, bandwidth_mhz: float, clock_mhz: float, order: int) -> NDArray[np.complex128]:
+    """Return the complex transfer of a Butterworth low pass sampled at the pixel clock, its linear phase removed.
+
+    Notes
+    -----
+    Each pixel is held for one clock and sampled at its end, so the sampled response is the difference of the step
+    response at whole clocks. The step response is the impulse response's own running integral, done numerically.
+    """
+    fine = 64
+    clocks = 40
+    omega = 2.0 * np.pi * bandwidth_mhz / clock_mhz
+    angles = np.pi * (2.0 * np.arange(order) + order + 1.0) / (2.0 * order)
+    poles = omega * np.exp(1j * angles)
+    # Impulse response by partial fractions, then its integral over each whole clock.
+    time = (np.arange(clocks * fine) + 0.5) / fine
+    others = np.array([np.prod(np.delete(pole - poles, index)) for index, pole in enumerate(poles)])
+    impulse = np.real((omega**order / others) @ np.exp(np.outer(poles, time)))
+    taps = impulse.reshape(clocks, fine).mean(axis=1)
+    taps = taps / taps.sum()
+    delay = float(np.sum(np.arange(clocks) * taps))
+    return np.exp(-2j * np.pi * np.outer(frequency, np.arange(clocks) - delay)) @ taps

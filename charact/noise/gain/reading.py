@@ -1,0 +1,75 @@
+"""How a camera reads the light behind its gain: touching pixels, rows of one field apart, a filter along the rows.
+
+What blurs the light is smooth; what reads it is known, and its sharp corners would pass for blur.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.video_filter import VideoFilter
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+# Frequency at which the leading term of the filter is taken, cycles per column pitch.
+LOW_CY_PER_PX = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """Aperture and lattice of pixels, and the filter behind them.
+
+    Parameters
+    ----------
+    row_pitch
+        Distance of the rows of one exposure, and height of a pixel, column pitches.
+    video
+        The filter; None: none, or none is described.
+    """
+
+    row_pitch: float = 1.0
+    video: VideoFilter | None = None
+
+    @classmethod
+    def of(cls, row_pitch: float, sensor: Sensor | None) -> "Reading":
+        """Return how a camera reads rows so far apart."""
+        return cls(row_pitch=row_pitch, video=VideoFilter.of(sensor))
+
+    @cached_property
+    def falls(self) -> tuple[float, float]:
+        """What aperture and filter add to the fall of ln |H|^2 along rows and along columns, to leading order, px^2."""
+        aperture = np.pi**2 / 3.0
+        low = np.array([LOW_CY_PER_PX])
+        filtered = 0.0 if self.video is None else -2.0 * float(np.log(np.abs(self.video(low)))[0]) / LOW_CY_PER_PX**2
+        return aperture + filtered, aperture * self.row_pitch**2
+
+    def shown(self, power: Callable[[Array, Array], Array], column: Array, row: Array) -> Array:
+        """Return the power that pixels show of light.
+
+        Parameters
+        ----------
+        power
+            |H|^2 before the pixels, of frequencies along rows and columns, cycles per column pitch.
+        column, row
+            Frequencies, shape (bin,).
+
+        Notes
+        -----
+        Pixels sample what their aperture passes, sinc^2, so that power beyond half a cycle per pixel folds back. All of
+        the rest, 1 - sinc^2, is taken from the nearest order: light that nothing blurs stays white. No blur amplifies.
+        """
+        beside, below = 1.0 - np.abs(column), 1.0 / self.row_pitch - np.abs(row)
+        across, down = np.sinc(column) ** 2, np.sinc(row * self.row_pitch) ** 2
+        folded = [
+            (beside, row, (1.0 - across) * down),
+            (column, below, across * (1.0 - down)),
+            (beside, below, (1.0 - across) * (1.0 - down)),
+        ]
+        out = power(column, row) * across * down
+        for x, y, weight in folded:
+            out = out + np.minimum(power(x, y), 1.0) * weight
+        return out if self.video is None else out * np.abs(self.video(column)) ** 2
