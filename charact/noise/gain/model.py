@@ -81,7 +81,7 @@ def transfer(parameters: Array, column: Array, row: Array, reading: Reading) -> 
     def before(column: Array, row: Array) -> Array:
         x, y = column / REFERENCE_CY_PER_PX, row / REFERENCE_CY_PER_PX
         gauss = (columns - strength - known_columns) * x**2 + (rows - strength - known_rows) * y**2
-        return np.exp(-strength * np.hypot(x, y) ** exponent - gauss)
+        return -strength * np.hypot(x, y) ** exponent - gauss
 
     return reading.shown(before, column, row)
 

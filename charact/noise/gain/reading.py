@@ -47,13 +47,13 @@ class Reading:
         filtered = 0.0 if self.video is None else -2.0 * float(np.log(np.abs(self.video(low)))[0]) / LOW_CY_PER_PX**2
         return aperture + filtered, aperture * self.row_pitch**2
 
-    def shown(self, power: Callable[[Array, Array], Array], column: Array, row: Array) -> Array:
+    def shown(self, ln_power: Callable[[Array, Array], Array], column: Array, row: Array) -> Array:
         """Return the power that pixels show of light.
 
         Parameters
         ----------
-        power
-            |H|^2 before the pixels, of frequencies along rows and columns, cycles per column pitch.
+        ln_power
+            ln |H|^2 before the pixels, of frequencies along rows and columns, cycles per column pitch.
         column, row
             Frequencies, shape (bin,).
 
@@ -69,7 +69,7 @@ class Reading:
             (column, below, across * (1.0 - down)),
             (beside, below, (1.0 - across) * (1.0 - down)),
         ]
-        out = power(column, row) * across * down
+        out = np.exp(ln_power(column, row)) * across * down
         for x, y, weight in folded:
-            out = out + np.minimum(power(x, y), 1.0) * weight
+            out = out + np.exp(np.minimum(ln_power(x, y), 0.0)) * weight
         return out if self.video is None else out * np.abs(self.video(column)) ** 2
