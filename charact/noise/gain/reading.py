@@ -59,17 +59,19 @@ class Reading:
 
         Notes
         -----
-        Pixels sample what their aperture passes, sinc^2, so that power beyond half a cycle per pixel folds back. All of
-        the rest, 1 - sinc^2, is taken from the nearest order: light that nothing blurs stays white. No blur amplifies.
+        Pixels sample what their aperture passes, sinc^2, so that power beyond half a cycle per pixel folds back: the
+        nearest order, and all of the rest as of the second. Light that nothing blurs stays white. No blur amplifies.
         """
-        beside, below = 1.0 - np.abs(column), 1.0 / self.row_pitch - np.abs(row)
-        across, down = np.sinc(column) ** 2, np.sinc(row * self.row_pitch) ** 2
-        folded = [
-            (beside, row, (1.0 - across) * down),
-            (column, below, across * (1.0 - down)),
-            (beside, below, (1.0 - across) * (1.0 - down)),
-        ]
-        out = np.exp(ln_power(column, row)) * across * down
-        for x, y, weight in folded:
-            out = out + np.exp(np.minimum(ln_power(x, y), 0.0)) * weight
+        out = np.zeros(1)
+        for x, across in _orders(column, 1.0):
+            for y, down in _orders(row, self.row_pitch):
+                ln = ln_power(x, y)
+                out = out + np.exp(ln if x is column and y is row else np.minimum(ln, 0.0)) * across * down
         return out if self.video is None else out * np.abs(self.video(column)) ** 2
+
+
+def _orders(frequency: Array, pitch: float) -> list[tuple[Array, Array]]:
+    """Return frequencies before the sampling that are seen at one, cycles per column pitch, and how each is passed."""
+    near, far = (1.0 / pitch + sign * np.abs(frequency) for sign in (-1.0, 1.0))
+    own, beside = np.sinc(frequency * pitch) ** 2, np.sinc(near * pitch) ** 2
+    return [(frequency, own), (near, beside), (far, 1.0 - own - beside)]
