@@ -26,22 +26,27 @@ class Reading:
     Parameters
     ----------
     row_pitch
-        Distance of the rows of one exposure, and height of a pixel, column pitches.
+        Distance of the rows of one exposure, and of a described camera the height of its pixels, column pitches.
+    described
+        Whether the camera is: how others read is not known, and counts as part of their blur.
     video
-        The filter; None: none, or none is described.
+        The filter; None: none.
     """
 
     row_pitch: float = 1.0
+    described: bool = False
     video: VideoFilter | None = None
 
     @classmethod
     def of(cls, row_pitch: float, sensor: Sensor | None) -> "Reading":
         """Return how a camera reads rows so far apart."""
-        return cls(row_pitch=row_pitch, video=VideoFilter.of(sensor))
+        return cls(row_pitch=row_pitch, described=sensor is not None, video=VideoFilter.of(sensor))
 
     @cached_property
     def falls(self) -> tuple[float, float]:
         """What aperture and filter add to the fall of ln |H|^2 along rows and along columns, to leading order, px^2."""
+        if not self.described:
+            return 0.0, 0.0
         aperture = np.pi**2 / 3.0
         low = np.array([LOW_CY_PER_PX])
         filtered = 0.0 if self.video is None else -2.0 * float(np.log(np.abs(self.video(low)))[0]) / LOW_CY_PER_PX**2
@@ -60,14 +65,23 @@ class Reading:
         Notes
         -----
         Pixels sample what their aperture passes, sinc^2, so that power beyond half a cycle per pixel folds back: the
-        nearest order, and all of the rest as of the second. Light that nothing blurs stays white. No blur amplifies.
+        nearest order, and all of the rest as of the second. Light that nothing blurs stays white. No
+        blur passes more of a higher order than of the frequency itself.
         """
-        out = np.zeros(1)
+        out, own = np.zeros(1), ln_power(column, row)
+        if not self.described:
+            return np.exp(own)
         for x, across in _orders(column, 1.0):
             for y, down in _orders(row, self.row_pitch):
-                ln = ln_power(x, y)
-                out = out + np.exp(ln if x is column and y is row else np.minimum(ln, 0.0)) * across * down
+                out = out + _bounded(ln_power(x, y) - own) * across * down
+        out = out * np.exp(own)
         return out if self.video is None else out * np.abs(self.video(column)) ** 2
+
+
+def _bounded(difference: Array) -> Array:
+    """Return exp of what is below 0, and above it what goes on as smoothly, but to no more than 2."""
+    beyond = np.exp(-np.abs(difference))
+    return np.where(difference < 0.0, beyond, 2.0 - beyond)
 
 
 def _orders(frequency: Array, pitch: float) -> list[tuple[Array, Array]]:
