@@ -36,11 +36,7 @@ def test_five_cells_are_what_the_method_still_does(table, seed):
 
 
 def test_what_the_map_shows(table):
-    """No crash; in scope 95 % ok; misses at most 5 % and three standard errors; silent no more than honest ones.
-
-    Screens that glow on in two fields miss more, as docs/noise.md says: gains 0.6 standard errors low on average make
-    9 % of misses of 5.
-    """
+    """No crash; in scope 95 % ok; misses at most 5 % and three standard errors; silent no more than honest ones."""
     summary = table["quick"]["summary"]
     inside = summary["by_axis"]["none"]
     assert summary["crashed"] == 0
@@ -49,8 +45,9 @@ def test_what_the_map_shows(table):
     assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
     honest = summary["silent_of_honest_gaussian"]
     assert summary["silent"] <= honest + 3.0 * np.sqrt(honest)
-    glowing = summary["by_axis"]["interlaced_decay_ms"]
-    assert glowing["missed"] <= 0.09 * glowing["ok"] + 3.0 * np.sqrt(0.09 * 0.91 * glowing["ok"])
+    for axis in ("decay_ms", "interlaced_decay_ms"):
+        glowing = summary["by_axis"][axis]
+        assert glowing["missed"] <= 0.05 * glowing["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * glowing["ok"])
 
 
 def test_a_cell_is_a_camera_without_lag_unless_lag_is_what_breaks_it():
