@@ -21,8 +21,6 @@ PIXELS_PER_RING = 48
 FULL_SHARE = 0.97
 # Columns behind a full well that a causal filter spoils.
 AFTERMATH_PX = 8
-
-
 # Variance from which on rounding to whole codes adds its own and changes nothing else, DN^2.
 UNROUNDED_DN2 = 0.25
 

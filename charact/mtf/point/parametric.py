@@ -55,7 +55,8 @@ PINHOLE_PX = (0.0, 50.0)
     scope=(
         "Single point sources or pinholes of known, bounded or no size, light over 6 standard errors, one frame and "
         "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, round, "
-        "elliptical or separable, with halo, disc or glare that the region shows; MTF50 below 0.42 cycles per pixel. "
+        "elliptical or separable and up to 1.5 times as long as wide, with halo, disc or glare that the region shows; "
+        "MTF50 below 0.42 cycles per pixel. "
         "Pixels at full scale count as at least that. Not told: a second source within the blur, a pinhole whose size "
         "is not given, and a curved response that the noise does not show: a gamma of g moves MTF50 by about the root "
         "of g, and more where there is a halo."

@@ -214,6 +214,7 @@ def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any])
     series = Series(flats=(dark,), darks=(nothing,), all_darks=(dark,), signal_dn=one,
                     variance_dn2=one * dark.variance_dn2, variance_sd_dn2=one * dark.variance_sd_dn2,
                     fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
+    # Noise of the electronics is white whatever reads the light.
     summary = summarise(series, None)
     fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=blur_exponent(context))
     flags = ("model-misfit",) if fit.chance < 1e-4 else ()

@@ -65,12 +65,13 @@ class Reading:
         Notes
         -----
         Pixels sample what their aperture passes, sinc^2, so that power beyond half a cycle per pixel folds back: the
-        nearest order, and all of the rest as of the second. Light that nothing blurs stays white. No
-        blur passes more of a higher order than of the frequency itself.
+        nearest order, and all of the rest as of the second. Light that nothing blurs stays white. An order that a blur
+        would pass more of than of the frequency itself, as none does, counts at most twice as much.
         """
-        out, own = np.zeros(1), ln_power(column, row)
+        own = ln_power(column, row)
         if not self.described:
             return np.exp(own)
+        out = np.zeros_like(own)
         for x, across in _orders(column, 1.0):
             for y, down in _orders(row, self.row_pitch):
                 out = out + _bounded(ln_power(x, y) - own) * across * down
