@@ -36,11 +36,11 @@ def _bars_image(
         for right in range(-ALIASES, ALIASES + 1):
             fy, fx = rows + up, cols + right
             shift = np.exp(-2j * np.pi * (fy * row_px + fx * col_px))
-            spectrum += _object(bars, frequency_cy_per_px, angle_deg, fx, fy) * blur.transfer(fx, fy) * shift
+            spectrum += spectrum_of_bars(bars, frequency_cy_per_px, angle_deg, fx, fy) * blur.transfer(fx, fy) * shift
     return np.fft.fftshift(np.asarray(irfft2(spectrum, (PERIOD_PX, PERIOD_PX))))
 
 
-def _object(bars: int, frequency: float, angle_deg: float, fx: NDArray, fy: NDArray) -> NDArray[np.floating]:
+def spectrum_of_bars(bars: int, frequency: float, angle_deg: float, fx: NDArray, fy: NDArray) -> NDArray[np.floating]:
     """Spectrum of the bars themselves, px^2."""
     angle, width = np.deg2rad(angle_deg), 0.5 / frequency
     across, along = fx * np.cos(angle) + fy * np.sin(angle), fy * np.cos(angle) - fx * np.sin(angle)

@@ -4,37 +4,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from charact.study import cell_map_figure
+from charact.study import cell_map_figure, pulse_cameras
 from charact.study.edge.pulse_map import BREAKING, TABLE, cell_of
 
 FIGURE = Path("docs/mtf/edge-pulse-map.png")
 LABELS = {
-    "photoelectrons": "faint light (photoelectrons/px)",
-    "pulse_peak_dn": "peak of a pulse (DN of 8 bits)",
-    "gain_spread": "relative variance of heights (1)",
-    "ion_share": "share of ions' pulses (1)",
-    "bright_dn": "bright side (DN of 8 bits)",
-    "codes": "faint bright side (DN)",
-    "black_dn": "code at no light (DN of 8 bits)",
-    "read_dn": "read noise (DN of 8 bits)",
-    "row_noise_dn": "noise of whole rows (DN of 8 bits)",
-    "pattern": "fixed pattern of gains (1)",
-    "lag": "lag (share of an exposure)",
-    "flicker": "flicker (1)",
-    "jitter_px": "motion from frame to frame (px rms)",
-    "drift_px": "drift through the stack (px)",
-    "motion_px": "motion between fields, told (px)",
-    "motion_untold_px": "the same, fields not told (px)",
-    "gradient": "light, right over left less 1 (1)",
-    "vignetting": "light that corners lose (1)",
+    **pulse_cameras.LABELS,
     "sagitta_px": "bow of the edge (px)",
-    "gamma": "exponent of the response (1)",
-    "sharpening": "sharpening (1)",
-    "hot_share": "share of stuck pixels (1)",
     "angle_deg": "small tilt (deg)",
     "rows": "rows and columns (px)",
-    "frames": "frames (1)",
-    "blur_px": "sd of a wide blur (px)",
     "halo_px": "diameter of a wide halo (px)",
 }
 
