@@ -33,6 +33,7 @@ BREAKING: Breaking = {
 }
 # Step over the noise of the mean frame, and MTF of the bars, inside the scope.
 LEAST_SNR, MOST_SNR, LEAST_MTF = 5.0, 150.0, 0.08
+GROUND_PX = 35.0
 
 
 def cell_of(number: int) -> Cell[PulsedBars]:
@@ -49,6 +50,9 @@ def _scene_in_scope(rng: np.random.Generator) -> PulsedBars:
 
 def _scene(rng: np.random.Generator) -> PulsedBars:
     form = str(rng.choice(["gaussian", "exponential"]))
+    bars, frequency = int(rng.choice([3, 4, 5])), float(np.exp(rng.uniform(np.log(0.06), np.log(0.3))))
+    # The longer side of the target, turned by up to 12 degrees, and ground around it.
+    size = round(1.2 * max(2 * bars - 1, 7) * 0.5 / frequency + 2 * GROUND_PX)
     return PulsedBars(
         **camera_drawn(rng),
         blur=Blur(
@@ -57,10 +61,10 @@ def _scene(rng: np.random.Generator) -> PulsedBars:
             frequency_cy_per_px=float(rng.uniform(0.2, 0.5)),
             exponent=float(rng.uniform(1.05, 1.9)),
         ),
-        bars=int(rng.choice([3, 4, 5])),
-        frequency_cy_per_px=float(np.exp(rng.uniform(np.log(0.06), np.log(0.3)))),
-        rows=200,
-        cols=220,
+        bars=bars,
+        frequency_cy_per_px=frequency,
+        rows=size,
+        cols=size + 10,
         angle_deg=float(rng.choice([0, 90]) + rng.choice([-1, 1]) * rng.uniform(1.0, 12.0)),
         row_px=float(rng.uniform(-4.0, 4.0)),
         col_px=float(rng.uniform(-4.0, 4.0)),
