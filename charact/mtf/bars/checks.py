@@ -7,7 +7,7 @@ from charact.method import Context
 from charact.mtf.bars.amplitudes import Amplitudes
 from charact.mtf.bars.fit import Fit
 from charact.mtf.bars.sharpened import is_sharpened
-from charact.mtf.bars.target import BarTarget
+from charact.mtf.bars.target import BarTarget, core_margin_px
 from charact.mtf.codes import code_flags
 from charact.mtf.growth import growth_of_light, noise_flags
 from charact.mtf.shimmer import sides_of
@@ -86,6 +86,18 @@ def light_in_standard_errors(fit: Fit) -> float:
     weighed = slope / fit.noise.variance
     estimator = np.asarray(np.linalg.solve(weighed @ slope.T, weighed), dtype=np.float64)
     return fit["level_dn"] / float(np.sqrt(fit.noise.spread(estimator, fit.window)[0, 0]))
+
+
+def fundamental_in_standard_errors(fit: Fit) -> float:
+    """Return the modulus of the fundamental over the standard error of its parts, asked of the bars' core alone."""
+    target, pixels = fit.target, fit.model_dn + fit.residual_dn - fit["pedestal_dn"]
+    across, _ = target.coordinates((fit.window.shape[0], fit.window.shape[1]))
+    core = target.box((fit.window.shape[0], fit.window.shape[1]), core_margin_px(target.frequency))[fit.window]
+    phase = 2.0 * np.pi * target.frequency * across[fit.window]
+    waves = np.where(core, np.stack([np.cos(phase), np.sin(phase)]), 0.0)
+    spread = fit.noise.spread(waves, fit.window)
+    modulus, sd = float(np.hypot(*(waves @ pixels))), float(np.sqrt(0.5 * np.trace(spread)))
+    return modulus / max(sd, 1e-12 * modulus + 1e-30)
 
 
 def _misfit(fit: Fit) -> bool:

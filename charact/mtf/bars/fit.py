@@ -205,7 +205,8 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
     if len(frames) > 1:
         noise = noise_of(frames, first.model_dn, window, inflation=inflation)
     else:
-        spread = first.noise_covariance
+        # As much as white noise of what is left over would make of it.
+        spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
             absorbed = _root(spread).T @ first.slope
             noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window)

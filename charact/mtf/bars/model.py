@@ -35,9 +35,12 @@ class Shape:
     log_attenuation
         ln(-ln c), c the core's transfer at the reference frequency f, before the pixel.
     exponent
-        n of the core c^((r/f)^n).
+        n of the core c^((1 - s) (r/f)^n + s (r/f)^2).
     departure
         Share by which the transfer departs from the family about the bars' own frequency.
+    gaussian_share
+        Share s of the core's attenuation at the reference frequency that goes as the square of the frequency, whatever
+        n: lens, screen and pixel behind a tube of another form.
     angle_rad
         Direction across the bars, for the pixel's aperture.
     """
@@ -49,6 +52,7 @@ class Shape:
     log_attenuation: float
     exponent: float
     departure: float
+    gaussian_share: float
     angle_rad: float
 
     @property
@@ -73,8 +77,8 @@ class Table:
     along_px
         Distance along the bars of each row, px; one row: the picture does not vary along them.
     values
-        Picture and its derivatives by log attenuation, exponent, departure, ln(frequency) and ln(length), shape
-        (6, along, across); 1 on a wide bar.
+        Picture and its derivatives by log attenuation, exponent, Gaussian share, departure, ln(frequency) and ln(length),
+        shape (7, along, across); 1 on a wide bar.
     """
 
     step_across_px: float
@@ -82,7 +86,7 @@ class Table:
     values: Array
 
     def at(self, across: Array, along: Array) -> Array:
-        """Return picture, the five derivatives, and the slopes across and along, at places, shape (8, place)."""
+        """Return picture, the six derivatives, and the slopes across and along, at places, shape (9, place)."""
         _, rows, cols = self.values.shape
         x = np.minimum(np.abs(across) / self.step_across_px, cols - 1.001)
         i = x.astype(np.intp)
@@ -115,8 +119,8 @@ def table_of(shape: Shape, half_across_px: float, half_along_px: float) -> Table
     Notes
     -----
     Across the bars, u, the spectrum of N bars is w sinc(u w) sin(pi N u P) / sin(pi u P), along them L sinc(L v). The
-    transfer is c^((r/f)^n), r = |(u, v)|, c the core at f, times the pixel's two sincs in its own directions. It may
-    depart from that by a share about f, over the width f/N in which the bars have light.
+    transfer is c^((1 - s) (r/f)^n + s (r/f)^2), r = |(u, v)|, c the core at f, times the pixel's two sincs in its own
+    directions. It may depart from that by a share about f, over the width f/N in which the bars have light.
     """
     from scipy.fft import irfft, next_fast_len
 
@@ -170,13 +174,15 @@ def _comb(shape: Shape, u: Array) -> tuple[Array, Array]:
 
 
 def _transfers(shape: Shape, u: Array, v: Array) -> Array:
-    """Return the transfer and its derivatives by log attenuation and exponent, shape (3, u, v)."""
+    """Return the transfer and its derivatives by log attenuation, exponent and Gaussian share, shape (4, u, v)."""
     log_ratio = np.log(np.maximum(np.hypot(u[:, None], v) / shape.reference, 1e-9))
-    power = np.exp(shape.exponent * log_ratio)
+    power, square = np.exp(shape.exponent * log_ratio), np.exp(2.0 * log_ratio)
     log_core = -np.exp(shape.log_attenuation)
-    transfer = np.exp(log_core * power) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
-    by_attenuation = transfer * power * log_core
-    return np.stack([transfer, by_attenuation, by_attenuation * log_ratio])
+    own = (1.0 - shape.gaussian_share) * power
+    both = own + shape.gaussian_share * square
+    transfer = np.exp(log_core * both) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
+    felt = log_core * transfer
+    return np.stack([transfer, felt * both, felt * own * log_ratio, felt * (square - power)])
 
 
 @lru_cache(maxsize=4)

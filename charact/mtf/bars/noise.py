@@ -63,7 +63,9 @@ class Noise:
         kernel = np.zeros(size)
         lags = np.arange(-reach, reach + 1)
         kernel[np.ix_(lags % size[0], lags % size[1])] = self.correlation
-        spectrum = np.asarray(rfft2(fields)) * np.real(np.asarray(rfft2(kernel)))
+        # Correlations that were estimated lag by lag may be those of no noise: no frequency has a power below none.
+        power = np.maximum(np.real(np.asarray(rfft2(kernel))), 0.0)
+        spectrum = np.asarray(rfft2(fields)) * power
         shared = self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
         if self.rounding is None or not len(self.rounding):
             return shared

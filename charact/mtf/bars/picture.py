@@ -12,19 +12,22 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NAMES = (
-    "log_attenuation", "log_exponent", "departure", "log_frequency", "log_length", "across_px", "along_px", "angle_rad",
-    "level_dn", "pedestal_dn", "slope_across", "slope_along",
+    "log_attenuation", "log_exponent", "gaussian_share", "departure", "log_frequency", "log_length", "across_px",
+    "along_px", "angle_rad", "level_dn", "pedestal_dn", "slope_across", "slope_along",
 )  # fmt: skip
 ALONG = ("log_length", "along_px")
 # Priors, mean and standard deviation: n = 2 is a Gaussian, tubes lie near 1.2, and a prior so wide pulls neither MTF by
 # half a percent; the bars' frequency is known to a few percent (STANAG 4349: 5 %), their length to a third.
 LOG_EXPONENT_PRIOR = (float(np.log(1.5)), 0.8)
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
+# Share of the attenuation that goes as the square of the frequency, of a camera of several stages.
+GAUSSIAN_SHARE = (0.05, 0.25)
 # How far a transfer may depart from the family at the bars' frequency: share of itself, and of the whole.
 DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
 BOUNDS = {
     "log_attenuation": (-9.0, 2.3),
     "log_exponent": (float(np.log(0.3)), float(np.log(4.0))),
+    "gaussian_share": (0.0, 1.0),
     "departure": (-0.9, 5.0),
 }
 START_EXPONENT, START_CORE = 1.6, 0.4
@@ -51,6 +54,7 @@ def priors(problem: Problem, mtf: float) -> tuple[Array, Array]:
     """Return mean and precision of the normal prior of each parameter; precision 0: none."""
     known = {
         "log_exponent": LOG_EXPONENT_PRIOR,
+        "gaussian_share": GAUSSIAN_SHARE,
         "departure": (0.0, DEPARTURE_SD + DEPARTURE_FLOOR / max(mtf, 1e-3)),
         "log_frequency": (np.log(problem.asked), FREQUENCY_SD),
         "log_length": (np.log(problem.length_px), LENGTH_SD),
@@ -66,6 +70,7 @@ def start_of(problem: Problem, target: BarTarget, exponent: float, mtf: float) -
     return {
         "log_attenuation": float(np.log(-np.log(mtf))),
         "log_exponent": float(np.log(exponent)),
+        "gaussian_share": GAUSSIAN_SHARE[0],
         "departure": 0.0,
         "log_frequency": float(np.log(target.frequency)),
         "log_length": float(np.log(problem.length_px)),
@@ -104,6 +109,7 @@ class Picture:
             log_attenuation=theta["log_attenuation"],
             exponent=float(np.exp(theta["log_exponent"])),
             departure=theta["departure"],
+            gaussian_share=theta["gaussian_share"],
             # The pixel turns so little with the bars that the angle they were found at will do.
             angle_rad=self.target.angle_rad,
         )
@@ -113,7 +119,7 @@ class Picture:
         across, along = self.places(theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0))
         found = table_of(self.shape(theta), *self.reach).at(across, along)
         level = theta["level_dn"]
-        slopes = level * found[6], level * found[7]
+        slopes = level * found[7], level * found[8]
         scale = (2.0 * self.reach[0], 2.0 * self.reach[1])
         picture = (
             theta["pedestal_dn"]
@@ -122,7 +128,7 @@ class Picture:
             + theta["slope_along"] * along / scale[1]
         )
         derivative = {
-            **dict(zip(NAMES[:5], level * found[1:6], strict=True)),
+            **dict(zip(NAMES[:6], level * found[1:7], strict=True)),
             "log_exponent": level * found[2] * np.exp(theta["log_exponent"]),
             "across_px": -slopes[0],
             "along_px": -slopes[1],

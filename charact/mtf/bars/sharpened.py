@@ -23,7 +23,7 @@ def is_sharpened(fit: Fit) -> bool:
     spread = np.array([_blurred(fit, width) for width in WIDTHS_PX]) * np.sqrt(weight)
     apart = (spread - (spread @ basis) @ basis.T) * np.sqrt(weight)
     missing = -(apart @ fit.residual_dn)
-    sd = np.sqrt(np.diag(fit.noise.spread(apart, fit.window)))
+    sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(apart, fit.window)), 0.0))
     whole = np.sum(apart * spread / np.sqrt(weight), axis=1)
     return bool(np.any((missing > MISSED * sd) & (missing > LEAST_SHARE * whole)))
 

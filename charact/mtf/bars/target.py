@@ -65,6 +65,11 @@ class BarTarget:
         return (np.abs(across) < self.width_px / 2 + margin_px) & (np.abs(along) < self.length_px / 2 + margin_px)
 
 
+def core_margin_px(frequency: float) -> float:
+    """Return how far around bars most of their light lies: a wider window holds the rest of their blur, and noise."""
+    return 0.5 / frequency + 2.0
+
+
 def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray[np.bool_]) -> complex:
     """Return the Fourier sum of the window's pixels at a frequency across the bars."""
     across, _ = target.coordinates(image.shape)
@@ -120,7 +125,7 @@ def _settled(image: Array, target: BarTarget) -> BarTarget:
     """Centre the target on its light and turn it until its fundamental is strongest, twice."""
     for step_deg in (2.0, 0.5):
         target = _centred(image, target)
-        window = target.box(image.shape, 0.5 / target.frequency + 2.0)
+        window = target.box(image.shape, core_margin_px(target.frequency))
         level = float(np.median(image))
         angles = target.angle_rad + np.deg2rad(step_deg * np.arange(-6, 7))
         tried = [replace(target, angle_rad=float(angle)) for angle in angles]
@@ -131,7 +136,7 @@ def _settled(image: Array, target: BarTarget) -> BarTarget:
 
 def _centred(image: Array, target: BarTarget) -> BarTarget:
     """Move the centre to the centroid of the light on the target."""
-    window = target.box(image.shape, 0.5 / target.frequency + 2.0)
+    window = target.box(image.shape, core_margin_px(target.frequency))
     light = np.where(window, image - np.median(image), 0.0)
     total = light.sum()
     if not total > 0:

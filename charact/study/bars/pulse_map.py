@@ -31,8 +31,8 @@ BREAKING: Breaking = {
     "off_centre_px": (10.0, 90.0, False),
     "halo_share": (0.01, 0.4, True),
 }
-# Step over the noise of the mean frame, and MTF of the bars, inside the scope.
-LEAST_SNR, MOST_SNR, LEAST_MTF = 5.0, 150.0, 0.08
+# Step over the noise of the mean frame, and the fundamental over its own, inside the scope; the method asks for 5.
+LEAST_SNR, MOST_SNR, LEAST_FUNDAMENTAL = 4.0, 150.0, 10.0
 GROUND_PX = 35.0
 
 
@@ -44,7 +44,7 @@ def cell_of(number: int) -> Cell[PulsedBars]:
 def _scene_in_scope(rng: np.random.Generator) -> PulsedBars:
     while True:
         scene = _scene(rng)
-        if unclipped(scene) and LEAST_SNR < scene.snr < MOST_SNR and scene.truth_mtf > LEAST_MTF:
+        if unclipped(scene) and LEAST_SNR < scene.snr < MOST_SNR and scene.fundamental_snr > LEAST_FUNDAMENTAL:
             return scene
 
 

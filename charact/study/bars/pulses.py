@@ -35,6 +35,20 @@ class PulsedBars(PulsedTarget):
         """MTF at the bars' frequency across them, pixel included, dimensionless."""
         return float(self.mtf(self.frequency_cy_per_px))
 
+    @property
+    def fundamental_snr(self) -> float:
+        """The fundamental over the standard error of either of its parts, asked of the bars and half a period around.
+
+        Modulus (2/pi) M b A, A the area of the bars; variance S(f) B/2 in a window of area B, S the noise's power there.
+        """
+        f = self.frequency_cy_per_px
+        lit, window = self.bars * 0.5 / f * 3.5 / f, (self.bars / f + 1.0 / f) * (3.5 / f + 1.0 / f)
+        step, share = self.bright_dn * (1.0 - self.dark_share), 0.5 * lit / window
+        light = self.bright_dn * self.dark_share + step * share
+        pulse = float(np.exp(-2 * (np.pi * f * self.pulse_px) ** 2) * np.sinc(f))
+        power = (1.0 + self.gain_spread) * self.gain_dn * light * pulse**2 + self.read_dn**2
+        return 2.0 / np.pi * self.truth_mtf * step * lit / float(np.sqrt(0.5 * power * window / self.frames))
+
     def _lit(self, row: Array, col: Array, moved_px: float) -> Array:
         shape, first = (row.size, col.size), (float(row[0, 0]), float(col[0, 0]))
         place = self.row_px - first[0], self.col_px + moved_px - first[1]
