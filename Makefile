@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map bar-map point-map spectrum-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map bar-map bar-pulse-map point-map spectrum-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -107,10 +107,14 @@ edge-pulse-map: $(READY)
 	$(BIN)/python -m charact.study.edge.pulse_map
 	$(BIN)/python -m charact.study.edge.pulse_map_figure
 
-# Where bars and points break: 1,000 cells each, points drawn twice; three and ten minutes on two cores.
+# Where bars and points break: 1,000 cells each, points drawn twice; four, twelve and ten minutes on two cores.
 bar-map: $(READY)
 	$(BIN)/python -m charact.study.bars.map
 	$(BIN)/python -m charact.study.bars.map_figure
+
+bar-pulse-map: $(READY)
+	$(BIN)/python -m charact.study.bars.pulse_map
+	$(BIN)/python -m charact.study.bars.pulse_map_figure
 
 point-map: $(READY)
 	$(BIN)/python -m charact.study.point.map

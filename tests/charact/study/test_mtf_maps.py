@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from charact.study.bars import map as bars
+from charact.study.bars import pulse_map as pulsed_bars
 from charact.study.edge import pulse_map as pulses
 from charact.study.flats import spectrum_map as spectra
 from charact.study.point import map as points
 
 # What a method says of itself that it does not tell, by the axis of the map.
-UNTOLD = {bars: ("gamma",), points: ("gamma", "neighbour_px"), spectra: (), pulses: ()}
+UNTOLD = {bars: ("gamma",), pulsed_bars: ("gamma",), points: ("gamma", "neighbour_px"), spectra: (), pulses: ()}
 
 
-@pytest.fixture(params=[bars, points, spectra, pulses], ids=["bars", "points", "spectra", "edges of pulses"])
+@pytest.fixture(
+    params=[bars, pulsed_bars, points, spectra, pulses],
+    ids=["bars", "bars of pulses", "points", "spectra", "edges of pulses"],
+)
 def study(request):
     return request.param
 
