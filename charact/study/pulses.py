@@ -198,12 +198,16 @@ class PulsedTarget(ABC):
 
     def _mean(self, moved_px: float) -> Array:
         """Mean photoelectrons of each place of the fine grid."""
-        row, col = (_fine_places(size) for size in (self.rows, self.cols))
-        row, col = row[:, None], col[None, :]
+        row, col = self._places()
         light = self.dark_share + (1.0 - self.dark_share) * self._lit(row, col, moved_px)
         light = light * (1 + self.gradient * (col / self.cols + 0.5))
         squared = ((2 * row / self.rows) ** 2 + (2 * col / self.cols) ** 2) / 2
         return np.maximum(light * (1.0 - self.vignetting * squared), 0.0) * self.photoelectrons / FINER**2
+
+    def _places(self) -> tuple[Array, Array]:
+        """Places of the fine grid off the middle of the frame, shapes (row, 1) and (1, col), px."""
+        row, col = (_fine_places(size) for size in (self.rows, self.cols))
+        return row[:, None], col[None, :]
 
     @abstractmethod
     def _lit(self, row: Array, col: Array, moved_px: float) -> Array:

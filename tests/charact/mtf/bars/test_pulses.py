@@ -1,0 +1,89 @@
+"""Bars of intensified cameras: the scene against the other generator's, dim targets, and transfers of several stages."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from charact.method import Context
+from charact.mtf import measure
+from charact.study.bars.pulses import PulsedBars
+from charact.study.bars.scene import BarScene
+from charact.study.edge.scene import Blur
+
+BRIGHT = {"photoelectrons": 1e5, "gain_spread": 0.0, "bright_dn": 30000.0, "black_dn": 1000.0, "full_scale_dn": 65535.0}
+DIM = PulsedBars(
+    blur=Blur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), pulse_px=0.6, photoelectrons=4.0,
+    bright_dn=60.0, dark_share=0.3, gain_spread=0.7, frames=4, frequency_cy_per_px=0.22, rows=90, cols=100,
+)  # fmt: skip
+
+
+def found(scene, rng):
+    context = Context(quick=True, full_scale_dn=scene.full_scale_dn)
+    told = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px}
+    return measure("bars", scene.frames_drawn(rng), method="bars-forward", context=context, **told).measurements[0]
+
+
+def test_the_mean_is_that_of_bars_in_closed_form(seed):
+    """Gaussians of 0.8 and 0.6 px make one of 1.0: pixels within 5 of their own scatter and two thousandths."""
+    place = {"row_px": 0.3, "col_px": -0.7, "rows": 120, "cols": 130, "angle_deg": 5.0}
+    pulsed = PulsedBars(blur=Blur(sigma_px=0.8), pulse_px=0.6, dark_share=0.2, frames=40, **place, **BRIGHT)
+    drawn = pulsed.frames_drawn(np.random.default_rng(seed)).data.astype(float)
+    closed = BarScene(
+        blur=Blur(sigma_px=1.0), black_dn=1000.0, pedestal_dn=7000.0, level_dn=24000.0, full_scale_dn=65535.0, **place
+    )  # fmt: skip
+    error = drawn.std(axis=0, ddof=1) / np.sqrt(len(drawn))
+    assert np.all(np.abs(drawn.mean(axis=0) - closed.mean()) < 5.0 * error + 0.002 * 24000.0)
+    assert pulsed.truth_mtf == pytest.approx(closed.truth_mtf, rel=1e-12)
+
+
+def test_its_fundamental_over_noise_is_that_of_sums(seed):
+    """Sums over the bars and half a period around them scatter from frame to frame as is said."""
+    scene = replace(DIM, frames=200, rows=70, cols=70, angle_deg=0.0)
+    data = scene.frames_drawn(np.random.default_rng(seed)).data.astype(float)
+    data = data - scene.black_dn - scene.dark_share * scene.bright_dn
+    f = scene.frequency_cy_per_px
+    row, col = (np.arange(70) - 34.5 for _ in range(2))
+    core = (np.abs(row) < 1.75 / f + 0.5 / f)[:, None] & (np.abs(col) < 0.5 * scene.bars / f + 0.5 / f)[None, :]
+    sums = (data * np.where(core, np.exp(-2j * np.pi * f * col), 0.0)).sum(axis=(1, 2))
+    error = np.sqrt(0.5 * np.var(sums, ddof=1) / len(sums))
+    assert abs(sums.mean()) / error == pytest.approx(scene.fundamental_snr, rel=0.15)
+
+
+@pytest.mark.parametrize("frequency", [0.07, 0.12, 0.2])
+def test_a_tube_behind_a_gaussian_is_no_tube_and_told_rightly(frequency, seed):
+    """The product of both forms is of neither: 0.3 to 1.2 % high, and `processed`, where one exponent must hold it."""
+    scene = PulsedBars(
+        blur=Blur(form="exponential", frequency_cy_per_px=0.3, exponent=1.15), pulse_px=0.8, dark_share=0.1, frames=4,
+        frequency_cy_per_px=frequency, rows=160, cols=170, **BRIGHT,
+    )  # fmt: skip
+    one = found(scene, np.random.default_rng(seed))
+    assert one.status == "ok", one.flags
+    assert one.value == pytest.approx(scene.truth_mtf, rel=1e-3)
+
+
+def test_bars_that_wide_sums_hide_in_noise_are_measured(seed):
+    """Bars of nine standard errors, refused at four or so while the blur's whole window was asked for them."""
+    assert 8.0 < DIM.fundamental_snr < 12.0
+    rng = np.random.default_rng(seed)
+    told = [found(DIM, rng) for _ in range(6)]
+    assert sum(one.status == "ok" for one in told) >= 5
+    errors = [(one.value - DIM.truth_mtf) / (0.5 * np.ptp(one.interval68)) for one in told if one.status == "ok"]
+    assert np.abs(errors).max() < 4.5
+
+
+@pytest.mark.parametrize("frequency", [0.0625, 0.125, 0.2])
+def test_one_frame_of_much_light_is_told_in_full_as_quickly(frequency, seed):
+    """Noise looked for in what a rough first fit left over was no noise: 3 to 56 % off in full, or a traceback."""
+    scene = BarScene(
+        blur=Blur(sigma_px=1.0), frequency_cy_per_px=frequency, frames=1, snr=300.0, level_dn=3000.0, pedestal_dn=300.0,
+        black_dn=100.0, full_scale_dn=4095.0, rows=160, cols=180, angle_deg=4.0,
+    )  # fmt: skip
+    stack = scene.frames_drawn(np.random.default_rng(seed))
+    told = {"bars": 4, "frequency_cy_per_px": frequency, "method": "bars-forward"}
+    quick, full = (
+        measure("bars", stack, context=Context(quick=quick), **told).measurements[0] for quick in (True, False)
+    )
+    assert full.status == quick.status == "ok"
+    assert abs(full.value - scene.truth_mtf) < 4.5 * 0.5 * np.ptp(full.interval68)
+    assert np.ptp(full.interval95) == pytest.approx(np.ptp(quick.interval95), rel=0.25)
