@@ -71,7 +71,7 @@ _DIM_DN = 60.0
 
 
 def camera_drawn(rng: np.random.Generator) -> dict[str, Any]:
-    """Return what a random camera and its light are, as `PulsedTarget` takes it: one in three has twelve bits, one fields.
+    """Return what a random camera and its light are: one in three has twelve bits, one in three fields.
 
     A photoelectron's pulse is a few to fifty codes of eight bits: what gains of intensified cameras make of it.
     """

@@ -77,8 +77,8 @@ class Table:
     along_px
         Distance along the bars of each row, px; one row: the picture does not vary along them.
     values
-        Picture and its derivatives by log attenuation, exponent, Gaussian share, departure, ln(frequency) and ln(length),
-        shape (7, along, across); 1 on a wide bar.
+        Picture, 1 on a wide bar, and its derivatives by log attenuation, exponent, Gaussian share, departure,
+        ln(frequency) and ln(length), shape (7, along, across).
     """
 
     step_across_px: float

@@ -90,7 +90,7 @@ def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, me
 
 
 def truths_of(cell: Cell[PulsedBars]) -> tuple[float, float]:
-    """Return the least and the largest MTF that are right: of a halo that nobody described all, part or no light counts."""
+    """Return the least and the largest MTF that are right: of a halo that nobody described any part may count."""
     bare = replace(cell.scene, blur=replace(cell.scene.blur, halo_share=0.0))
     return cell.scene.truth_mtf, bare.truth_mtf
 

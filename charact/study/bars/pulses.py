@@ -65,7 +65,7 @@ class PulsedBars(PulsedTarget):
 def _blurred(
     blur: Blur, bars: int, frequency: float, angle_deg: float, shape: tuple[int, int], place: tuple[float, float]
 ) -> Array:
-    """Bars through the blur alone, 1 on a wide bar, sampled on the fine grid; their middle at a place from its corner, px.
+    """Bars through the blur alone, 1 on a wide bar, on the fine grid; their middle at a place from its corner, px.
 
     What lies beyond the grid's own Nyquist frequency, 2 cycles per pixel, is left out: there a blur has nothing left.
     """

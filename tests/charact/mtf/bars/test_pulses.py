@@ -1,4 +1,4 @@
-"""Bars of intensified cameras: the scene against the other generator's, dim targets, and transfers of several stages."""
+"""Bars of intensified cameras: the scene against the other generator's, dim targets, transfers of several stages."""
 
 from dataclasses import replace
 
