@@ -163,7 +163,7 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
     return Found(
         target=replace(fit.target, frequency=asked),
         posterior=posterior,
-        mtf=mtf_of(posterior, fit),
+        mtf=mtf_of(posterior, fit, context),
         flags=(*flags, *flags_of_light(used, fit), *flags_of_codes(used, near, context)),
         notes=tuple(notes),
         margin_px=margin,
