@@ -121,6 +121,22 @@ def test_bars_of_a_negative_frequency_are_refused(edge: Path) -> None:
     assert_one_sentence(charact("mtf", "bars", edge, "--frequency", "-0.1"), "-0.1")
 
 
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ("mtf", "edge", "a.tif"),
+        ("noise", "a"),
+        ("simulate", "airfield", "out", "--sensor", "pulnix-ag5745ef3"),
+        ("demo", "out"),
+        ("chart", "mtf50"),
+    ],
+)
+def test_a_negative_seed_is_misuse(verb: tuple[str, ...]) -> None:
+    done = charact(*verb, "--seed", "-1")
+    assert done.exit_code == 2, done.output
+    assert "'--seed'" in done.output and "greater than or equal to 0" in done.output
+
+
 def test_bad_input_is_also_said_in_json(tmp_path: Path) -> None:
     done = charact("mtf", "edge", tmp_path / "missing.tif", "--json")
     assert done.exit_code == 1
