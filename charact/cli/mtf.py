@@ -127,6 +127,9 @@ def flats(
     seed: options.Seed = 0,
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
+    pitch_um: options.PitchUm = None,
+    demagnification: options.Demagnification = None,
+    focal_length_mm: options.FocalLengthMm = None,
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
@@ -140,6 +143,7 @@ def flats(
 
         session = _flats_of(file, _sensor(sensor))
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
+        frequency = _unit(units, pitch_um, demagnification, focal_length_mm, session.sensor, rows=rows)
         with progress_bar(events=events) as progress:
             context = context_of(session, quick=quick, seed=seed, progress=progress)
             result = mtf.measure_flats(session, method=method, within_percent=within, context=context)
@@ -148,7 +152,7 @@ def flats(
             given=str(file),
             as_json=as_json,
             events=events,
-            frequency=_unit(units, None, None, None, session.sensor, rows=rows),
+            frequency=frequency,
             next_verb="charact mtf edge FILE: the MTF of the whole camera, lens and cathode gap in it",
         )
 
@@ -267,8 +271,10 @@ def _unit(
     if sensor is not None:
         if pitch_um is None:
             pitch_um, pitch_y_um = float(sensor.ccd.pitch_x_um), float(sensor.ccd.pitch_y_um)
-        demagnification = demagnification or float(sensor.taper.demagnification) / float(sensor.tube.magnification)
-        focal_length_mm = focal_length_mm or float(sensor.optics.focal_length_mm)
+        if demagnification is None:
+            demagnification = float(sensor.taper.demagnification) / float(sensor.tube.magnification)
+        if focal_length_mm is None:
+            focal_length_mm = float(sensor.optics.focal_length_mm)
     return FrequencyUnit(
         unit=units, pitch_x_um=pitch_um, pitch_y_um=pitch_y_um, rows=rows, focal_length_mm=focal_length_mm,
         demagnification=demagnification,

@@ -69,6 +69,8 @@ def bloom(
 
     Example: charact bloom day1 --map bloom.png
     """
+    if map_to is None and map_of is not None:
+        raise typer.BadParameter("names the stack of a map: give --map too", param_hint="'--map-of'")
     if map_to is None and is_picture(session):
         bloom_of_picture(session, method=method, within=within, quick=quick, seed=seed, as_json=as_json, events=events)
         return
@@ -129,10 +131,13 @@ def measured_and_kept(
     from charact.measuring import measure as measure_session
     from charact.method.cluster import spread_over
     from labdata import document
-    from labdata.session import open_session
+    from labdata.session import UNUSED, open_session
 
     must_be_a_session(folder)
     opened = open_session(folder)
+    for note in opened.notes:
+        if UNUSED in note:
+            say(note, events=events)
     with progress_bar(events=events) as progress, spread_over(scheduler) as spread:
         result = measure_session(
             opened, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread

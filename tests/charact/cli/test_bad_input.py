@@ -117,6 +117,24 @@ def test_lines_per_millimetre_need_a_pitch(edge: Path) -> None:
     assert_one_sentence(charact("mtf", "edge", edge, "--units", "lp/mm"), "pitch_um")
 
 
+def test_a_length_of_nothing_is_refused_whatever_the_sensor_has(edge: Path) -> None:
+    for unit, option in (("cy/mrad", "--focal-length-mm"), ("lp/mm-cathode", "--demagnification")):
+        done = charact("mtf", "edge", edge, "--sensor", "pulnix-ag5745ef3", "--units", unit, option, "0", "--quick")
+        assert_one_sentence(done, f"{option} must be positive, got 0")
+
+
+def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
+    folder = session(tmp_path, "")
+    assert_one_sentence(charact("mtf", "flats", folder, "--units", "lp/mm"), "give --pitch-um or --sensor")
+    done = charact("mtf", "flats", folder, "--units", "lp/mm", "--pitch-um", "10")
+    assert done.exit_code == 1 and "pitch_um" not in done.stderr
+
+
+def test_a_stack_of_a_map_without_a_map_is_misuse(edge: Path) -> None:
+    done = charact("bloom", edge, "--map-of", "point-1")
+    assert done.exit_code == 2 and "give --map too" in done.output
+
+
 def test_bars_of_a_negative_frequency_are_refused(edge: Path) -> None:
     assert_one_sentence(charact("mtf", "bars", edge, "--frequency", "-0.1"), "-0.1")
 
