@@ -129,6 +129,7 @@ def measured_and_kept(
 ):  # fmt: skip
     """Measure a session and keep the result in it."""
     from charact.measuring import measure as measure_session
+    from charact.measuring import with_inputs
     from charact.method.cluster import spread_over
     from labdata import document
     from labdata.session import UNUSED, open_session
@@ -142,6 +143,7 @@ def measured_and_kept(
         result = measure_session(
             opened, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread
         )
+    result = with_inputs(result, opened)
     document.save(result, opened.folder)
     return result
 
