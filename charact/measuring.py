@@ -8,9 +8,10 @@ from pathlib import Path
 from charact.method import Context
 from charact.method.cluster import Spread
 from labdata.digest import sha256_of
+from labdata.errors import BadInput
 from labdata.measurement import Measurement, Result
 from labdata.parameter import Parameter
-from labdata.session import Session, StackEntry, open_session
+from labdata.session import MANIFEST, Session, StackEntry, open_session
 
 Progress = Callable[[str, float], None]
 Task = Callable[[Context], Result]
@@ -51,9 +52,19 @@ def measure(
     Result
         Measurements (some of them refused, with the reason), curves and evidence; several stacks' curves are told
         apart by ":label".
+
+    Raises
+    ------
+    BadInput
+        If every stack is of kind scene, of which nothing is measured.
     """
     session = session if isinstance(session, Session) else open_session(session)
     tasks = _tasks(session, within_percent)
+    if not tasks:
+        raise BadInput(
+            "a session must have a stack of kind dark, flat, edge, bars or point to be measured, got only kind "
+            f"'scene': say in {session.folder / MANIFEST} what the frames show"
+        )
     context, result = context_of(session, quick=quick, seed=seed, spread=spread), Result()
     for done, (sentence, task) in enumerate(tasks):
         progress(sentence, done / len(tasks))

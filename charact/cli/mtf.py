@@ -204,7 +204,7 @@ def _measure(
             as_json=as_json,
             events=events,
             frequency=frequency,
-            next_verb=f"charact import frames {file} mine, then charact measure mine",
+            next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine",
         )
 
 

@@ -49,5 +49,5 @@ def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, see
                 result = bloom.measure_frame(session, context=context)
             else:
                 result = bloom.measure(session, method=method, within_percent=within, context=context)
-        further = f"charact import frames {path} mine, then charact measure mine"
+        further = f"charact import frames {path} mine --kind point, then charact measure mine"
         show(result, given=str(path), as_json=as_json, events=events, next_verb=further)

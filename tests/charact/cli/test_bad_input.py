@@ -96,6 +96,17 @@ def test_a_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
     assert_one_sentence(charact("measure", tmp_path), "session.toml")
 
 
+def test_of_a_session_of_scenes_nothing_is_measured_and_no_verb_says_otherwise(edge: Path, tmp_path: Path) -> None:
+    done = charact("import", "frames", edge, tmp_path / "mine")
+    assert done.exit_code == 0 and "charact measure" not in done.stdout
+    assert "session.toml what the frames show" in done.stdout
+    done = charact("measure", tmp_path / "mine", "--json")
+    assert_one_sentence(done, "dark, flat, edge, bars or point", "'scene'", "session.toml")
+    assert "'scene'" in json.loads(done.stdout)["error"]
+    done = charact("import", "frames", edge, tmp_path / "known", "--kind", "edge")
+    assert "Next: charact measure" in done.stdout
+
+
 @pytest.mark.parametrize("region", ["0,0,65,10", "-1,0,10,10", "0,90,10,10", "0,0,0,10"])
 def test_a_region_outside_the_image_is_refused(edge: Path, region: str) -> None:
     assert_one_sentence(charact("mtf", "edge", edge, f"--roi={region}"), "64 rows and 96 columns", region)
