@@ -33,6 +33,16 @@ def test_the_groups_of_a_picture_have_a_line_each_and_one_together(capsys: pytes
     assert "all together" in third and "mtf50 0.21" in third
 
 
+def test_sources_of_one_stack_are_told_apart_by_their_place(capsys: pytest.CaptureFixture) -> None:
+    own = {"method": "one-frame", "stack": "spots"}
+    spots = [from_sd("bloom_diameter", "px", 2.5, 0.1, region=(row, 9, 2, 3), **own) for row in (5, 60)]
+    halo = from_sd("halo_diameter", "px", 40.0, 0.1, **own)
+    show(Result(measurements=(*spots, halo)), given="spots.tif", as_json=False)
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert "bloom_diameter of spots in 5,9,2,3 2.5 px" in first and "in 60,9,2,3" in second
+    assert "halo_diameter of spots 40 px" in third
+
+
 def test_what_groups_tell_together_has_no_frame_in_the_picture() -> None:
     shown = _one_a_region(Result(measurements=(bars(0), bars(40), together())))
     assert [m.region for m in shown] == [(0, 0, 20, 20), (0, 40, 20, 20)]
