@@ -165,6 +165,8 @@ def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
     if file.name == MANIFEST or (file / MANIFEST).is_file():
         session = open_session(file)
         return session if sensor is None else replace(session, sensor=sensor)
+    if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
+        raise BadInput(f"flats must be a session's folder, with a {MANIFEST}, or a file of frames, got {file}")
     entry = StackEntry(label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent)
     return Session(folder=file.parent, name=file.name, stacks=(entry,), sensor=sensor)
 
@@ -188,6 +190,7 @@ def _measure(
     with bad_input_ends(str(file), as_json=as_json, events=events):
         from labdata.importers import read_frames
 
+        _must_be_frames(file, kind)
         known = _sensor(sensor)
         region = options.parsed_region(asked.pop("roi"))
         stack = _with_black(read_frames(file, plane=plane), black_dn)
@@ -206,6 +209,14 @@ def _measure(
             frequency=frequency,
             next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine",
         )
+
+
+def _must_be_frames(file: Path, kind: str) -> None:
+    """Refuse a session with what measures it."""
+    from labdata.session import MANIFEST
+
+    if (file / MANIFEST).is_file():
+        raise BadInput(f"mtf {kind} takes one image or stack, got the session {file}: charact measure {file}")
 
 
 def _result(

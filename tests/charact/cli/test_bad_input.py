@@ -107,6 +107,19 @@ def test_of_a_session_of_scenes_nothing_is_measured_and_no_verb_says_otherwise(e
     assert "Next: charact measure" in done.stdout
 
 
+@pytest.mark.parametrize("verb", ["noise", "measure", "fit", "validate", "report", "watch"])
+def test_a_picture_in_place_of_a_session_is_answered_with_what_makes_one(edge: Path, verb: str) -> None:
+    more = ("--sensor-out", "fitted.toml") if verb == "fit" else ()
+    assert_one_sentence(charact(verb, edge, *more), "folder with a session.toml", f"charact import frames {edge}")
+
+
+def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(edge: Path, tmp_path: Path) -> None:
+    assert_one_sentence(charact("bloom", edge, "--map", "map.png"), "--map needs a session", "--kind point")
+    folder = session(tmp_path, "")
+    assert_one_sentence(charact("mtf", "edge", folder), "one image or stack", f"charact measure {folder}")
+    assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session's folder", "file of frames", "nope")
+
+
 @pytest.mark.parametrize("region", ["0,0,65,10", "-1,0,10,10", "0,90,10,10", "0,0,0,10"])
 def test_a_region_outside_the_image_is_refused(edge: Path, region: str) -> None:
     assert_one_sentence(charact("mtf", "edge", edge, f"--roi={region}"), "64 rows and 96 columns", region)
