@@ -102,7 +102,7 @@ def representative(session: Session, measurements: Sequence[Measurement]) -> tup
 
 
 def _chosen(entries: Sequence[StackEntry]) -> StackEntry:
-    """The stack with the most light by what its conditions state, else by the level of its frames; of equals the first."""
+    """The stack with the most light by its stated conditions, else by the level of its frames; of equals the first."""
     for light in (_photons, _lux_s):
         stated = [light(entry.conditions) for entry in entries]
         if all(amount is not None for amount in stated):
