@@ -7,9 +7,11 @@ from pathlib import Path
 
 from charact.method import Context
 from charact.method.cluster import Spread
+from labdata.digest import sha256_of
+from labdata.errors import BadInput
 from labdata.measurement import Measurement, Result
 from labdata.parameter import Parameter
-from labdata.session import Session, StackEntry, open_session
+from labdata.session import MANIFEST, Session, StackEntry, open_session
 
 Progress = Callable[[str, float], None]
 Task = Callable[[Context], Result]
@@ -50,9 +52,19 @@ def measure(
     Result
         Measurements (some of them refused, with the reason), curves and evidence; several stacks' curves are told
         apart by ":label".
+
+    Raises
+    ------
+    BadInput
+        If every stack is of kind scene, of which nothing is measured.
     """
     session = session if isinstance(session, Session) else open_session(session)
     tasks = _tasks(session, within_percent)
+    if not tasks:
+        raise BadInput(
+            "a session must have a stack of kind dark, flat, edge, bars or point to be measured, got only kind "
+            f"'scene': say in {session.folder / MANIFEST} what the frames show"
+        )
     context, result = context_of(session, quick=quick, seed=seed, spread=spread), Result()
     for done, (sentence, task) in enumerate(tasks):
         progress(sentence, done / len(tasks))
@@ -60,6 +72,28 @@ def measure(
         context = _knowing_halo(context, result)
     progress("measured", 1.0)
     return _together(session, result, context)
+
+
+def with_inputs(result: Result, session: Session) -> Result:
+    """Return a result of which each number's provenance holds the SHA-256 of its stack's frames, else of all stacks'.
+
+    What is measured of one stack may lean on others, such as its dark: those stand with the numbers of the session.
+    """
+    digests = {entry.label: _digests(entry) for entry in session.stacks if entry.kind != "scene"}
+    everything = {name: digest for one in digests.values() for name, digest in one.items()}
+    measurements = tuple(
+        m
+        if m.provenance is None
+        else m.with_(provenance=replace(m.provenance, inputs=digests.get(m.stack or "", everything)))
+        for m in result.measurements
+    )
+    return replace(result, measurements=measurements)
+
+
+def _digests(entry: StackEntry) -> dict[str, str]:
+    """SHA-256 of the files or arrays of a stack, by the name that the session gives them."""
+    names = (entry.frames,) if isinstance(entry.frames, str) else entry.frames
+    return {name: sha256_of(path) for name, path in zip(names, entry.paths, strict=True)}
 
 
 def _within(progress: Progress, done: int, tasks: int, sentence: str, share: float) -> None:

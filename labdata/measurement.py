@@ -92,7 +92,7 @@ class Provenance:
     settings
         Settings of the method, by name.
     inputs
-        SHA-256 of each input file, by path as given.
+        SHA-256 of each input file, by path as given; see `labdata.digest`.
     """
 
     version: str

@@ -190,6 +190,8 @@ class Plan(PlanHead):
         labels = [step.label for step in self.steps]
         if not labels:
             raise BadInput("a plan must have at least one step, got none")
+        if self.seed < 0:
+            raise BadInput(f"a seed must not be negative, got {self.seed} in the plan {self.name!r}")
         self._check_meters()
         if (self.lamp is None) != (self.wires.light is None):
             there = "none" if self.lamp is None else "one"

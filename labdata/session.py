@@ -21,6 +21,9 @@ MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
 
 
+UNUSED = "does not use its target's"
+"""What the note says where a target states what belongs to another kind."""
+
 # What the level without light hangs on.
 DARK_SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
 
@@ -250,8 +253,14 @@ def session_of(folder: Path, form: "SessionForm") -> Session:
         sensor=camera if isinstance(camera, Sensor) else None,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
-        notes=form.notes,
+        notes=(*form.notes, *_unused(stacks)),
     )
+
+
+def _unused(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
+    """Say what targets state that nobody looks at: a kind mistaken, or a target copied from another stack."""
+    told = ((entry, " and ".join(entry.target.unused_by(entry.kind))) for entry in stacks)
+    return tuple(f"stack {entry.label!r} of kind {entry.kind!r} {UNUSED} {names}" for entry, names in told if names)
 
 
 def _check(form: "SessionForm", folder: Path) -> None:

@@ -1,8 +1,12 @@
 """The targets put before the camera."""
 
+import math
 from dataclasses import dataclass
 
 from labdata.errors import BadInput
+
+# What only one kind of target has.
+BELONGS_TO = {"bars": "bars", "frequency_cy_per_px": "bars", "pinhole_px": "point"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +40,13 @@ class Target:
     def __post_init__(self) -> None:
         if self.bars is not None and self.bars < 2:
             raise BadInput(f"a bar target must have at least 2 bars, got {self.bars}")
-        if self.frequency_cy_per_px is not None and not self.frequency_cy_per_px > 0:
+        if self.frequency_cy_per_px is not None and not 0 < self.frequency_cy_per_px < math.inf:
             raise BadInput(f"frequency_cy_per_px must be positive, got {self.frequency_cy_per_px:g}")
+        if self.pinhole_px is not None and not 0 <= self.pinhole_px < math.inf:
+            raise BadInput(f"pinhole_px must not be negative, or infinite, got {self.pinhole_px:g}")
         if self.contrast is not None and not 0 < self.contrast <= 1:
             raise BadInput(f"contrast must lie in (0, 1], got {self.contrast:g}")
+
+    def unused_by(self, kind: str) -> tuple[str, ...]:
+        """Return the names of what is set and is no part of a target of this kind."""
+        return tuple(name for name, of in BELONGS_TO.items() if of != kind and getattr(self, name) is not None)

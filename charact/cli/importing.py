@@ -12,6 +12,8 @@ app = typer.Typer(no_args_is_help=True, help="Make a session of frames made else
 
 Out = Annotated[Path, typer.Argument(help="Folder of the session to make.")]
 
+UNSAID = "say in {}/session.toml what the frames show, or import them with --kind: nothing is measured of a scene"
+
 
 @app.command()
 def emva1288(file: Annotated[Path, typer.Argument(help="EMVA 1288 descriptor file.")], out: Out) -> None:
@@ -44,9 +46,8 @@ def frames(
 
         if not sources:
             raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
-        _summarise(
-            import_frames(sources, out, kind=parsed_kind(kind), name_pattern=name), out, f"charact measure {out}"
-        )
+        session = import_frames(sources, out, kind=parsed_kind(kind), name_pattern=name)
+        _summarise(session, out, UNSAID.format(out) if kind == "scene" else f"charact measure {out}")
 
 
 def _summarise(session, out: Path, next_verb: str) -> None:

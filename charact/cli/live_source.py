@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from charact.cli.one_picture import must_be_a_session
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def live_source(
     if session is not None:
         from charact.bench.growing import SessionSource
 
+        must_be_a_session(session)
         yield SessionSource(session)
         return
     asked = None if plan is None else _plan(plan)

@@ -20,7 +20,7 @@ def demo(
     ),
     quick: Annotated[bool, typer.Option("--quick", help="Fewer frames and no Markov chains.")] = False,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of the specimen and of all noise; else from the clock.")
+        int | None, typer.Option(help="Seed of the specimen and of all noise; else from the clock.", min=0)
     ] = None,
     events: options.Events = False,
 ) -> None:

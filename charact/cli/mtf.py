@@ -127,6 +127,9 @@ def flats(
     seed: options.Seed = 0,
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
+    pitch_um: options.PitchUm = None,
+    demagnification: options.Demagnification = None,
+    focal_length_mm: options.FocalLengthMm = None,
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
@@ -140,6 +143,7 @@ def flats(
 
         session = _flats_of(file, _sensor(sensor))
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
+        frequency = _unit(units, pitch_um, demagnification, focal_length_mm, session.sensor, rows=rows)
         with progress_bar(events=events) as progress:
             context = context_of(session, quick=quick, seed=seed, progress=progress)
             result = mtf.measure_flats(session, method=method, within_percent=within, context=context)
@@ -148,7 +152,7 @@ def flats(
             given=str(file),
             as_json=as_json,
             events=events,
-            frequency=_unit(units, None, None, None, session.sensor, rows=rows),
+            frequency=frequency,
             next_verb="charact mtf edge FILE: the MTF of the whole camera, lens and cathode gap in it",
         )
 
@@ -161,6 +165,8 @@ def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
     if file.name == MANIFEST or (file / MANIFEST).is_file():
         session = open_session(file)
         return session if sensor is None else replace(session, sensor=sensor)
+    if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
+        raise BadInput(f"flats must be a session's folder, with a {MANIFEST}, or a file of frames, got {file}")
     entry = StackEntry(label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent)
     return Session(folder=file.parent, name=file.name, stacks=(entry,), sensor=sensor)
 
@@ -184,6 +190,7 @@ def _measure(
     with bad_input_ends(str(file), as_json=as_json, events=events):
         from labdata.importers import read_frames
 
+        _must_be_frames(file, kind)
         known = _sensor(sensor)
         region = options.parsed_region(asked.pop("roi"))
         stack = _with_black(read_frames(file, plane=plane), black_dn)
@@ -200,8 +207,16 @@ def _measure(
             as_json=as_json,
             events=events,
             frequency=frequency,
-            next_verb=f"charact import frames {file} mine, then charact measure mine",
+            next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine",
         )
+
+
+def _must_be_frames(file: Path, kind: str) -> None:
+    """Refuse a session with what measures it."""
+    from labdata.session import MANIFEST
+
+    if (file / MANIFEST).is_file():
+        raise BadInput(f"mtf {kind} takes one image or stack, got the session {file}: charact measure {file}")
 
 
 def _result(
@@ -267,8 +282,10 @@ def _unit(
     if sensor is not None:
         if pitch_um is None:
             pitch_um, pitch_y_um = float(sensor.ccd.pitch_x_um), float(sensor.ccd.pitch_y_um)
-        demagnification = demagnification or float(sensor.taper.demagnification) / float(sensor.tube.magnification)
-        focal_length_mm = focal_length_mm or float(sensor.optics.focal_length_mm)
+        if demagnification is None:
+            demagnification = float(sensor.taper.demagnification) / float(sensor.tube.magnification)
+        if focal_length_mm is None:
+            focal_length_mm = float(sensor.optics.focal_length_mm)
     return FrequencyUnit(
         unit=units, pitch_x_um=pitch_um, pitch_y_um=pitch_y_um, rows=rows, focal_length_mm=focal_length_mm,
         demagnification=demagnification,

@@ -10,7 +10,7 @@ from labdata.session import Kind
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 Events = Annotated[bool, typer.Option("--events", help="Progress and messages as one JSON object a line on stderr.")]
-Seed = Annotated[int, typer.Option(help="Seed of every random step; the same seed gives the same bytes.")]
+Seed = Annotated[int, typer.Option(help="Seed of every random step; the same seed gives the same bytes.", min=0)]
 Quick = Annotated[bool, typer.Option("--quick", help="No posterior: intervals from the curvature of the fit.")]
 MethodName = Annotated[str, typer.Option("--method", help="auto, or a name that `charact methods` lists.")]
 Within = Annotated[float, typer.Option("--within", help="Error that auto must meet, percent.", min=0.0)]

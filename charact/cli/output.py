@@ -105,25 +105,32 @@ def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cy
     for _, group in groupby(measurements, key=lambda m: (m.stack, m.method)):
         members = tuple(group)
         told = Counter((m.quantity, m.frequency_cy_per_px) for m in members)
+        placed = len({m.region for m in members}) > 1
         for m in members:
-            yield _line(m, frequency, directed=told[m.quantity, m.frequency_cy_per_px] > 1)
+            yield _line(m, frequency, directed=told[m.quantity, m.frequency_cy_per_px] > 1, placed=placed)
         for flag in dict.fromkeys(flag for m in members for flag in m.flags):
             yield f"    {flag}: {FLAGS[flag]}"
         for note in dict.fromkeys(note for m in members for note in m.notes):
             yield f"    note: {note}"
 
 
-def _line(m: "Measurement", frequency: Frequency, *, directed: bool) -> str:
-    """Return one measurement's line; `directed` names its direction."""
+def _line(m: "Measurement", frequency: Frequency, *, directed: bool, placed: bool) -> str:
+    """Return one measurement's line; `directed` names its direction, `placed` its region as --roi takes it."""
     from charact.method.stopwatch import time_text
 
     where = _at(m, frequency)
     where += f" along {m.orientation_deg:.3g} deg" if directed and m.orientation_deg is not None else ""
     where += f" of {m.stack}" if m.stack else ""
+    where += f" in {_place(m.region)}" if placed and m.region is not None else ""
     spent = f", {time_text(m.seconds)}" if m.seconds is not None else ""
     if m.value is None:
         return f"{m.quantity}{where}: refused: {m.reason} ({m.method}{spent})"
     return f"{m.quantity}{where} {number_of(m, frequency)}, {_verdict(m)}, {m.method}{spent}"
+
+
+def _place(region: tuple[int, int, int, int]) -> str:
+    """Return ROW,COL,HEIGHT,WIDTH."""
+    return ",".join(map(str, region))
 
 
 def _at(m: "Measurement", frequency: Frequency) -> str:
@@ -169,7 +176,7 @@ def _region_line(members: list["Measurement"], frequency: Frequency) -> str:
     """Return the line of a region: where it lies, then the leading quantity in its directions."""
     first = members[0]
     leading = [m for m in members if m.quantity == "mtf50"] or [m for m in members if m.quantity == first.quantity]
-    place = ",".join(str(number) for number in first.region or ()) or "all together"
+    place = "all together" if first.region is None else _place(first.region)
     if all(m.value is None for m in leading):
         return f"{place:<16} {first.quantity} refused: {leading[0].reason}"
     told = (

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.one_picture import bloom_of_picture, is_picture, must_be_a_session
+from charact.cli.one_picture import bloom_of_picture, is_picture, opened
 from charact.cli.output import bad_input_ends, say, show
 from charact.cli.progress import progress_bar
 
@@ -69,8 +69,13 @@ def bloom(
 
     Example: charact bloom day1 --map bloom.png
     """
-    if map_to is None and is_picture(session):
-        bloom_of_picture(session, method=method, within=within, quick=quick, seed=seed, as_json=as_json, events=events)
+    if map_to is None and map_of is not None:
+        raise typer.BadParameter("names the stack of a map: give --map too", param_hint="'--map-of'")
+    if is_picture(session):
+        bloom_of_picture(
+            session, method=method, within=within, quick=quick, seed=seed, mapped=map_to is not None, as_json=as_json,
+            events=events,
+        )  # fmt: skip
         return
     drawn = None
     if map_to is not None:
@@ -91,15 +96,14 @@ def _analyse(
 
         from charact.measuring import context_of
         from charact.method.cluster import spread_over
-        from labdata.session import open_session
 
-        opened = open_session(folder)
+        given = opened(folder)
         analysis = import_module(f"charact.{room}")
         with spread_over(scheduler) as spread:
-            context = context_of(opened, quick=quick, seed=seed, progress=progress, spread=spread)
-            result = analysis.measure(opened, method=method, within_percent=within, context=context)
+            context = context_of(given, quick=quick, seed=seed, progress=progress, spread=spread)
+            result = analysis.measure(given, method=method, within_percent=within, context=context)
         if drawn is not None:
-            drawn(opened, result, context)
+            drawn(given, result, context)
         show(result, given=str(folder), as_json=as_json, events=events, next_verb=f"charact measure {folder}")
 
 
@@ -127,26 +131,29 @@ def measured_and_kept(
 ):  # fmt: skip
     """Measure a session and keep the result in it."""
     from charact.measuring import measure as measure_session
+    from charact.measuring import with_inputs
     from charact.method.cluster import spread_over
     from labdata import document
-    from labdata.session import open_session
+    from labdata.session import UNUSED
 
-    must_be_a_session(folder)
-    opened = open_session(folder)
+    session = opened(folder)
+    for note in session.notes:
+        if UNUSED in note:
+            say(note, events=events)
     with progress_bar(events=events) as progress, spread_over(scheduler) as spread:
         result = measure_session(
-            opened, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread
+            session, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread
         )
-    document.save(result, opened.folder)
+    result = with_inputs(result, session)
+    document.save(result, session.folder)
     return result
 
 
 def kept_or_measured(folder: Path, *, seed: int, events: bool):
     """The result kept in a session; measured now if there is none."""
     from labdata import document
-    from labdata.session import open_session
 
-    if (result := document.load(open_session(folder).folder)) is not None:
+    if (result := document.load(opened(folder).folder)) is not None:
         return result
     say(f"{folder} has not been measured yet: measuring it first", events=events)
     return measured_and_kept(folder, seed=seed, events=events)
@@ -165,11 +172,10 @@ def fit(
     with bad_input_ends(str(session), events=events):
         from charact.fit import fit_sensor
         from labdata.sensors import save_sensor
-        from labdata.session import open_session
 
         result = kept_or_measured(session, seed=seed, events=events)
         with progress_bar(events=events) as progress:
-            fitted = fit_sensor(open_session(session), result, seed=seed, progress=progress)
+            fitted = fit_sensor(opened(session), result, seed=seed, progress=progress)
         save_sensor(fitted, sensor_out)
         for path, p in fitted.parameters().items():
             if p.standing in ("fitted", "prior"):
@@ -210,9 +216,8 @@ def report(
     with bad_input_ends(str(session), events=events):
         from charact.cli.validating import kept_validation
         from charact.report import write
-        from labdata.session import open_session
 
-        opened = open_session(session)
+        given = opened(session)
         result = kept_or_measured(session, seed=seed, events=events)
-        path = write(opened, result, out or session / "report.html", validation=kept_validation(opened), pdf=pdf)
+        path = write(given, result, out or session / "report.html", validation=kept_validation(given), pdf=pdf)
         print(path)

@@ -5,6 +5,7 @@ from typing import Any
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.limits import TubeLimits
 from labdata.sensor import Sensor
 from labdata.solid_state import SolidStateCamera
 
@@ -47,6 +48,17 @@ def conditions_of(camera: Sensor | SolidStateCamera, *, gain: float | None = Non
     nominal = {"gate_ns": exposure_s * 1e9, **({} if ways else {"mcp_v": voltage_of(camera, None)})}
     set_by_gain = {} if gain is None else {"mcp_v": voltage_of(camera, gain)}
     return Conditions(exposure_s=exposure_s, **{**nominal, **set_by_gain, **given})
+
+
+def beyond_limit(camera: Sensor | SolidStateCamera, conditions: Conditions) -> tuple[str, ...]:
+    """Say where the plate is asked for more than its description allows: no harm in a simulation, but on the bench."""
+    asked = conditions.mcp_v
+    if isinstance(camera, SolidStateCamera) or asked is None:
+        return ()
+    limit = camera.limits.mcp_v
+    if limit == TubeLimits().mcp_v or asked <= float(limit):
+        return ()
+    return (f"mcp_v of {asked:.4g} exceeds the limit {float(limit):g} of {camera.name!r}: its bench would refuse it",)
 
 
 def voltage_of(sensor: Sensor, luminous_gain: float | None) -> float:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,9 @@ from labdata.session import Kind
 from labdata.target import Target
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from labdata.sensor import Sensor
     from labdata.solid_state import SolidStateCamera
     from simulate.economy import Plan
@@ -24,6 +27,11 @@ if TYPE_CHECKING:
 Progress = Callable[[str, float], None]
 # Light that takes longer than this says so before it begins, s.
 LONG_S = 60.0
+# What a target states -> its option, and the kind of target that it belongs to.
+OF_A_TARGET: dict[str, tuple[str, Kind]] = {
+    "frequency_cy_per_px": ("--frequency", "bars"),
+    "pinhole_px": ("--pinhole-px", "point"),
+}
 # Illuminance of the bench where none is asked for, lux.
 BENCH_LUX = 1e-4
 
@@ -148,8 +156,34 @@ def is_scene(source: Path) -> bool:
 def _no_bench(asked: Asked, conditions: Conditions) -> None:
     if conditions.illuminance_lux is not None:
         raise BadInput("--illuminance-lux belongs to a bench scene; a picture or a radiance cube brings its own light")
-    if asked.target != Target():
-        raise BadInput(f"--frequency belongs to the bars of a bench scene, got it with {asked.source.name}")
+    for name, (option, kind) in OF_A_TARGET.items():
+        if getattr(asked.target, name) is not None:
+            raise BadInput(f"{option} belongs to the {kind} of a bench scene, got it with {asked.source.name}")
+
+
+def _lit(conditions: Conditions, kind: Kind) -> Conditions:
+    """Return the conditions with the bench's light, of which a dark has none."""
+    lux = conditions.illuminance_lux
+    if kind == "dark" and lux:
+        raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
+    unasked = 0.0 if kind == "dark" else BENCH_LUX
+    return replace(conditions, illuminance_lux=unasked if lux is None else lux)
+
+
+def _must_suit(target: Target, kind: Kind) -> None:
+    """Refuse a target that lacks what its kind needs, or states what belongs to another."""
+    for name, (option, of) in OF_A_TARGET.items():
+        value = getattr(target, name)
+        if kind == of and value is None:
+            raise BadInput(f"--kind {kind} of a bench scene needs {option}, got none")
+        if kind != of and value is not None:
+            raise BadInput(f"{option} belongs to the {of} of a bench scene, got it with --kind {kind}")
+
+
+def _must_be_as_told(asked: Asked, seen: "NDArray[np.floating]") -> None:
+    """Refuse to call dark what has light."""
+    if asked.kind == "dark" and (lit := float((seen > 0.0).mean())):
+        raise BadInput(f"a dark must have no light, got it on {100.0 * lit:.3g} % of {asked.source.name}")
 
 
 def _of_scene(asked: Asked, description: "Description", conditions: Conditions, progress: Progress) -> Shot:
@@ -172,6 +206,8 @@ def night_of(asked: Asked, description: "Description", conditions: Conditions) -
     scene = load_scene(asked.source) if is_scene(asked.source) else None
     if not isinstance(scene, Scene):
         raise BadInput(f"a preview shows a scene with a camera in it, got {asked.source.name}")
+    _no_picture(asked)
+    _no_bench(asked, conditions)
     return Night(scene, camera_of(description), conditions)
 
 
@@ -183,6 +219,8 @@ def _of_night(
     from simulate.night import Night
 
     _no_bench(asked, conditions)
+    if asked.kind == "dark":
+        raise BadInput(f"a dark must have no light, got the scene {scene.name!r}")
     camera = camera_of(description)
     sentence = "light"
 
@@ -208,16 +246,14 @@ def _of_night(
 
 
 def _of_bench(asked: Asked, scene: "LabScene", description: "Description", conditions: Conditions) -> Shot:
-    from dataclasses import replace
-
     from labdata.sensor import Sensor
     from simulate.lab import LabBench
 
     if not isinstance(description, Sensor):
         raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")
-    if conditions.illuminance_lux is None:
-        conditions = replace(conditions, illuminance_lux=BENCH_LUX)
-    kind, bench = asked.kind or "edge", LabBench(description, scene)
+    kind = asked.kind or "edge"
+    _must_suit(asked.target, kind)
+    conditions, bench = _lit(conditions, kind), LabBench(description, scene)
     _, planned = _economical(bench.camera, bench.freed(kind, asked.target, conditions), conditions, asked)
     bench = bench.without(planned["plan"].names)
     light = bench.photoelectrons(kind, asked.target, conditions)
@@ -254,6 +290,7 @@ def _of_picture(asked: Asked, description: "Description", conditions: Conditions
         black_dn=asked.black_dn or 0.0,
         shape=camera.shape,
     )
+    _must_be_as_told(asked, image)
     freed = freed_by_picture(camera, image)
     camera, planned = _economical(camera, freed, conditions, asked)
     light, kind = camera.received(freed, conditions), asked.kind or "scene"
@@ -268,6 +305,7 @@ def _of_cube(asked: Asked, description: "Description", conditions: Conditions) -
     _no_picture(asked)
     camera = camera_of(description)
     cube = cube_of(asked.source)
+    _must_be_as_told(asked, cube.radiance)
     freed = freed_by_radiance(camera, cube, conditions)
     camera, planned = _economical(camera, freed, conditions, asked)
     light, kind = camera.received(freed, conditions), asked.kind or "scene"

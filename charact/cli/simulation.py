@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends
+from charact.cli.output import bad_input_ends, say
 from charact.cli.progress import progress_bar
 
 Source = Annotated[
@@ -52,7 +52,10 @@ def simulate(
     gate_ns: Gate = None,
     temperature_c: Annotated[float | None, typer.Option(help="Temperature of the camera, C; else 25.")] = None,
     illuminance_lux: Lux = None,
-    frequency: Annotated[float | None, typer.Option(help="Bench: frequency of bars, cy/px.")] = None,
+    frequency: Annotated[float | None, typer.Option(help="Bench, bars: their frequency, cy/px.")] = None,
+    pinhole_px: Annotated[
+        float | None, typer.Option(help="Bench, point: diameter of the pinhole's image, column pitches.")
+    ] = None,
     within: Annotated[
         float, typer.Option(help="What leaving effects out may change together, % of the temporal noise.", min=0.0)
     ] = 10.0,
@@ -80,9 +83,10 @@ def simulate(
     """
     interrupted = f"interrupted; the frames so far are kept in {out}"
     with bad_input_ends(str(source), events=events, interrupted=interrupted), progress_bar(events=events) as progress:
-        from charact.cli.simulated_conditions import conditions_of
+        from charact.cli.simulated_conditions import beyond_limit, conditions_of
         from charact.cli.simulated_session import preview_into, save_frames, save_stage_images
         from charact.cli.simulating import Asked, described, shot_of
+        from labdata.errors import BadInput
         from labdata.target import Target
 
         camera = described(sensor, phosphor)
@@ -100,20 +104,25 @@ def simulate(
         asked = Asked(
             source=source,
             kind=None if kind is None else options.parsed_kind(kind),
-            target=Target(frequency_cy_per_px=frequency),
+            target=Target(frequency_cy_per_px=frequency, pinhole_px=pinhole_px),
             photoelectrons_per_dn=photoelectrons_per_dn,
             black_dn=black_dn,
             tolerance=None if exact else within / 100.0,
             seed=seed,
         )
+        beyond = beyond_limit(camera, conditions)
+        for sentence in beyond:
+            say(sentence, events=events)
         if preview:
+            if stage_images is not None:
+                raise BadInput("a preview has no stages, got --stage-images")
             preview_into(out, asked, camera, conditions, explain=explain)
             print(f"{out}/radiance.png: a preview\nNext: charact simulate {source} {out} --sensor {sensor}")
             return
         shot = shot_of(asked, camera, conditions, progress)
         if explain:
             print(shot.explanation)
-        notes = _not_asked(camera.name, gain, temperature_c)
+        notes = (*_not_asked(camera.name, gain, temperature_c), *beyond)
         save_frames(shot, camera, out, frames=frames, seed=seed, notes=notes, progress=progress)
         if stage_images is not None:
             stages = save_stage_images(shot, camera, stage_images, seed=seed)

@@ -52,6 +52,7 @@ def lines(rows: Sequence["Beside"]) -> Iterator[str]:
     for row in rows:
         m = row.measurement
         name = m.quantity if m.frequency_cy_per_px is None else f"{m.quantity} at {m.frequency_cy_per_px:.3g} cy/px"
+        name += "" if m.orientation_deg is None else f" along {m.orientation_deg:.3g} deg"
         unit = "" if m.unit == "1" else f" {m.unit}"
         measured = f"{row.measured_text}{unit}"
         yield f"{name:44} {m.stack or m.method:18} {row.truth_text:>10} {measured:>26} {row.z:6.2f}  {m.status}"

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charact import __version__
+from charact.cli.one_picture import opened
 from charact.cli.output import say
 from charact.cli.progress import progress_bar
 from labdata.errors import BadInput
@@ -19,9 +20,8 @@ def validated_and_kept(folder: Path, sensor: str | Path, *, seed: int, events: b
     """Validate a session against a fitted sensor and keep the outcome in the session's folder."""
     from charact import validation
     from labdata.sensors import load_sensor
-    from labdata.session import open_session
 
-    session = open_session(folder)
+    session = opened(folder)
     if isinstance(sensor, Path) and not sensor.is_file():
         raise BadInput(
             f"validate needs a fitted sensor: run charact fit {folder} --sensor-out {sensor}, which is missing"

@@ -8,6 +8,7 @@ import typer
 
 from charact import __version__
 from charact.cli import options
+from charact.cli.one_picture import must_be_a_session
 from charact.cli.output import bad_input_ends, number_of, say
 from labdata.errors import BadInput
 
@@ -42,6 +43,7 @@ def watch(
         from charact.bench.at_once import look_at
         from charact.bench.landing import landed
 
+        must_be_a_session(session)
         for so_far, entry in landed(session, once=once, patience_s=patience_s):
             try:
                 looked = look_at(so_far, entry, seed=seed)

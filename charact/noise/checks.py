@@ -4,7 +4,7 @@ import numpy as np
 
 from charact.method import Context
 from charact.noise.findings import Finding, flags_of
-from charact.noise.gain.series import CLIPPED_SHARE, GAINS, Series
+from charact.noise.gain.series import CLIPPED_SHARE, GAINS, Series, without_noise
 from charact.noise.hidden import Effect
 from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
 from charact.noise.stack.level import Level
@@ -43,10 +43,12 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
     """Return the flags, with their sentences, that concern every number made of the series."""
     found: list[Finding] = []
     if series.reference != "dark":
-        found.append(("no-darks", f"no dark frames: levels are counted from the {series.reference}"))
+        found.append(("no-darks", f"no darks of two frames or more: levels are counted from the {series.reference}"))
     if series.left_out:
-        found.append((None, f"left out, at another gain or of a single frame: {', '.join(series.left_out)}"))
+        found.append((None, f"left out, at another gain: {', '.join(series.left_out)}"))
         found += _chosen(series)
+    if series.single:
+        found.append((None, without_noise(series.single)))
     found += _steadiness(series)
     found += _light(series)
     found += _codes(series)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.noise.gain.series import Series
+from charact.noise.gain.series import Series, without_noise
 from charact.noise.quantities import dark_quantities
 from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, refused
@@ -35,7 +35,7 @@ def without_flats(darks, series: Series | None, single: list[str], *, quantity=(
                   ) -> list[Measurement]:  # fmt: skip
     """What darks alone tell, and why there is no gain."""
     if series is not None:
-        reason = problem(series) or "the flats cannot be used"
+        reason = "; ".join(part for part in (problem(series), without_noise(series.single)) if part)
     elif single:
         reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
     else:

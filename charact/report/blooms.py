@@ -78,7 +78,9 @@ def point_spread(data: Data) -> Any:
         dots(core, x, array(data, f"along_{way}_dn"), color=colour, label=f"along the {way}", markersize=4)
         line(core, x, array(data, f"along_{way}_model_dn"), color=colour)
     core.set(xlabel="distance from the source (px)", ylabel="signal (DN)")
-    core.legend()
+    low, high = core.get_ylim()
+    core.set(ylim=(low, high + 0.2 * (high - low)))
+    core.legend(loc="upper right")
     radius, mean = array(data, "ring_px"), array(data, "ring_dn")
     dots(rings, radius, mean, array(data, "ring_sd_dn"), color=DATA, label="rings, ± 1 sd")
     line(rings, radius, array(data, "ring_model_dn"), color=MODEL, label="model", zorder=3)
@@ -217,16 +219,21 @@ def forms(data: Data) -> Any:
     over = np.array([row["bic_over_best"] for row in table], float)
     axes.barh(place, over + 1.0, left=0.0, color=DATA, height=0.6, alpha=0.7)
     axes.set_xscale("symlog", linthresh=10)
-    axes.set_xlim(0.0, 30.0 * max(10.0, float(over.max())))
-    for at, row, value in zip(place, table, over, strict=True):
-        cross = row.get("foretold_chi2_per_ring")
-        held = "" if cross is None else f"; levels held back: χ² {cross:.3g} a ring"
-        axes.annotate(f"{value:.0f}; parameters: {row['parameters']}{held}", (value + 1.0, at), xytext=(4, 0),
-                      textcoords="offset points", va="center", fontsize=7.5)  # fmt: skip
+    axes.set_xlim(0.0, 2.0 * max(10.0, float(over.max())))
     axes.set_yticks(place, [str(row["form"]) for row in table])
-    axes.set(xlabel="BIC over that of the best form (1): beyond 10 the form is out")
+    axes.set(xlabel="BIC over that of the best form (1):\nbeyond 10 the form is out")
     axes.grid(axis="y", alpha=0)
+    told = axes.secondary_yaxis("right")
+    told.set_yticks(place, [_criteria(row) for row in table], fontsize=7.0)
+    told.tick_params(length=0)
     return figure
+
+
+def _criteria(row: Mapping[str, Any]) -> str:
+    """What is said of a form beside its bar."""
+    first = f"{row['bic_over_best']:.0f}; parameters: {row['parameters']}"
+    cross = row.get("foretold_chi2_per_ring")
+    return first if cross is None else f"{first}\nlevels held back: χ² {cross:.3g} a ring"
 
 
 def smear(data: Data) -> Any:
@@ -242,7 +249,8 @@ def smear(data: Data) -> Any:
     ends = np.geomspace(light.min(), light.max(), 50)
     axes.plot(ends, share * ends, color=MODEL, label=f"smear {share:.2g} of the column's light")
     axes.set(xscale="log", xlabel="light of the columns over their rows (DN)", ylabel="even level of the columns (DN)")
-    axes.legend()
+    # Smear rises with the light: it leaves this corner free.
+    axes.legend(loc="upper left")
     return figure
 
 

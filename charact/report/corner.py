@@ -1,10 +1,12 @@
 """A posterior seen from every pair of its parameters: regions of 68 and 95 %, marginals on the diagonal."""
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.report.numerals import MINUS, SUPERSCRIPTS
 from charact.report.style import DATA, INK, MODEL, as_svg, note, panels, styled
 from labdata.measurement import QUANTILES, Posterior
 from labdata.quantity import QUANTITIES
@@ -109,14 +111,12 @@ def _levels_holding(density: NDArray[np.float64], shares: tuple[float, ...]) -> 
 
 def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:
     """Names with units along the left and lower rim only."""
-    from matplotlib.ticker import MaxNLocator
-
     last = line == len(shown) - 1
-    axes.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    _ticks(axes.xaxis, posterior.draws[:, shown[column]])
     axes.tick_params(labelsize=6.5, labelbottom=last, labelleft=column == 0 and line > 0, length=2)
     axes.tick_params(axis="x", rotation=40)
     if line > 0 and column < line:
-        axes.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
+        _ticks(axes.yaxis, posterior.draws[:, shown[line]])
     for number, setter, wanted in (
         (column, axes.set_xlabel, last),
         (line, axes.set_ylabel, column == 0 and line > 0),
@@ -125,8 +125,26 @@ def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, c
             setter(named(posterior, shown[number]), fontsize=7)
 
 
+def _ticks(axis: Any, draws: NDArray[np.float64]) -> None:
+    """Few ticks, in full digits but for the power of ten that stands with the unit."""
+    from matplotlib.ticker import MaxNLocator
+
+    power = _power(draws)
+    axis.set_major_locator(MaxNLocator(3, prune="both"))
+    axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:g}".replace("-", MINUS))
+
+
+def _power(draws: NDArray[np.float64]) -> int:
+    """Power of ten that is taken out of a parameter's ticks; 0 for numbers that are read as they are."""
+    exponent = math.floor(math.log10(np.abs(_limits(draws)).max()))
+    return 0 if -3 <= exponent <= 3 else exponent
+
+
 def named(posterior: Posterior, index: int) -> str:
-    """Name of a parameter with its unit."""
+    """Name of a parameter with its unit and the power of ten of its ticks."""
     name, unit = posterior.names[index], posterior.units[index]
     words = name.removesuffix(UNIT_SUFFIXES.get(unit, "")).replace("_", " ")
-    return f"{words}\n({unit})" if unit else words
+    power = _power(posterior.draws[:, index])
+    scale = f"10{str(power).translate(SUPERSCRIPTS)}" if power else ""
+    unit = unit if not power or unit != "1" else ""
+    return f"{words}\n({' '.join(part for part in (scale, unit) if part)})" if scale or unit else words

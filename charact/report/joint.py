@@ -28,7 +28,7 @@ def joint_mtf(data: Data) -> Any:
     axes.axhspan(-1.96, 1.96, color=INK, alpha=0.07, linewidth=0)
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.set_xticks(range(len(data["target"])), data["target"], rotation=30, ha="right")
-    axes.set(ylabel="told less joint MTF (1, in standard deviations)")
+    axes.set(ylabel="told less joint MTF\n(standard deviations)")
     return figure
 
 

@@ -15,7 +15,7 @@ Data = Mapping[str, Any]
 def snr_light(data: Data) -> Any:
     """Ratio of a pixel and of an area against the light; dashed, a pixel with what does not change in time."""
     names = [scope["name"] for scope in data["gains"][0]["scopes"]]
-    figure, grid = panels(1, len(names), size=(5.8, 3.6), sharex=True)
+    figure, grid = panels(1, len(names), size=(5.8, 3.9), sharex=True)
     level, several = float(data["least_snr"]), len(data["gains"]) > 1
     for axes, name in zip(grid[0], names, strict=True):
         for number, gain in enumerate(data["gains"]):
@@ -26,7 +26,8 @@ def snr_light(data: Data) -> Any:
         axes.axhline(level, color=INK, linewidth=0.8, linestyle=":")
         unit = data["gains"][0]["unit"] if data["unit"] else "each in its unit"
         axes.set(xscale="log", yscale="log", xlabel=AXES.get(unit, unit), ylabel=f"signal over noise, {name} (1)")
-    grid[0, 0].legend(fontsize=7)
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=7)
     return figure
 
 

@@ -125,12 +125,12 @@ def three_dimensional(data: Data) -> Any:
     ):
         mean = array(data, name)
         line(axes, np.arange(len(mean)), mean - mean.mean(), color=DATA)
-        axes.set(xlabel=what, ylabel=f"mean of each {what} (DN)")
+        axes.set(xlabel=what, ylabel=f"mean of each {what}\n(DN)")
     period = data.get("exposure_period_s")
     frequency = array(data, "frequency_cy_per_exposure") / (period or 1.0)
     line(grid[0, 1], frequency, array(data, "power_dn2"), color=THIRD)
     unit = "Hz" if period else "cycles per exposure"
-    grid[0, 1].set(xlabel=f"temporal frequency ({unit})", ylabel="power of the means (DN²)")
+    grid[0, 1].set(xlabel=f"temporal frequency\n({unit})", ylabel="power of the means (DN²)")
     return figure
 
 

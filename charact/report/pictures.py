@@ -8,6 +8,7 @@ from io import BytesIO
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 from labdata.session import Session, StackEntry
 
@@ -94,15 +95,29 @@ def picture_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN
 
 
 def representative(session: Session, measurements: Sequence[Measurement]) -> tuple[Picture, ...]:
-    """Return the first frame of one stack of each kind, the brightest flat and the most exposed point among them."""
+    """Return the middle frame of the most exposed stack of each kind."""
     kinds = dict.fromkeys(entry.kind for entry in session.stacks)
     chosen = [_chosen([entry for entry in session.stacks if entry.kind == kind]) for kind in kinds]
     return tuple(_picture(session, entry, measurements) for entry in chosen)
 
 
 def _chosen(entries: Sequence[StackEntry]) -> StackEntry:
-    """The stack with the most light; the first where the light is unknown."""
-    return max(entries, key=lambda entry: (entry.conditions.illuminance_lux or 0) * (entry.conditions.gate_ns or 1))
+    """The stack with the most light by its stated conditions, else by the level of its frames; of equals the first."""
+    for light in (_photons, _lux_s):
+        stated = [light(entry.conditions) for entry in entries]
+        if all(amount is not None for amount in stated):
+            return entries[int(np.argmax(np.array(stated, float)))]
+    return max(entries, key=lambda entry: entry.read().mean_dn) if len(entries) > 1 else entries[0]
+
+
+def _photons(conditions: Conditions) -> float | None:
+    return conditions.photons_per_px
+
+
+def _lux_s(conditions: Conditions) -> float | None:
+    """Illuminance times the time that light is gathered, lux s; None where either is unknown."""
+    open_s = conditions.exposure_s if conditions.gate_ns is None else 1e-9 * conditions.gate_ns
+    return None if conditions.illuminance_lux is None or open_s is None else conditions.illuminance_lux * open_s
 
 
 def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measurement]) -> Picture:

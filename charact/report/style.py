@@ -91,7 +91,8 @@ def as_svg(figure: Any, description: str) -> str:
         What it shows, for a reader who cannot see it.
     """
     text = StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
+    # The layout does not see every label, such as a tick's at the very end of an axis.
+    figure.savefig(text, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.04)
     svg = _lean(text.getvalue()).replace(INK, "currentColor")
     return svg.replace("<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', 1)
 

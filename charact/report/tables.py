@@ -59,9 +59,9 @@ class QuantityGroup:
     rows
         The measurements.
     flags
-        Each flag of a row with its sentence and the quantities it concerns ("" if it concerns all).
+        Each flag of a row with its sentence and the quantities, of which stacks, it concerns ("" if it concerns all).
     notes
-        Each note with the quantities it concerns ("" if it concerns all).
+        Each note with what it concerns.
     """
 
     title: str
@@ -131,10 +131,15 @@ def _group(stack: str, method: str, own: list[Measurement]) -> QuantityGroup:
 
 
 def _concerned(own: list[Measurement], those: list[Measurement]) -> str:
-    """Names of the quantities that something is said of; "" where it is said of all that carry a number."""
+    """Names of the quantities and stacks that something is said of; "" where it is said of all that carry a number."""
     if len(those) >= sum(m.value is not None for m in own) > 1:
         return ""
-    return ", ".join(dict.fromkeys(m.quantity for m in those))
+    quantities = ", ".join(dict.fromkeys(m.quantity for m in those))
+    stacks = list(dict.fromkeys(m.stack or "whole session" for m in those))
+    if len(stacks) == len({m.stack for m in own}):
+        return quantities
+    more = f" and {len(stacks) - SERIES} more" if len(stacks) > SERIES else ""
+    return f"{quantities} of {', '.join(stacks[:SERIES])}{more}"
 
 
 def headlines(result: Result) -> tuple[QuantityRow, ...]:

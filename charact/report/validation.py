@@ -170,7 +170,7 @@ def _pulls(validation: Validation) -> tuple[Figure, ...]:
         axes.axvline(0, color=INK, linewidth=0.8)
         axes.set_yticks(range(len(labels)), labels, fontsize=6.5)
         axes.set(xlim=(-4.2, 4.2), ylim=(len(labels) - 0.5, -0.5))
-        axes.set_xlabel("measured less predicted (half-widths of the 95 % interval)")
-        axes.legend(loc="lower right")
+        axes.set_xlabel("measured less predicted\n(half-widths of the 95 % interval)")
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0))
         title = "Every compared number against its prediction"
         return (Figure(section="validation", title=title, svg=as_svg(figure, title)),)

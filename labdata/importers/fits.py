@@ -19,7 +19,7 @@ def read(path: Path, plane: str | None = None) -> FrameStack:
     if data.ndim not in (2, 3):
         raise BadInput(f"a FITS image must have 2 or 3 axes, got the shape {data.shape} in {path}")
     data = np.asarray(data).astype(data.dtype.newbyteorder("="), copy=False)
-    return planes.mono(data.reshape((-1, *data.shape[-2:])), plane, path.name)
+    return planes.mono(planes.frames_of(data, path.name), plane, path.name)
 
 
 def _first_image(fits, path: Path) -> np.ndarray:

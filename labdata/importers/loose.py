@@ -35,7 +35,8 @@ def import_frames(
     Raises
     ------
     BadInput
-        If a file is missing, of no known kind, or does not match the pattern.
+        If a file is missing, of no known kind, holds no frames, does not match the pattern, or has not the picture size
+        of the others of its stack.
     """
     paths = sorted({Path(file) for file in files})
     if not paths:
@@ -44,7 +45,7 @@ def import_frames(
         _check(path)
     out = Path(out)
     stacks = _single(paths, out, kind) if name_pattern is None else _grouped(paths, out, kind, name_pattern)
-    return write_session(SessionForm(name=out.resolve().name, stack=stacks), out)
+    return write_session(SessionForm(name=out.resolve().name, stack=stacks, notes=_sizes(stacks, out)), out)
 
 
 def _check(path: Path) -> None:
@@ -53,6 +54,33 @@ def _check(path: Path) -> None:
     if not os.path.exists(path):
         raise BadInput(f"a file of frames must exist to be read, got {path}")
     reader_of(path)
+
+
+def _sizes(stacks: tuple[StackForm, ...], out: Path) -> tuple[str, ...]:
+    """Read every file once and say where stacks differ in size; within a stack they must not."""
+    found: dict[tuple[int, int], str] = {}
+    for stack in stacks:
+        sizes = {_size((out / name).resolve()): name for name in _names(stack)}
+        sizes.pop(None, None)
+        if len(sizes) > 1:
+            shown = " and ".join(f"{size[0]} x {size[1]} in {Path(name).name}" for size, name in sizes.items() if size)
+            raise BadInput(f"all files of a stack must have one picture size, got {shown} for {stack.label!r}")
+        found |= {size: stack.label for size in sizes if size and size not in found}
+    if len(found) < 2:
+        return ()
+    shown = ", ".join(f"{rows} x {cols} ({label})" for (rows, cols), label in found.items())
+    return (f"pictures of several sizes, rows x columns: {shown}",)
+
+
+def _names(stack: StackForm) -> tuple[str, ...]:
+    return (stack.frames,) if isinstance(stack.frames, str) else stack.frames
+
+
+def _size(path: Path) -> tuple[int, int] | None:
+    """Return the rows and columns of a file of frames; None of camera raw, of which a plane must be told."""
+    from labdata.importers import KINDS, read_frames
+
+    return None if KINDS.get(path.suffix.lower()) == "raw" else read_frames(path).shape[1:]
 
 
 def _single(paths: list[Path], out: Path, kind: Kind) -> tuple[StackForm, ...]:

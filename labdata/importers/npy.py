@@ -22,4 +22,4 @@ def read(path: Path, plane: str | None = None) -> FrameStack:
     if data.ndim not in (2, 3):
         raise BadInput(f"an array of frames must have 2 or 3 axes, got the shape {data.shape} in {path}")
     data = data.astype(data.dtype.newbyteorder("="), copy=False)
-    return planes.mono(data.reshape((-1, *data.shape[-2:])), plane, path.name)
+    return planes.mono(planes.frames_of(data, path.name), plane, path.name)

@@ -11,6 +11,13 @@ LUMINANCE = (0.2125, 0.7154, 0.0721)
 LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
 
 
+def frames_of(data: NDArray, name: str) -> NDArray:
+    """Return an array of two axes or three as frames, shape (frame, row, col); one without pixels is a BadInput."""
+    if not data.size:
+        raise BadInput(f"an array of frames must hold pixels, got the shape {data.shape} in {name}")
+    return data.reshape((-1, *data.shape[-2:]))
+
+
 def mono(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return frames that have no colour, shape (frame, row, col); asking a colour plane of them is a BadInput."""
     if plane not in (None, "mono"):

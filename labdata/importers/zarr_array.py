@@ -35,4 +35,4 @@ def _foreign(path: Path) -> NDArray:
         raise BadInput(f"a folder of frames must be a readable Zarr array, got {path}") from None
     if array.ndim not in (2, 3):
         raise BadInput(f"an array of frames must have 2 or 3 axes, got the shape {array.shape} in {path}")
-    return data.reshape((-1, *array.shape[-2:]))
+    return planes.frames_of(data, path.name)

@@ -1,18 +1,20 @@
 """What one target of a session tells is known when the next is measured."""
 
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from charact.measuring import _best_point, _knowing_halo, measure
+from charact.measuring import _best_point, _knowing_halo, measure, with_inputs
 from charact.method import Context
 from charact.study.edge.scene import EdgeScene
 from charact.study.flats.stacks import HeldStack
+from labdata.digest import sha256_of
 from labdata.frames import FrameStack
-from labdata.measurement import Result, from_sd, refused
+from labdata.measurement import Provenance, Result, from_sd, refused
 from labdata.sensors import load_sensor
-from labdata.session import Session
+from labdata.session import Session, open_session
 
 
 @pytest.fixture
@@ -96,3 +98,23 @@ def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_su
     session = Session(folder=Path(), name="points", stacks=stacks)
     found = _best_point(session, 2.0, Context(seed=1, quick=True))
     assert [m.stack for m in found.measurements] == ["bright"]
+
+
+def test_a_number_is_tied_to_its_frames(tmp_path: Path, seed: int) -> None:
+    edge_and_dark(tmp_path, 700, seed)
+    session = open_session(tmp_path)
+    edge = from_sd("mtf50", "cy/px", 0.2, 0.01, method="a", stack="edge", provenance=Provenance(version="1"))
+    both = from_sd("mtf50", "cy/px", 0.2, 0.01, method="b", provenance=Provenance(version="1"))
+    one, all_of_them = with_inputs(Result(measurements=(edge, both)), session).measurements
+    digests = {name: sha256((tmp_path / name).read_bytes()).hexdigest() for name in ("edge.npy", "dark.npy")}
+    assert one.provenance is not None and one.provenance.inputs == {"edge.npy": digests["edge.npy"]}
+    assert all_of_them.provenance is not None and all_of_them.provenance.inputs == digests
+
+
+def test_a_folder_of_frames_has_one_digest_that_every_file_in_it_changes(tmp_path: Path) -> None:
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "0").write_bytes(b"frame")
+    before = sha256_of(tmp_path)
+    assert before == sha256(f"{sha256(b'frame').hexdigest()}  c/0\n".encode()).hexdigest()
+    (tmp_path / "c" / "1").write_bytes(b"another")
+    assert sha256_of(tmp_path) != before

@@ -149,3 +149,16 @@ def test_loose_files_that_are_missing_or_of_no_known_kind_are_refused(tmp_path):
     with pytest.raises(BadInput, match="kind must be one of 'dark', 'flat'"):
         import_frames(frames(tmp_path / "in", "a.npy"), tmp_path / "S", kind="flap")  # type: ignore[arg-type]
     assert not (tmp_path / "S" / "session.toml").exists()
+
+
+def test_files_without_frames_and_stacks_of_several_sizes_are_not_imported(tmp_path):
+    (tmp_path / "empty.tif").write_bytes(b"")
+    with pytest.raises(BadInput, match=r"got something else in .*empty\.tif"):
+        import_frames([tmp_path / "empty.tif"], tmp_path / "S")
+    files = frames(tmp_path / "in", "700V_1.npy", "700V_2.npy")
+    np.save(files[1], np.zeros((1, 3, 5), np.uint8))
+    with pytest.raises(BadInput, match=r"one picture size, got 3 x 4 in 700V_1\.npy and 3 x 5 in 700V_2\.npy"):
+        import_frames(files, tmp_path / "S", name_pattern="{mcp_v}V_*")
+    assert not (tmp_path / "S" / "session.toml").exists()
+    session = import_frames(files, tmp_path / "S")
+    assert session.notes == ("pictures of several sizes, rows x columns: 3 x 4 (700V_1), 3 x 5 (700V_2)",)

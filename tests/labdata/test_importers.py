@@ -1,6 +1,7 @@
 """Frames made elsewhere come in unchanged, or are refused in one sentence."""
 
 import importlib.util
+import re
 from pathlib import Path
 
 import cv2
@@ -279,6 +280,20 @@ def test_what_is_not_there_is_refused(tmp_path):
         read_frames(tmp_path / "none.tif")
     with pytest.raises(BadInput, match="must be a file or a Zarr array, got the folder"):
         read_frames(tmp_path)
+
+
+@pytest.mark.parametrize("shape", [(0, 10), (10, 0), (0, 0), (0, 4, 5), (3, 0, 5)])
+def test_an_array_without_pixels_is_refused_by_its_shape(tmp_path, shape):
+    import zarr
+
+    fits = pytest.importorskip("astropy.io.fits")
+    data = np.zeros(shape, np.uint8)
+    np.save(tmp_path / "a.npy", data)
+    zarr.create_array(tmp_path / "a.zarr", shape=shape, dtype="u1", chunks=tuple(max(1, side) for side in shape))
+    fits.PrimaryHDU(data).writeto(tmp_path / "a.fits")
+    for name in ("a.npy", "a.zarr", "a.fits"):
+        with pytest.raises(BadInput, match=rf"must hold pixels, got the shape {re.escape(str(shape))}.*{name}"):
+            read_frames(tmp_path / name)
 
 
 @pytest.mark.parametrize(

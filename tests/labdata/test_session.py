@@ -138,6 +138,16 @@ def test_what_is_wrong_with_a_session_is_one_sentence(tmp_path, manifest, senten
     assert str(error.value) == sentence.format(folder=folder)
 
 
+def test_what_a_target_states_for_another_kind_is_noted(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((1, 4, 4), np.uint8))
+    stack = '[[stack]]\nlabel = "{0}"\nkind = "{0}"\nframes = "a.npy"\ntarget = {{ bars = 4, pinhole_px = 1.0 }}\n'
+    (tmp_path / "session.toml").write_text('name = "a"\n' + stack.format("edge") + stack.format("bars"))
+    assert open_session(tmp_path).notes == (
+        "stack 'edge' of kind 'edge' does not use its target's bars and pinhole_px",
+        "stack 'bars' of kind 'bars' does not use its target's pinhole_px",
+    )
+
+
 def test_what_is_no_session_is_refused(tmp_path):
     for path in (tmp_path, tmp_path / "none", tmp_path / "none" / "session.toml"):
         with pytest.raises(BadInput, match=r"a session must be a folder with a session\.toml, got"):

@@ -74,7 +74,7 @@ def measured(session: Session, *, context: Context, method: str, estimate: Estim
     result += dark_current(darks, result, context=context) + defect_pixels([*darks, *flats], context=context)
     result += gain_sweep(darks, flats, context=context)
     result += pulses_of_darks(session, darks, context=context)
-    return result + snr_against_light(darks, flats, context=context)
+    return result + snr_against_light(darks, flats, single=single, context=context)
 
 
 def _of_levels(session: Session, darks: list[Level], flats: list[Level], single: list[str], context: Context,

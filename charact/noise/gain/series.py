@@ -1,6 +1,7 @@
 """The flats of one gain with their darks: which stacks belong together and which of them a gain may be fitted to."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,9 @@ class Series:
     reference
         "dark" or "lowest flat": what the signal is counted from.
     left_out
-        Stacks that took no part: flats at another gain, and single frames.
+        Flats at another gain, which took no part.
+    single
+        Stacks of a single frame, which took no part either.
     """
 
     flats: tuple[Level, ...]
@@ -56,6 +59,12 @@ class Series:
     peak: int | None
     reference: str
     left_out: tuple[str, ...] = ()
+    single: tuple[str, ...] = ()
+
+
+def without_noise(single: Sequence[str]) -> str:
+    """Say which stacks take no part as they have a single frame, such as a dark that others averaged; "" for none."""
+    return f"left out, of a single frame, which shows no noise: {', '.join(single)}" if single else ""
 
 
 def read_levels(
@@ -110,14 +119,15 @@ def longest_series(flats: list[Level]) -> list[Level]:
     return sorted(chosen, key=lambda level: level.mean_dn)
 
 
-def series_of(flats: list[Level], darks: list[Level], single: list[str] | tuple[str, ...] = ()) -> Series:
+def series_of(flats: list[Level], darks: list[Level], single: Sequence[str] = ()) -> Series:
     """Set the flats of the gain that most were taken at against their darks."""
     chosen = longest_series(flats)
     here = {flat.label for flat in chosen}
-    return series_of_one_gain(chosen, darks, (*(flat.label for flat in flats if flat.label not in here), *single))
+    left_out = tuple(flat.label for flat in flats if flat.label not in here)
+    return replace(series_of_one_gain(chosen, darks), left_out=left_out, single=tuple(single))
 
 
-def series_of_one_gain(chosen: list[Level], darks: list[Level], left_out: tuple[str, ...] = ()) -> Series:
+def series_of_one_gain(chosen: list[Level], darks: list[Level]) -> Series:
     """Set flats of one gain, in order of rising level, against their darks; find where a gain may be fitted."""
     reference = "dark"
     if not darks:
@@ -134,7 +144,7 @@ def series_of_one_gain(chosen: list[Level], darks: list[Level], left_out: tuple[
         fitted &= signal <= FIT_SHARE * signal[peak]
     return Series(flats=tuple(chosen), darks=matched, all_darks=tuple(darks) if reference == "dark" else (),
                   signal_dn=signal, variance_dn2=variance, variance_sd_dn2=sd, fitted=fitted, peak=peak,
-                  reference=reference, left_out=left_out)  # fmt: skip
+                  reference=reference)  # fmt: skip
 
 
 def _dark_of(flat: Level, darks: list[Level]) -> Level:

@@ -1,5 +1,6 @@
 """Signal-to-noise ratio against the light, for every gain of a session, and the light at which it is one."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from charact.method import Context
 from charact.method.stopwatch import timed
 from charact.noise.checks import coarse, exposure_findings, series_findings
 from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.gain.series import GAINS, Series, gain_of, series_of
+from charact.noise.gain.series import GAINS, Series, gain_of, series_of, without_noise
 from charact.noise.gain.summary import summarise
 from charact.noise.hidden import shared_by_exposures
 from charact.noise.light.area import SIDE_PX
@@ -35,13 +36,17 @@ AXES = "noise of whole rows, columns and frames is left out of the area: too few
 
 
 @timed
-def snr_against_light(darks: list[Level], flats: list[Level], *, context: Context) -> Result:
+def snr_against_light(
+    darks: list[Level], flats: list[Level], *, single: Sequence[str] = (), context: Context
+) -> Result:
     """Return signal-to-noise ratios of a pixel and of an area at every level, and the minimum illumination of each.
 
     Parameters
     ----------
     darks, flats
         Stacks read with their spectra.
+    single
+        Labels of darks and flats of a single frame, which are not among them.
     context
         Seed.
 
@@ -59,7 +64,7 @@ def snr_against_light(darks: list[Level], flats: list[Level], *, context: Contex
     groups: dict[tuple, list[Level]] = {}
     for flat in flats:
         groups.setdefault(gain_of(flat.conditions), []).append(flat)
-    parts = [_of_gain(series_of(group, darks), len(groups) > 1, context) for group in groups.values()]
+    parts = [_of_gain(series_of(group, darks, single), len(groups) > 1, context) for group in groups.values()]
     measurements = tuple(one for found, _ in parts for one in found)
     gains = [evidence for _, evidence in parts if evidence is not None]
     return Result(measurements=measurements, evidence={"snr-light": light_evidence(gains)} if gains else {})
@@ -76,7 +81,7 @@ def gain_in_words(conditions: Conditions) -> str:
 def _of_gain(series: Series, several: bool, context: Context) -> tuple[list[Measurement], dict[str, Any] | None]:
     """Quantities and evidence of the flats of one gain."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    reason = problem(series) if series.reference == "dark" else "there are no dark frames: the signal is unknown"
+    reason = problem(series) if series.reference == "dark" else _no_darks(series)
     if reason is not None or not len(series.flats):
         return [refused("minimum_illumination", "lux", reason or "there are no flats", **fields)], None
     small = _too_small(series)
@@ -99,6 +104,11 @@ def _of_gain(series: Series, several: bool, context: Context) -> tuple[list[Meas
     out += [minimum(scope, light, response, findings, seed=context.seed, **fields) for scope in scopes]
     out += [] if small is None else [refused("snr_area", "1", small, **fields)]
     return out, gain_evidence(series, words, light, response, scopes, out)
+
+
+def _no_darks(series: Series) -> str:
+    reason = "there are no darks of two frames or more: the signal is unknown"
+    return "; ".join(part for part in (reason, without_noise(series.single)) if part)
 
 
 def _area_words(series: Series) -> str:

@@ -96,6 +96,30 @@ def test_a_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
     assert_one_sentence(charact("measure", tmp_path), "session.toml")
 
 
+def test_of_a_session_of_scenes_nothing_is_measured_and_no_verb_says_otherwise(edge: Path, tmp_path: Path) -> None:
+    done = charact("import", "frames", edge, tmp_path / "mine")
+    assert done.exit_code == 0 and "charact measure" not in done.stdout
+    assert "session.toml what the frames show" in done.stdout
+    done = charact("measure", tmp_path / "mine", "--json")
+    assert_one_sentence(done, "dark, flat, edge, bars or point", "'scene'", "session.toml")
+    assert "'scene'" in json.loads(done.stdout)["error"]
+    done = charact("import", "frames", edge, tmp_path / "known", "--kind", "edge")
+    assert "Next: charact measure" in done.stdout
+
+
+@pytest.mark.parametrize("verb", ["noise", "measure", "fit", "validate", "report", "watch"])
+def test_a_picture_in_place_of_a_session_is_answered_with_what_makes_one(edge: Path, verb: str) -> None:
+    more = ("--sensor-out", "fitted.toml") if verb == "fit" else ()
+    assert_one_sentence(charact(verb, edge, *more), "folder with a session.toml", f"charact import frames {edge}")
+
+
+def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(edge: Path, tmp_path: Path) -> None:
+    assert_one_sentence(charact("bloom", edge, "--map", "map.png"), "--map needs a session", "--kind point")
+    folder = session(tmp_path, "")
+    assert_one_sentence(charact("mtf", "edge", folder), "one image or stack", f"charact measure {folder}")
+    assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session's folder", "file of frames", "nope")
+
+
 @pytest.mark.parametrize("region", ["0,0,65,10", "-1,0,10,10", "0,90,10,10", "0,0,0,10"])
 def test_a_region_outside_the_image_is_refused(edge: Path, region: str) -> None:
     assert_one_sentence(charact("mtf", "edge", edge, f"--roi={region}"), "64 rows and 96 columns", region)
@@ -117,8 +141,42 @@ def test_lines_per_millimetre_need_a_pitch(edge: Path) -> None:
     assert_one_sentence(charact("mtf", "edge", edge, "--units", "lp/mm"), "pitch_um")
 
 
+def test_a_length_of_nothing_is_refused_whatever_the_sensor_has(edge: Path) -> None:
+    for unit, option in (("cy/mrad", "--focal-length-mm"), ("lp/mm-cathode", "--demagnification")):
+        done = charact("mtf", "edge", edge, "--sensor", "pulnix-ag5745ef3", "--units", unit, option, "0", "--quick")
+        assert_one_sentence(done, f"{option} must be positive, got 0")
+
+
+def test_flats_in_lines_per_millimetre_take_a_pitch(tmp_path: Path) -> None:
+    folder = session(tmp_path, "")
+    assert_one_sentence(charact("mtf", "flats", folder, "--units", "lp/mm"), "give --pitch-um or --sensor")
+    done = charact("mtf", "flats", folder, "--units", "lp/mm", "--pitch-um", "10")
+    assert done.exit_code == 1 and "pitch_um" not in done.stderr
+
+
+def test_a_stack_of_a_map_without_a_map_is_misuse(edge: Path) -> None:
+    done = charact("bloom", edge, "--map-of", "point-1")
+    assert done.exit_code == 2 and "give --map too" in done.output
+
+
 def test_bars_of_a_negative_frequency_are_refused(edge: Path) -> None:
     assert_one_sentence(charact("mtf", "bars", edge, "--frequency", "-0.1"), "-0.1")
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ("mtf", "edge", "a.tif"),
+        ("noise", "a"),
+        ("simulate", "airfield", "out", "--sensor", "pulnix-ag5745ef3"),
+        ("demo", "out"),
+        ("chart", "mtf50"),
+    ],
+)
+def test_a_negative_seed_is_misuse(verb: tuple[str, ...]) -> None:
+    done = charact(*verb, "--seed", "-1")
+    assert done.exit_code == 2, done.output
+    assert "'--seed'" in done.output and "greater than or equal to 0" in done.output
 
 
 def test_bad_input_is_also_said_in_json(tmp_path: Path) -> None:

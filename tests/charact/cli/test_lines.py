@@ -4,6 +4,8 @@ import pytest
 
 from charact.cli.annotate import _one_a_region
 from charact.cli.output import show
+from charact.cli.truth import lines
+from charact.report.truth import beside_truth
 from labdata.measurement import Measurement, Result, from_sd
 
 
@@ -31,6 +33,23 @@ def test_the_groups_of_a_picture_have_a_line_each_and_one_together(capsys: pytes
     first, second, third = capsys.readouterr().out.splitlines()
     assert "0,0,20,20" in first and "0,40,20,20" in second
     assert "all together" in third and "mtf50 0.21" in third
+
+
+def test_sources_of_one_stack_are_told_apart_by_their_place(capsys: pytest.CaptureFixture) -> None:
+    own = {"method": "one-frame", "stack": "spots"}
+    spots = [from_sd("bloom_diameter", "px", 2.5, 0.1, region=(row, 9, 2, 3), **own) for row in (5, 60)]
+    halo = from_sd("halo_diameter", "px", 40.0, 0.1, **own)
+    show(Result(measurements=(*spots, halo)), given="spots.tif", as_json=False)
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert "bloom_diameter of spots in 5,9,2,3 2.5 px" in first and "in 60,9,2,3" in second
+    assert "halo_diameter of spots 40 px" in third
+
+
+def test_the_table_of_truths_tells_directions_apart() -> None:
+    own = {"method": "point-forward", "stack": "point-3"}
+    found = [from_sd("mtf50", "cy/px", 0.2, 0.01, orientation_deg=angle, **own) for angle in (0.0, 90.0)]
+    _, along_rows, along_columns = lines(beside_truth(Result(measurements=tuple(found)), {"mtf50": 0.2}))
+    assert along_rows.startswith("mtf50 along 0 deg ") and along_columns.startswith("mtf50 along 90 deg ")
 
 
 def test_what_groups_tell_together_has_no_frame_in_the_picture() -> None:

@@ -184,6 +184,33 @@ def test_a_bench_scene_is_still_measured_as_before(tmp_path, cameras):
     assert stack.read().data.mean() > 20.0
 
 
+def test_a_pinhole_on_the_bench_is_a_point_source(tmp_path, cameras):
+    sensor = ("--sensor", cameras["pulnix-ag5745ef3"])
+    done = charact(
+        *("simulate", "bench", tmp_path / "out", *sensor, "--kind", "point", "--pinhole-px", 2),
+        *("--illuminance-lux", 10, "--frames", 2),
+    )
+    assert done.exit_code == 0, done.output
+    stack = open_session(tmp_path / "out").stack("point")
+    assert stack.target.pinhole_px == 2.0
+    mean = stack.read().data.mean(axis=0)
+    assert mean[20:28, 28:36].mean() > 2.0 * mean[:8, :8].mean()
+
+
+def test_more_voltage_than_the_description_allows_is_told(tmp_path, cameras):
+    for number, options in enumerate((("--gain", 1e9), ("--mcp-v", 5000), ("--mcp-v", 900))):
+        done = charact(
+            *("simulate", "bench", tmp_path / str(number), "--sensor", cameras["pulnix-ag5745ef3"]),
+            *("--kind", "dark", "--frames", 1, *options),
+        )
+        assert done.exit_code == 0, done.output
+        told = "exceeds the limit 900 of" in done.stderr
+        noted = any(
+            "exceeds the limit 900" in note for note in open_session(tmp_path / str(number)).stack("dark").notes
+        )
+        assert told == noted == (options != ("--mcp-v", 900))
+
+
 def test_a_simulated_dark_is_measured_by_the_noise_verb(tmp_path, cameras):
     np.save(tmp_path / "black.npy", np.zeros((ROWS, COLS), np.uint8))
     done = charact(
@@ -219,6 +246,16 @@ def test_a_simulated_dark_is_measured_by_the_noise_verb(tmp_path, cameras):
         ("cube.npz", SCALE, ("--photoelectrons-per-dn belongs to a picture",)),
         ("bench", SCALE, ("--photoelectrons-per-dn belongs to a picture",)),
         ("missing.toml", (), ("must exist",)),
+        ("half.tif", (*SCALE, "--pinhole-px", 1), ("--pinhole-px belongs to the point of a bench scene",)),
+        ("half.tif", (*SCALE, "--kind", "dark"), ("a dark must have no light, got it on 50 % of half.tif",)),
+        ("airfield", ("--kind", "dark"), ("a dark must have no light, got the scene 'half-moon airfield'",)),
+        ("airfield", ("--preview", *SCALE), ("--photoelectrons-per-dn belongs to a picture",)),
+        ("airfield", ("--preview", "--stage-images", "s"), ("a preview has no stages, got --stage-images",)),
+        ("bench", ("--kind", "point"), ("--kind point of a bench scene needs --pinhole-px",)),
+        ("bench", ("--kind", "bars"), ("--kind bars of a bench scene needs --frequency",)),
+        ("bench", ("--frequency", 0.1), ("--frequency belongs to the bars of a bench scene, got it with --kind edge",)),
+        ("bench", ("--kind", "point", "--pinhole-px", "inf"), ("pinhole_px must not be negative, or infinite",)),
+        ("bench", ("--kind", "dark", "--illuminance-lux", 1), ("a dark must have no light, got --illuminance-lux 1",)),
     ],
 )
 def test_what_cannot_be_simulated_is_one_sentence_and_leaves_no_session(
@@ -229,7 +266,7 @@ def test_what_cannot_be_simulated_is_one_sentence_and_leaves_no_session(
     (tmp_path / "letter.tif").write_text("Dear lab")
     (tmp_path / "picture.xyz").write_text("Dear lab")
     (tmp_path / "cube.npz").write_text("Dear lab")
-    source = file if file == "bench" else tmp_path / file
+    source = file if file in ("bench", "airfield") else tmp_path / file
     done = charact("simulate", source, tmp_path / "out", "--sensor", cameras["pulnix-ag5745ef3"], *options)
     assert_one_sentence(done, *words)
     assert not (tmp_path / "out").exists()

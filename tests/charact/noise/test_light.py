@@ -236,7 +236,7 @@ def test_light_without_a_stated_error_is_not_taken_for_exact(pulses, in_memory, 
         ((5.0,), {}, "suspect", "too-few-frames"),
         ((0.05, 0.1, 0.2), {}, "refused", "up to the brightest flat"),
         ((0.1, 1.0, 10.0), {"illuminance": False}, "refused", "illuminance_lux or photons_per_px"),
-        ((0.1, 1.0, 10.0), {"dark_frames": 0}, "refused", "no dark frames"),
+        ((0.1, 1.0, 10.0), {"dark_frames": 0}, "refused", "no darks of two frames"),
         ((500.0, 900.0, 1500.0), {}, "refused", "too far below the dimmest flat"),
     ],
 )

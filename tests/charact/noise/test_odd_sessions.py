@@ -148,3 +148,14 @@ def test_of_gains_with_as_many_flats_the_brightest_unclipped_one_is_taken_and_na
     (gain,) = found.find("system_gain")
     assert any("mcp_v 700" in note for note in gain.notes)
     assert gain.value == pytest.approx(0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("levels", [(300.0,), LEVELS])
+def test_a_dark_of_a_single_frame_is_told_apart_from_no_dark(in_memory, seed, method, levels):
+    rng = np.random.default_rng(seed)
+    given = session(in_memory, plain(rng, (0.0,), count=1), plain(rng, levels))
+    found = noise.measure(given, method=method, context=Context(seed=1, quick=True)).measurements
+    told = [sentence for m in found for sentence in (m.reason or "", *m.notes)]
+    assert any("left out, of a single frame, which shows no noise: dark-0" in sentence for sentence in told)
+    assert not any("no dark frames" in sentence for sentence in told)

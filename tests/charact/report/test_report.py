@@ -3,6 +3,7 @@
 import re
 import sys
 from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +12,13 @@ from charact.report import beside_truth, fragment, page, write
 from charact.report.corner import corner_svg, varying
 from charact.report.evidence import DRAWN, figure_of
 from charact.report.numerals import plus_minus, rounded
-from charact.report.pictures import around_the_light, grey_limits, picture_of
+from charact.report.pictures import around_the_light, grey_limits, picture_of, representative
 from charact.report.tables import quantity_groups
+from charact.study.flats.stacks import HeldStack
+from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
+from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result, from_sd, measured
 from labdata.quantity import QUANTITIES
 from labdata.session import Session
@@ -216,6 +220,37 @@ def test_a_series_of_stacks_has_one_table_that_names_them():
     assert len(groups) == 1
     assert groups[0].title == "6 stacks · threshold"
     assert [row.where for row in groups[0].rows] == [f"point-{n}" for n in range(6)]
+
+
+def test_what_is_noted_of_some_stacks_of_a_series_names_them():
+    own = {"method": "three-dimensional"}
+    quiet = [from_sd("noise_t", "DN", 0.0, 1.0, stack=f"flat-{n}", notes=(f"at most {n} DN",), **own) for n in range(6)]
+    shaded = [from_sd("noise_v", "DN", 9.0, 1.0, stack=f"flat-{n}", notes=("shading",), **own) for n in range(6)]
+    (group,) = quantity_groups(Result(measurements=(*quiet, *shaded)))
+    assert dict(group.notes)["at most 3 DN"] == "noise_t of flat-3"
+    assert dict(group.notes)["shading"] == "noise_v"
+    (group,) = quantity_groups(Result(measurements=(*quiet, *shaded[:5])))
+    assert dict(group.notes)["shading"] == "noise_v of flat-0, flat-1, flat-2, flat-3 and 1 more"
+
+
+def test_the_picture_of_a_kind_is_of_its_most_exposed_stack():
+    def chosen(*stacks: tuple[float, Conditions]) -> str:
+        held_stacks = tuple(
+            HeldStack(
+                label=str(number), kind="flat", frames="", folder=Path("."), conditions=conditions,
+                held=FrameStack(data=np.full((1, 4, 4), level)),
+            )
+            for number, (level, conditions) in enumerate(stacks)
+        )  # fmt: skip
+        (picture,) = representative(Session(folder=Path("."), name="a", stacks=held_stacks), ())
+        return picture.title
+
+    lit = Conditions(illuminance_lux=1e-4, exposure_s=0.01)
+    assert chosen((1.0, lit), (2.0, Conditions(illuminance_lux=1e-4, exposure_s=0.02))) == "1 (flat)"
+    assert chosen((1.0, lit), (2.0, Conditions(illuminance_lux=1e-3, gate_ns=1e5))) == "0 (flat)"
+    assert chosen((1.0, Conditions(photons_per_px=9.0)), (2.0, Conditions(photons_per_px=20.0))) == "1 (flat)"
+    assert chosen((1.0, lit), (2.0, Conditions(exposure_s=0.01))) == "1 (flat)"
+    assert chosen((2.0, Conditions()), (1.0, Conditions())) == "0 (flat)"
 
 
 def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
