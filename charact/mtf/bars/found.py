@@ -34,6 +34,7 @@ Mask = NDArray[np.bool_]
 
 # A fundamental this many standard errors high over a whole target is bars; noise alone has up to about five.
 LEAST_SIGNAL = 5.0
+DARK = "no target: bars must be brighter than the ground around them, and what is here is darker"
 # The light of bars that run through a region, in its own standard errors.
 LEAST_LIGHT = 9.0
 # The zeros beside the fundamental, over it, and in their standard errors: more than this is another object.
@@ -190,6 +191,8 @@ def _whole(used: FrameStack, mean: Array, target: BarTarget, context: Context) -
         core = amplitudes_of(used.data, target, target.box(mean.shape, core_margin_px(asked)), ground.beyond, memory)
         if core.signal_to_noise < LEAST_SIGNAL:
             return _faint(core.signal_to_noise)
+    if amplitudes.light < -LEAST_SIGNAL * np.sqrt(amplitudes.covariance[0, 0]):
+        return DARK
     if not amplitudes.light > 0 or amplitudes.zeros > OTHER_OBJECT + OTHER_OBJECT_SD / amplitudes.signal_to_noise:
         return _another(target, asked)
     why = not_identifiable(target, target.length_px)

@@ -264,3 +264,11 @@ def test_noise_that_neighbours_share_tells_a_response_that_no_harmonic_shows(gam
     )  # fmt: skip
     flags = [scene_mtf(scene, np.random.default_rng([seed, n])).flags for n in range(4)]
     assert sum("gamma" in one for one in flags) == (4 if gamma != 1.0 else 0)
+
+
+def test_dark_bars_are_refused_for_what_they_are(seed: int) -> None:
+    """They were refused as standing 1,860 standard errors out of the noise, fewer than 5."""
+    image = 1.0 - blurred_bars(0.1, 4.0, 0.8)
+    found = mtf_at(frames_of(image, np.random.default_rng(seed)), 0.1)
+    assert found.status == "refused"
+    assert "brighter than the ground" in found.reason
