@@ -248,9 +248,7 @@ class EdgeScene:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
         return self._response(self.light())
 
-    def light(
-        self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0
-    ) -> NDArray[np.floating]:
+    def light(self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0) -> NDArray[np.floating]:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
         Parameters
