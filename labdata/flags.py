@@ -23,7 +23,7 @@ FLAGS: dict[str, str] = {
     "low-signal": "The signal is barely above the noise.",
     "no-target": "The expected target was not found.",
     "several-targets": "More than one target lies in the region.",
-    "curved-edge": "The edge is not straight.",
+    "curved-edge": "The edge is not straight: it is bent, or rough along its length.",
     "gradient": "The illumination changes across the region.",
     "tilt-too-small": "The edge or bar is too parallel to the pixel grid to be oversampled.",
     "window-too-small": "The region cuts off part of the target or of its blur.",

@@ -91,7 +91,7 @@ def noise_flags(growth: Growth, rising_share: float = RISING[0]) -> tuple[str, .
     if growth.of_light and growth.photons is not None:
         falling = growth.photons / growth.ratio > rising_share + RISING[1] * growth.scatter
     else:
-        falling = 1.0 / growth.ratio > FALLING[0] + FALLING[1] * growth.scatter
+        falling = growth.ratio * (FALLING[0] + FALLING[1] * growth.scatter) < 1.0
     return ("gamma",) if falling or rising else ()
 
 

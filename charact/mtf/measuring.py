@@ -8,6 +8,7 @@ import numpy as np
 from charact.method import Context, Method, choose
 from charact.method.tolerance import beyond_note
 from charact.mtf.region import Region
+from charact.mtf.repeated import distinct
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
@@ -62,10 +63,21 @@ def measure(
         _checked_bars(**target)
     described = OF_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
     chosen = choose(kind, described or method, within_percent=within_percent)
-    found = chosen.function(stack, region=region, context=context, **target)
+    counted = distinct(stack)
+    found = _with_notes(chosen.function(counted, region=region, context=context, **target), counted, stack)
     if method == "auto":
         found = _told(found, chosen, within_percent)
     return found if stack.plane == "mono" else _of_plane(found, stack.plane)
+
+
+def _with_notes(found: Result, counted: FrameStack, given: FrameStack) -> Result:
+    """Return a result that tells what frames did not count, whether or not its method passes a stack's notes on."""
+    notes = counted.notes[len(given.notes) :]
+
+    def noted(one: Measurement) -> Measurement:
+        return one.with_(notes=(*one.notes, *(note for note in notes if note not in one.notes)))
+
+    return replace(found, measurements=tuple(noted(one) for one in found.measurements)) if notes else found
 
 
 def _told(found: Result, chosen: Method, within_percent: float) -> Result:

@@ -1,4 +1,7 @@
-"""A target that moves from frame to frame: how far, by an analysis of variance of where its lines stand."""
+"""A target that moves from frame to frame: how far, by an analysis of variance of where its lines stand.
+
+An edge that wanders along its length blurs alike (`charact.mtf.edge.pixels.roughness`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,14 +26,14 @@ LEAST_POWER = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Wander:
-    """How a target moves through a stack.
+    """How a target moves through a stack, or an edge about a straight line.
 
     Parameters
     ----------
     rms_px
         Root mean square of its places about their mean, noise taken off, px.
     chance
-        Probability of places so far apart if it stands still.
+        Probability of places so far apart if it stands still, or is straight.
     """
 
     rms_px: float = 0.0
@@ -44,7 +47,7 @@ class Wander:
     def lowers(self, frequency_cy_per_px: float) -> float:
         """Return the share by which it lowers the MTF at a frequency, and about that of an MTF50.
 
-        The mean frame is blurred by exp(-2 (pi f s)^2); where the MTF is one half its logarithm falls by about as much
+        What is averaged is blurred by exp(-2 (pi f s)^2); where the MTF is one half its logarithm falls by about as much
         as that of the frequency rises.
         """
         return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2

@@ -10,6 +10,7 @@ from charact.mtf.edge.pixels import fields
 from charact.mtf.edge.pixels.line import RowFit
 from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.picture import Picture
+from charact.mtf.wander import Wander
 from charact.robust import median
 
 Array = NDArray[np.float64]
@@ -71,6 +72,13 @@ def line_flags(picture: Picture, rows: RowFit, profile: Profile) -> tuple[str, .
     if fields.counts(moved):
         flags.append("interlace-motion")
     return tuple(flags)
+
+
+def course_notes(roughness: Wander) -> tuple[str, ...]:
+    """Return the note on an edge that wanders about a straight line."""
+    if not roughness.moves:
+        return ()
+    return (f"The edge wanders by {roughness.rms_px:.2g} px rms along its length, beyond what noise makes of it.",)
 
 
 def _columns_apart(picture: Picture, profile: Profile) -> fields.Displacement:

@@ -10,12 +10,12 @@ QUIETEST = 80.0
 
 
 def growth_of(edge: FoundEdge) -> Growth:
-    """Return how the noise of an edge grows with the light, from frame to frame where there are several."""
+    """Return how the noise of an edge grows with the light, from frame to frame where there are several that differ."""
     black = edge.profile.black
     found = edge.shimmer and growth_of_light(edge.shimmer, black)
     if found:
         return found
-    if len(edge.used.data) == 1 or edge.shimmer is None:
+    if len(edge.used.data) == 1 or edge.shimmer is None or not max(one.variance for one in edge.shimmer) > 0:
         return _of_one(edge)
     return growth_of_variance(edge.shimmer, black)
 

@@ -35,7 +35,7 @@ LEAST_ROWS, LEAST_COLS = 20, 16
 LEAST_STEP_SD = 3.0
 # Step below which half a code at either plateau counts beside the bias of these methods, DN.
 COARSE_DN = 40.0
-# Share by which an edge that moves from frame to frame may lower MTF50 untold.
+# Share by which an edge that moves from frame to frame, or wanders along its length, may lower MTF50 untold.
 LOWERED = 0.01
 
 
@@ -107,7 +107,12 @@ def measured_plainly(plain: PlainMethod, stack: FrameStack, region: Region | Non
     common |= {
         "orientation_deg": orientation_deg(picture, profile.angle_rad),
         "flags": _flags(plain, edge, falls_to(response.frequency, response.value[None], 0.5)[0], context),
-        "notes": (*edge.notes, *response.notes, "Normalised to the light inside the region."),
+        "notes": (
+            *edge.notes,
+            *edge_checks.course_notes(edge.roughness),
+            *response.notes,
+            "Normalised to the light inside the region.",
+        ),
     }
     measurements = [*_measurements(plain, response, common), _angle(edge, common)]
     return Result(
@@ -179,6 +184,7 @@ def _unusable(edge: FoundEdge) -> str | None:
 
 def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -> tuple[str, ...]:
     used, profile = edge.used, edge.profile
+    moved_by = (("drift", edge.wander), ("curved-edge", edge.roughness))
     return (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
@@ -191,7 +197,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
         ),
         *(("defects",) if profile.defects else ()),
         *edge.flags,
-        *(("drift",) if edge.wander.moves and not edge.wander.lowers(half) < LOWERED else ()),
+        *(flag for flag, moved in moved_by if moved.moves and not moved.lowers(half) < LOWERED),
         *_window_flags(profile, half),
     )
 

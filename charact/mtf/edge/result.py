@@ -120,7 +120,13 @@ def _common(outcome: Outcome, halves: Array, context: Context) -> dict[str, Any]
     return {
         "method": outcome.method,
         "flags": tuple(dict.fromkeys((*_flags(outcome, halves, context), *hidden_flags))),
-        "notes": (*edge.notes, *_notes(profile, edge.used, context), *hidden_notes, *outcome.notes),
+        "notes": (
+            *edge.notes,
+            *edge_checks.course_notes(edge.roughness),
+            *_notes(profile, edge.used, context),
+            *hidden_notes,
+            *outcome.notes,
+        ),
         "region": edge.where,
         "orientation_deg": orientation_deg(edge.picture, profile.angle_rad),
         "provenance": provenance,
@@ -139,8 +145,10 @@ def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
     yield from _posterior_flags(outcome.posterior, context)
     yield from outcome.flags
     yield from edge.flags
-    if edge.wander.moves and edge.wander.lowers(half) > UNTOLD * _relative_sd(halves):
-        yield "drift"
+    untold = UNTOLD * _relative_sd(halves)
+    for flag, moved in (("drift", edge.wander), ("curved-edge", edge.roughness)):
+        if moved.moves and moved.lowers(half) > untold:
+            yield flag
 
 
 def _relative_sd(halves: Array) -> float:

@@ -30,6 +30,8 @@ AXES: Axes = {
     "contrast": ("DN of step, noise 0.6 DN", (200, 100, 30, 10, 4, 2), (100, 200)),
     "noise under a code": ("DN of noise, step 30 DN", (1, 0.5, 0.3, 0.2, 0.1, 0.05), (1, 1)),
     "motion from frame to frame": ("px rms, 8 frames", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 2), (0, 0)),
+    "roughness of the edge": ("px rms", (0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5), (0, 0)),
+    "lowest code over the dark side": ("DN, noise 2 DN", (-20, -4, -2, 0, 2, 5, 10, 30), (-20, -20)),
 }
 
 
@@ -43,6 +45,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
         "gamma": {"gamma": position},
         "gamma, low contrast": {"gamma": position, "dark_dn": 110.0, "bright_dn": 150.0, "snr": 25.0},
         "clipped share of the step": {"clip_share": position / 100},
+        "lowest code over the dark side": {"floor_dn": 40.0 + position},
         "noise under a code": {"dark_dn": 60.3, "bright_dn": 90.7, "snr": 30.4 / max(position, 1e-3)},
         "illumination gradient": {"gradient": position / 100},
         "noise blur after the gain": {"noise_blur_px": position, "snr": 25.0},
@@ -52,6 +55,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
         "region": {"rows": int(position), "cols": int(position)},
         "offset of the edge": {"offset_px": position},
         "bow of the edge": {"sagitta_px": position},
+        "roughness of the edge": {"roughness_px": position},
         "stuck pixels": {"hot_share": position / 100},
         "sharpening": {"sharpening": position},
         "contrast": {"bright_dn": 40.0 + position, "snr": position / 0.6},

@@ -13,6 +13,8 @@ from charact.study.sharpened import boost, sharpened
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
+# Places of a rough edge's course to a px.
+COURSE_PER_PX = 8
 # Step of the tabulated edge spread, px, and its length: 8192 px hold the tails of exp(-(f/fc)^n).
 STEP_PX = 1 / 64
 SAMPLES = 1 << 19
@@ -190,8 +192,14 @@ class EdgeScene:
         Standard deviation of a horizontal displacement that each frame has for itself, px.
     sagitta_px
         Bow of the edge over its length in the frame, px.
+    roughness_px, roughness_length_px
+        Root mean square of how far the edge wanders along its length, the same in all frames, and the standard
+        deviation of the Gaussian that smooths its course, px. Seen by the camera without loss, as courses are that
+        are long beside the blur.
     clip_share
         Share of the step that lies above full scale.
+    floor_dn
+        Lowest code: what is darker sits on it, DN.
     hot_share
         Share of pixels stuck at full scale.
     sharpening
@@ -216,7 +224,10 @@ class EdgeScene:
     motion_px: float = 0.0
     jitter_px: float = 0.0
     sagitta_px: float = 0.0
+    roughness_px: float = 0.0
+    roughness_length_px: float = 2.0
     clip_share: float = 0.0
+    floor_dn: float = 0.0
     hot_share: float = 0.0
     sharpening: float = 0.0
     black_dn: float = 10.0
@@ -237,13 +248,15 @@ class EdgeScene:
         """Noiseless frame before clipping and digitising, DN, shape (row, col)."""
         return self._response(self.light())
 
-    def light(self, moved_px: float = 0.0) -> NDArray[np.floating]:
+    def light(self, moved_px: float = 0.0, course_px: NDArray[np.floating] | float = 0.0) -> NDArray[np.floating]:
         """Noiseless light signal over black, DN of a straight response, shape (row, col).
 
         Parameters
         ----------
         moved_px
             Horizontal displacement of the edge, px.
+        course_px
+            How far the edge lies off its line along the normal, seen from each pixel, shape (row, col), px.
         """
         row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
         col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
@@ -251,7 +264,7 @@ class EdgeScene:
         distance = distance_across(
             row, col, (self.rows, self.cols), angle_deg=self.angle_deg, moved_px=moved, sagitta_px=self.sagitta_px
         )
-        distance = distance - self.offset_px
+        distance = distance - self.offset_px - course_px
         step = self.bright_dn - self.dark_dn
         light = self.dark_dn - self.black_dn + step * edge_spread(self.blur, distance, self.angle_deg)
         light = light * (1 + self.gradient * (col / self.cols + 0.5))
@@ -263,9 +276,23 @@ class EdgeScene:
 
     def _frames_light(self, rng: np.random.Generator) -> NDArray[np.floating]:
         """Light of every frame, or of all of them where nothing moves."""
+        course = self._course(rng) if self.roughness_px else 0.0
         if not self.jitter_px:
-            return self.light()
-        return np.stack([self.light(moved) for moved in self.jitter_px * rng.standard_normal(self.frames)])
+            return self.light(course_px=course)
+        return np.stack([self.light(moved, course) for moved in self.jitter_px * rng.standard_normal(self.frames)])
+
+    def _course(self, rng: np.random.Generator) -> NDArray[np.floating]:
+        """How far a rough edge lies off its line, seen from each pixel, px."""
+        from scipy.ndimage import gaussian_filter1d
+
+        angle = np.deg2rad(self.angle_deg)
+        row = np.arange(self.rows)[:, None] - (self.rows - 1) / 2
+        col = np.arange(self.cols)[None, :] - (self.cols - 1) / 2
+        along = row * np.cos(angle) - col * np.sin(angle)
+        reach = 0.5 * np.hypot(self.rows, self.cols) + 1.0
+        place = np.arange(-reach, reach, 1 / COURSE_PER_PX)
+        course = gaussian_filter1d(rng.standard_normal(place.size), self.roughness_length_px * COURSE_PER_PX)
+        return np.interp(along, place, self.roughness_px * course / np.std(course))
 
     def _response(self, light: NDArray[np.floating]) -> NDArray[np.floating]:
         """What the camera makes of light: DN, black included."""
@@ -292,5 +319,5 @@ class EdgeScene:
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         drawn = np.where(stuck, self.full_scale_dn, drawn)
         kind = np.uint8 if self.full_scale_dn < 256 else np.uint16
-        codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(kind)
+        codes = np.clip(np.rint(drawn), self.floor_dn, self.full_scale_dn).astype(kind)
         return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)

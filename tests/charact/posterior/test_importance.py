@@ -66,3 +66,14 @@ def test_few_draws_to_begin_with_do_as_well(seed):
     independent = found.effective_sample_size[0]
     assert independent >= 3000
     assert found["p0"].mean() == pytest.approx(0.0, abs=4.5 / np.sqrt(independent))
+
+
+def test_a_posterior_that_no_draw_comes_near_ends_with_few_effective_draws():
+    """A peak ten million times narrower than the curvature says, in 15 directions; it ended in a NaN."""
+
+    def far(points):
+        return -0.5e15 * np.sum((points - 3.0) ** 2, axis=1)
+
+    found = drawn(far, 15, seed=1, draws=500, enough=300.0, first_draws=1000)
+    assert np.isfinite(found.draws).all()
+    assert found.effective_sample_size[0] < 100.0

@@ -10,6 +10,7 @@ from charact.mtf.edge.pixels import line
 from charact.mtf.edge.pixels.extent import LEAST_ROWS, extent
 from charact.mtf.edge.pixels.fields import with_fields_apart
 from charact.mtf.edge.pixels.profile import Profile, centred, profile_of
+from charact.mtf.edge.pixels.roughness import roughness_of
 from charact.mtf.picture import Picture, mean_picture
 from charact.mtf.region import Region
 from charact.mtf.shimmer import Sides, sides_of
@@ -67,6 +68,11 @@ class FoundEdge:
         normal = across * float(np.cos(edge.angle_rad(picture.pitch_ratio)))
         frames = [picture.upright(one) for one in self.used.data]
         return wander_across(frames, normal, row, np.abs(across) < line.ROW_REACH_PX)
+
+    @cached_property
+    def roughness(self) -> Wander:
+        """How it wanders about a straight line along its length, the same in all frames."""
+        return roughness_of(self.picture, self.profile)
 
     @cached_property
     def shimmer(self) -> Sides | None:

@@ -1,0 +1,171 @@
+"""An edge that is rough along its length: where its rows stand, beside what the noise of its plateaus makes of that.
+
+Each row's place is a weighed sum of its pixels. The same weights, put on the plateaus, tell how far noise alone moves
+it: all of that noise, frames' and fixed patterns', tied from row to row or not.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.mtf.edge.pixels.fields import steepness
+from charact.mtf.edge.pixels.profile import Profile
+from charact.mtf.picture import Picture
+from charact.mtf.wander import Wander
+from charact.noise.gain.standard import QUANTISATION_DN2
+
+Array = NDArray[np.float64]
+
+# Share of the squares of the profile's slope that the pixels hold which tell a place, and their least and most reach.
+HELD, LEAST_REACH_PX, MOST_REACH_PX = 0.95, 3.0, 10.0
+# Least rows that tell, least places on a plateau, and rows over which noise ties places.
+LEAST_ROWS, LEAST_PLACES, TIED_ROWS = 16, 30, 4
+# Terms of the series of what rounding to whole codes leaves in a mean.
+TERMS = 6
+# Step of the distances at which the profile's slope is looked at, px.
+STEP_PX = 0.25
+
+
+def roughness_of(picture: Picture, profile: Profile) -> Wander:
+    """Return how an edge wanders along its length about a straight line.
+
+    Notes
+    -----
+    A row's displacement is least squares on -m'(d), m the edge's profile, its own level and contrast free. Noise half
+    way up is taken as the mean of both sides', as that of light and of read-out are. The mean squares of places at the
+    edge and on the plateaus are compared as Fisher's F.
+    """
+    from scipy.special import fdtrc
+
+    reach = _reach(profile)
+    places, squares = _places_of(picture, profile, reach)
+    edge = places[:, 0]
+    told = np.flatnonzero(np.isfinite(edge))
+    beside = [_plateau(side) for side in np.split(places[:, 1:], 2, axis=1)]
+    if told.size < LEAST_ROWS or min(one[1] for one in beside) < LEAST_PLACES:
+        return Wander()
+    left = edge[told] - np.polyval(np.polyfit(told, edge[told], 1), told)
+    # Of each pixel the profile holds as much as one of its bin's pixels weighs.
+    held = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach]))
+    square = float(left @ left) / (told.size - 2) / max(1.0 - held, 0.5)
+    noise = 0.5 * sum(one[0] for one in beside) + _rounding(picture, profile) * float(np.mean(squares[told]))
+    if not square > noise > 0:
+        return Wander()
+    tied = 0.5 * sum(one[2] for one in beside)
+    # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
+    freedom = 0.5 * 4.0 * noise**2 / sum(one[0] ** 2 * tied / one[1] for one in beside)
+    chance = float(fdtrc(told.size / tied, freedom, square / noise))
+    return Wander(rms_px=float(np.sqrt(square - noise)), chance=chance)
+
+
+def _rounding(picture: Picture, profile: Profile) -> float:
+    """Return the mean square that rounding to whole codes leaves in means of pixels at any level, DN^2.
+
+    All pixels of a plateau have it alike, those near an edge each its own. The sawtooth of `charact.mtf.rounding`.
+    """
+    if not picture.whole_codes:
+        return 0.0
+    sides = np.array([profile.grain.dark_variance, profile.grain.bright_variance])
+    variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
+    turn = np.pi * np.arange(1, TERMS + 1)[:, None]
+    return float(np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0)))
+
+
+def _reach(profile: Profile) -> float:
+    """Return how far from the edge pixels tell where it is, px."""
+    distance = np.arange(0.0, MOST_REACH_PX, STEP_PX)
+    steep = sum(steepness(profile.distance, profile.value, sign * distance) ** 2 for sign in (-1.0, 1.0))
+    held = np.cumsum(steep)
+    reach = distance[int(np.searchsorted(held, HELD * held[-1]))] if held[-1] > 0 else LEAST_REACH_PX
+    return max(float(reach) + STEP_PX, LEAST_REACH_PX)
+
+
+def _places_of(picture: Picture, profile: Profile, reach: float) -> tuple[Array, Array]:
+    """Return the rows' places at the edge, then in as many windows on its dark as on its bright side.
+
+    Shape (row, 1 + window), px, NaN where a window is not whole; and the sum of squares of each row's weights.
+    """
+    gathered = profile.gathered
+    distance = gathered.distance
+    at = np.arange(-reach - 1.0, reach + 1.0 + STEP_PX, STEP_PX)
+    residual = picture.value - np.interp(distance, profile.distance, profile.value)
+    profile_at = np.interp(at, profile.distance, profile.value)
+    steep = steepness(profile.distance, profile.value, at)
+    step = reach / abs(profile.slopes[0])
+    away = np.rint(np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)).astype(np.int64)
+    return _displaced(residual, distance, gathered.used, reach, profile_at, steep, np.concatenate([[0], -away, away]))
+
+
+@njit(cache=True)
+def _displaced(
+    residual: Array,
+    distance: Array,
+    used: NDArray[np.bool_],
+    reach: float,
+    profile: Array,
+    steep: Array,
+    shifts: NDArray[np.int64],
+) -> tuple[Array, Array]:
+    """Return each row's displacement by the same weights at columns shifted, and the weights' sum of squares."""
+    rows, cols = residual.shape
+    places, squares = np.full((rows, shifts.size), np.nan), np.zeros(rows)
+    middle = profile.mean()
+    shape = np.zeros((cols, 3))
+    for row in range(rows):
+        normal, first, last = np.zeros((3, 3)), cols, -1
+        for col in range(cols):
+            if abs(distance[row, col]) >= reach:
+                continue
+            place = (distance[row, col] + reach + 1.0) / STEP_PX
+            left = int(place)
+            rest = place - left
+            shape[col, 0] = steep[left] + rest * (steep[left + 1] - steep[left])
+            shape[col, 1] = profile[left] + rest * (profile[left + 1] - profile[left]) - middle
+            shape[col, 2] = 1.0
+            first, last = min(first, col), col
+            for k in range(3):
+                for m in range(3):
+                    normal[k, m] += shape[col, k] * shape[col, m]
+        # A row tells where the edge is if its pixels lie on both sides of it as far as they are looked at.
+        if last - first < 4 or distance[row, first] > 1.0 - reach or distance[row, last] < reach - 1.0:
+            continue
+        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(3)
+        inverse = np.linalg.solve(normal, np.array([1.0, 0.0, 0.0])) / scale / scale[0]
+        for one in range(shifts.size):
+            shift = shifts[one]
+            if first + shift < 0 or last + shift >= cols:
+                continue
+            total, whole = 0.0, True
+            for col in range(first, last + 1):
+                whole &= used[row, col + shift]
+                weight = inverse[0] * shape[col, 0] + inverse[1] * shape[col, 1] + inverse[2] * shape[col, 2]
+                total -= weight * residual[row, col + shift]
+                squares[row] += weight**2 if one == 0 else 0.0
+            if whole:
+                places[row, one] = total
+    return places, squares
+
+
+def _plateau(places: Array) -> tuple[float, int, float]:
+    """Return mean square, number and ties of places on a plateau, shape (row, window).
+
+    Ties are by how much a mean square scatters more than that of as many independent normal places.
+    """
+    good = np.isfinite(places)
+    count = np.count_nonzero(good, axis=0)
+    places, good, count = places[:, count > 1], good[:, count > 1], count[count > 1]
+    if not count.size:
+        return 0.0, 0, 1.0
+    values = np.where(good, places, 0.0)
+    values = np.where(good, values - values.sum(axis=0) / count, 0.0)
+    number = int(count.sum())
+    square = float(np.sum(values**2)) / (number - count.size)
+    if not square > 0:
+        return 0.0, number, 1.0
+    shared = [
+        float(np.sum(values[lag:] * values[:-lag])) / max(np.count_nonzero(good[lag:] & good[:-lag]), 1) / square
+        for lag in range(1, TIED_ROWS + 1)
+    ]
+    heavy = max(float(np.sum(values**4)) / number / square**2 - 1.0, 2.0) / 2.0
+    return square, number, heavy + 2.0 * float(np.sum(np.square(shared)))
