@@ -84,6 +84,10 @@ def weighed(
         if effective >= enough or len(mixture) > MOST_ADDED:
             break
         more = _added(points, unit, weight), MORE_DRAWS
+        # A posterior that no draw comes near, as of a model far from its data: one draw holds all weight, and what is
+        # added shrinks to nothing about it.
+        if not np.isfinite(more[0].log_volume):
+            break
         mixture, fresh = [*mixture, more], more[0].draw(rng, MORE_DRAWS)
         heights = np.concatenate([heights, _heights(log_probability, space, fresh)])
         drawn = np.concatenate([np.logaddexp(drawn, _drawn([more], points)), _drawn(mixture, fresh)])
@@ -106,7 +110,7 @@ class _StudentT:
     def __init__(self, place: Array, covariance: Array) -> None:
         self.place, self.root = place, root_of(covariance + 1e-9 * np.diag(np.diag(covariance)))
         self.inverse = np.linalg.pinv(self.root)
-        self._log_volume = float(np.linalg.slogdet(self.root)[1])
+        self.log_volume = float(np.linalg.slogdet(self.root)[1])
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
         """Return draws, shape (count, parameter)."""
@@ -118,7 +122,7 @@ class _StudentT:
         away = points @ self.inverse.T
         away -= self.inverse @ self.place
         squares = np.einsum("ij,ij->i", away, away)
-        return -0.5 * (FREEDOM + self.place.size) * np.log1p(squares / FREEDOM) - self._log_volume
+        return -0.5 * (FREEDOM + self.place.size) * np.log1p(squares / FREEDOM) - self.log_volume
 
 
 def _added(points: Array, unit: Array, weight: Array) -> _StudentT:
