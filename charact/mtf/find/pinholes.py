@@ -5,16 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.find.picture import averaged, highest, smoothed
+from charact.mtf.find.picture import averaged, highest
+from charact.mtf.find.steady import SMOOTHING_PX, Steady, steady_light
+from charact.mtf.point.source import DETECTED
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float32]
 
-# Smoothing for the search, and the wider one that stands for the ground, px.
-SMOOTHING_PX, GROUND_PX = 1.2, 8.0
-# A source stands out by so many robust standard deviations, and by this share of the brightest one.
-DETECTED, LEAST_SHARE = 9.0, 0.02
+# A source stands out as far as its measurement asks, and by this share of the brightest one.
+LEAST_SHARE = 0.02
 # Next-neighbour light over the peak's: no lens and square pixel give less than this; of a known blur half is taken.
 LEAST_NEIGHBOURS = 0.08
 # The longer diameter of a spot over the shorter one from which it is a line.
@@ -34,7 +34,7 @@ class FoundPoint:
     row, col
         Centroid of its light, px.
     significance
-        Height over the standard deviation of the smoothed background.
+        Height over the standard deviation of the smoothed background, that of its far tail where pulses make it heavy.
     saturated
         Whether its core stands at full scale.
     """
@@ -54,7 +54,8 @@ def find_pinholes(
     Parameters
     ----------
     pictures
-        Picture (row, col), stack (frame, row, col) or frames; a stack is averaged.
+        Picture (row, col), stack (frame, row, col) or frames. Of three frames and more only light that stands in most
+        of them counts: one flash of an intensifier is no source, and takes no room from one.
     blur_px
         Standard deviation of the camera's blur, px; a spot whose neighbours hold less than half the light that it
         puts there is a hot pixel. None: less than any lens and pixel put there.
@@ -77,28 +78,28 @@ def find_pinholes(
         full_scale_dn = pictures.full_scale_dn
     if min(picture.shape) < 2 * LEAST_REACH_PX + 1:
         return ()
-    picture = _without_hot_pixels(picture, _least_neighbours(blur_px))
-    smooth = smoothed(picture, SMOOTHING_PX) - smoothed(picture, GROUND_PX)
-    middle = float(np.median(smooth))
-    robust = 1.4826 * float(np.median(np.abs(smooth - middle)))
-    spread = max(robust, _upper_tail(smooth, middle), 1e-6 * float(np.ptp(smooth)))
-    least = max(DETECTED * spread, LEAST_SHARE * float(smooth.max() - middle)) + middle
-    places = _peaks(smooth, least)
-    spots = [spot for place in places if (spot := _spot(picture, place, full_scale_dn)) is not None]
+    replaced = _hot_pixels(picture, _least_neighbours(blur_px))
+    light = steady_light(pictures, replaced)
+    picture = np.where(*replaced, picture)
+    places, spread = _sources(light)
+    spots = [(*spot, place) for place in places if (spot := _spot(picture, place, full_scale_dn)) is not None]
     found = [
         FoundPoint(
-            region=region, row=row, col=col, saturated=saturated,
-            significance=float(smooth[round(row), round(col)] - middle) / spread,
+            region=region, row=row, col=col, saturated=saturated, significance=float(light.height[place]) / spread
         )
-        for row, col, saturated in spots
-        if (region := _region(row, col, spots, picture.shape)) is not None
+        for row, col, saturated, place in spots
+        if (region := _region(row, col, [spot[:2] for spot in spots], picture.shape)) is not None
     ]  # fmt: skip
     return tuple(sorted(found, key=lambda point: -point.significance))
 
 
-def _upper_tail(smooth: Array, middle: float) -> float:
-    """Return what the upper tail of the background says of its standard deviation: pulses make it heavy."""
-    return (float(np.quantile(smooth[::2, ::2], 0.97)) - middle) / 1.8808
+def _sources(light: Steady) -> tuple[list[tuple[int, int]], float]:
+    """Return where sources stand, brightest first, and the standard deviation that they stand out of, DN."""
+    brightest = LEAST_SHARE * float(light.height.max())
+    likely = _peaks(light.height, max(DETECTED * light.spread, brightest))
+    likely = [place for place in likely if light.stays(*place)]
+    spread = light.far_spread(likely, LEAST_REACH_PX)
+    return [place for place in likely if light.height[place] >= DETECTED * spread], spread
 
 
 def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
@@ -115,8 +116,8 @@ def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
     return kept
 
 
-def _without_hot_pixels(picture: Array, least_neighbours: float) -> Array:
-    """Replace pixels that stand alone, their neighbours holding less than a share of their light, by these."""
+def _hot_pixels(picture: Array, least_neighbours: float) -> tuple[NDArray[np.bool_], Array]:
+    """Return which pixels stand alone, their neighbours holding less than a share of their light, and these."""
     import cv2
 
     ground = np.asarray(cv2.medianBlur(picture, 5), np.float32)
@@ -125,7 +126,7 @@ def _without_hot_pixels(picture: Array, least_neighbours: float) -> Array:
     over = picture - ground
     noise = 1.4826 * float(np.median(np.abs(over)))
     hot = (over > DETECTED * noise) & (around - ground < least_neighbours * over + noise)
-    return np.where(hot, around, picture)
+    return hot, around
 
 
 def _spot(picture: Array, place: tuple[int, int], full_scale_dn: float | None) -> tuple[float, float, bool] | None:
@@ -160,9 +161,9 @@ def _least_neighbours(blur_px: float | None) -> float:
     return 0.5 * float((ndtr(1.5 / blur_px) - inner) / (2.0 * inner - 1.0))
 
 
-def _region(row: float, col: float, spots: list[tuple[float, float, bool]], shape: tuple[int, ...]) -> Region | None:
+def _region(row: float, col: float, spots: list[tuple[float, float]], shape: tuple[int, ...]) -> Region | None:
     """Return a square around a source up to half way to its nearest neighbour, None if that is too near."""
-    gaps = [max(abs(row - r), abs(col - c)) for r, c, _ in spots if (r, c) != (row, col)]
+    gaps = [max(abs(row - r), abs(col - c)) for r, c in spots if (r, c) != (row, col)]
     half = int(min([REACH_PX, *(0.5 * gap for gap in gaps)]))
     if half < LEAST_REACH_PX:
         return None

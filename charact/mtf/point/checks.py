@@ -32,6 +32,8 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
     out = []
     if not window.keep.all():
         out.append("saturated")
+    if window.clipped:
+        out.append("clipped")
     if found.light < LOW_LIGHT * found.light_sd:
         out.append("low-signal")
     if window.frames < 3:
@@ -42,7 +44,7 @@ def flags(found: PointFit, window: Window, source: Source, context: Context) -> 
         out.append("model-misfit")
     if source.others:
         out.append("several-targets")
-    if window.cut:
+    if window.cut or (context.sensor is not None and not window.holds_halo):
         out.append("window-too-small")
     if _leans(found, context):
         out.append("prior-bound")

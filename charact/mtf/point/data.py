@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.quiet import quiet_sd
+from charact.mtf.point.quiet import clipped_at_black, quiet_sd
 
 Array = NDArray[np.float64]
 
@@ -53,6 +53,8 @@ class Window:
         Number of frames.
     holds_halo, cut
         Whether the region holds the whole halo, and whether it cuts into the core.
+    clipped
+        Whether the noise of pixels without light was cut off at black.
     """
 
     core: Array
@@ -70,6 +72,7 @@ class Window:
     frames: int
     holds_halo: bool
     cut: bool
+    clipped: bool
 
     def ring_covariance(self, variance: Array) -> Array:
         """Return the covariance of the rings' means of given variances, shape (ring, ring), DN^2."""
@@ -168,6 +171,7 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         frames=frames,
         holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
         cut=core.shape[1:] != (2 * HALF_ROWS + 1, 2 * HALF_COLS + 1),
+        clipped=clipped_at_black(values),
     )
 
 

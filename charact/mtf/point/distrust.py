@@ -26,13 +26,15 @@ ELONGATED = 1.5
 def flags(sites: list[Site], fitter: PointFitter, found: list[Weighed], pedestals: Array) -> tuple[str, ...]:
     """Return the flags of fitted sources."""
     fit, out = found[0].fit, []
+    if any(site.window.clipped for site in sites):
+        out.append("clipped")
     if (fit.light < LOW_LIGHT * light_errors(fitter, fit)).any():
         out.append("low-signal")
     if fit.chi2 / fit.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fit.free) or departs(sites, fitter, fit):
         out.append("model-misfit")
     if _elongated(fit):
         out.append("several-targets")
-    if any(site.window.cut for site in sites):
+    if any(site.window.cut or (site.screen and not site.window.holds_halo) for site in sites):
         out.append("window-too-small")
     at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)[: fit.form.blur_parameters]
     if at.min() < 1e-6 and not fit.form.lens:

@@ -109,8 +109,9 @@ def point_forward(
             "no target: what stands out of the background is not the picture of a point", "no-target", *_moved(window)
         )
     if found.light < LEAST_LIGHT * found.light_sd:
+        stands = point_source.rounded_down(found.light / found.light_sd)
         return task.nothing(
-            f"no target: the light stands {found.light / found.light_sd:.1f} standard errors out of {LEAST_LIGHT:g}",
+            f"no target: the light stands {stands:.1f} standard errors out of {LEAST_LIGHT:g} needed",
             "no-target",
             *_moved(window),
         )

@@ -1,4 +1,4 @@
-"""Noise of a pixel without light, told by the codes below the commonest one: light only lifts them."""
+"""Noise of a pixel without light, told by the codes below the commonest one, and whether these were cut off."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +7,12 @@ from numpy.typing import NDArray
 ENOUGH = 16
 # Taken where they do not, and more is not seen: what rounding hides, DN.
 HIDDEN_SD = 0.2
+# Share of the noise below the lowest code from which what is cut off there matters: there MTF50 comes out half a
+# standard error high.
+CUT_OFF = 0.04
+# Shares of the values above the lowest code that lie above two higher ones, how many at least, and by what factor the
+# standard deviations between them may differ: those of pulses of light grow the further up.
+HIGHER, FURTHER, LEAST_ABOVE, ALIKE = 0.5, 0.05, 20, 1.25
 
 
 def quiet_sd(codes: NDArray[np.integer]) -> float:
@@ -32,3 +38,32 @@ def quiet_sd(codes: NDArray[np.integer]) -> float:
         return HIDDEN_SD
     near, far = (float(ndtri(below[one] / codes.size)) for one in (commonest, lower))
     return float(code[commonest] - code[lower]) / max(near - far, 1e-9)
+
+
+def clipped_at_black(codes: NDArray) -> bool:
+    """Tell whether what noise takes below the lowest code was cut off there.
+
+    Parameters
+    ----------
+    codes
+        Values around a source, any shape.
+
+    Notes
+    -----
+    The upper side of normal noise tells its lower one: a share above a code stands z(share) standard deviations off
+    the mean, and three codes, the lowest among them, must agree on the standard deviation. What it puts below the
+    lowest code ought to be there. A pixel quieter than a code leaves nothing above the code beside it, and few pulses
+    of light on quiet pixels reach far further than normal noise does.
+    """
+    from scipy.special import ndtr, ndtri
+
+    code, number = np.unique(codes, return_counts=True)
+    above = codes.size - np.cumsum(number)
+    near = int(np.argmax(above <= HIGHER * above[0]))
+    far = max(int(np.argmax(above <= FURTHER * above[0])), near + 1)
+    if near == 0 or far >= code.size or above[far] < LEAST_ABOVE:
+        return False
+    at, z = code[[0, near, far]].astype(float), ndtri(1.0 - above[[0, near, far]] / codes.size)
+    lower, upper = np.diff(at) / np.diff(z)
+    missing = float(ndtr(z[0] - float(np.diff(code).min()) / lower))
+    return bool(missing > CUT_OFF and max(lower / upper, upper / lower) < ALIKE)

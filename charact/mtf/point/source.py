@@ -15,6 +15,8 @@ STEADY = 4.0
 OTHER_SHARE = 0.08
 APART_PX = 12.0
 LEAST_BACKGROUND = 60
+# Least standard deviation of a smoothed background of whole codes, DN: what rounding hides.
+ROUNDING_DN = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,15 +55,27 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     height = float(steady[row, col]) - level
     significance = height / spread
     if significance < DETECTED:
-        return f"no target: the brightest spot stands {significance:.1f} standard deviations out of {DETECTED:g} needed"
-    if len(data) > 2:
-        over = smooth[:, row, col] - level
-        error = max(float(over.std(ddof=1)), spread) / np.sqrt(len(data))
-        if over.mean() < STEADY * error:
-            return f"no target: the brightest spot stands {over.mean() / error:.1f} standard errors over the frames"
-    return Source(
-        row=row, col=col, significance=significance, others=_others(steady - level, row, col, spread, pitch_ratio)
-    )
+        stands = f"{rounded_down(significance):.1f} standard deviations out of {DETECTED:g} needed"
+        return f"no target: the brightest spot stands {stands}"
+    steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
+    if steadiness < STEADY:
+        stands = f"{rounded_down(steadiness):.1f} standard errors over the frames out of {STEADY:g} needed"
+        return f"no target: the brightest spot stands {stands}"
+    high = _away(steady.shape, row, col, pitch_ratio) & (steady - level > max(DETECTED * spread, OTHER_SHARE * height))
+    others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= STEADY)
+    return Source(row=row, col=col, significance=significance, others=others)
+
+
+def _steadiness(over: Array, spread: float) -> Array:
+    """Return by how many standard errors light (frame, ...) stands over the frames; of one or two nobody knows."""
+    if len(over) < 3:
+        return np.full(over.shape[1:], np.inf)
+    return over.mean(axis=0) / np.maximum(over.std(axis=0, ddof=1), spread) * np.sqrt(len(over))
+
+
+def rounded_down(significance: float) -> float:
+    """Return what words may say of a number that is too low, so that 8.97 of 9 is not 9.0 of 9."""
+    return float(np.floor(10.0 * significance)) / 10.0
 
 
 def light_of(data: NDArray) -> float:
@@ -84,7 +98,7 @@ def _spread(steady: Array, level: float, data: NDArray) -> float:
     robust = 1.4826 * float(np.median(np.abs(steady - level)))
     # Pulses make a tail that the median does not see: the highest per mille stands for it.
     tail = (float(np.quantile(steady, 0.999)) - level) / 3.1 if steady.size > 20000 else 0.0
-    rounding = 0.05 if data.dtype.kind in "ui" else 0.0
+    rounding = ROUNDING_DN if data.dtype.kind in "ui" else 0.0
     return max(robust, tail, rounding, 1e-12)
 
 
@@ -93,12 +107,3 @@ def _away(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> NDA
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     distance = np.hypot(cols - col, (rows - row) * pitch_ratio)
     return distance > min(APART_PX, 0.75 * float(distance.max()))
-
-
-def _others(height: Array, row: int, col: int, spread: float, pitch_ratio: float) -> bool:
-    """Tell whether another peak stands out beyond the surroundings of the first."""
-    away = _away(height.shape, row, col, pitch_ratio)
-    if not away.any():
-        return False
-    other = float(np.where(away, height, -np.inf).max())
-    return bool(other > max(DETECTED * spread, OTHER_SHARE * height[row, col]))

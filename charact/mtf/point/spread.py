@@ -10,6 +10,7 @@ from charact.method import Context, register
 from charact.mtf.curve import falls_to
 from charact.mtf.point import source as point_source
 from charact.mtf.point.motion import motion_flags
+from charact.mtf.point.quiet import clipped_at_black
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, from_sd, refused
@@ -122,7 +123,7 @@ def _spots(used: FrameStack, source: point_source.Source, context: Context) -> t
     tail, tail_sd = _tail(spots, radius)
     beyond |= tail > max(TAIL, 3.0 * tail_sd) or _haloed(used.data, radius, ring)
     raised = (("saturated", saturated), ("several-targets", source.others), ("window-too-small", beyond),
-              ("model-misfit", _lopsided(spots, x, y)))  # fmt: skip
+              ("model-misfit", _lopsided(spots, x, y)), ("clipped", clipped_at_black(used.data[:, ring])))  # fmt: skip
     moved = motion_flags(spots, *_centred(mean, x.ravel(), y.ravel()), np.arange(used.shape[1]) % 2 == 1)
     missing = BEYOND * float(np.hypot(max(tail, 0.0), tail_sd))
     return np.asarray(spots, np.float64), (*(name for name, seen in raised if seen), *moved), missing

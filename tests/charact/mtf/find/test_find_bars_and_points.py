@@ -7,7 +7,9 @@ from charts import BarChart, Bars, noisy
 from charact import mtf
 from charact.method import Context
 from charact.mtf.find import find_bar_groups, find_pinholes
+from charact.mtf.point import source
 from charact.study.edge.scene import Blur, edge_spread
+from charact.study.point.scene import PointScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
@@ -119,3 +121,47 @@ def test_every_point_is_alone_in_its_region() -> None:
     for one in found:
         top, left, height, width = one.region
         assert sum(top <= y < top + height and left <= x < left + width for y, x, _ in POINTS) == 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_flashes_of_an_intensifier_are_no_points_and_take_no_room_from_one(seed: int) -> None:
+    """Single photoelectrons, each a pulse as high as a faint point in its one frame of eight."""
+    scene = PointScene(photoelectrons=60, peak_dn=60, background=0.0005, rows=240, cols=320, row_px=3, col_px=5,
+                       read_dn=0.3, gain_spread=2.0)  # fmt: skip
+    (found,) = find_pinholes(scene.frames_drawn(np.random.default_rng(seed)))
+    assert found.row == pytest.approx(122.5, abs=0.7) and found.col == pytest.approx(164.5, abs=0.7)
+    assert found.region[2:] == (97, 97)
+
+
+def test_flashes_alone_are_one_sentence() -> None:
+    scene = PointScene(
+        photoelectrons=0, peak_dn=1.0, background=0.0005, rows=240, cols=320, read_dn=0.3, gain_spread=2.0
+    )
+    stack = scene.frames_drawn(np.random.default_rng(3))
+    result = mtf.measure_all("point", stack, context=Context(quick=True))
+    assert {one.region for one in result.measurements} == {(0, 0, 240, 320)}
+    assert len({one.reason for one in result.measurements}) == 1
+
+
+def test_a_spot_just_below_what_is_needed_is_said_to_be_below() -> None:
+    rng = np.random.default_rng(5)
+    ground, row, col = rng.normal(0.0, 1.0, (64, 64)), *np.mgrid[-32:32, -32:32]
+    spot = np.exp(-0.5 * (row**2 + col**2) / 1.5**2)
+    sentences = [source.find((ground + height * spot)[None], 1.0) for height in np.linspace(2.0, 8.0, 1200)]
+    below = [sentence for sentence in sentences if isinstance(sentence, str)]
+    assert "stands 8.9 standard deviations out of 9 needed" in below[-1]
+    assert not any("stands 9.0" in sentence for sentence in below)
+
+
+def test_flashes_beside_a_point_are_no_other_points() -> None:
+    """A flash of two frames in four outlasts their median, and not the changes from frame to frame."""
+    row, col = np.mgrid[:200, :200]
+
+    def spot(height: float, at: tuple[int, int]) -> np.ndarray:
+        return height * np.exp(-0.5 * ((row - at[0]) ** 2 + (col - at[1]) ** 2) / 1.5**2)
+
+    frames = np.random.default_rng(0).normal(spot(200.0, (100, 100)), 1.0, (4, 200, 200))
+    frames[:2] += spot(60.0, (40, 150))
+    assert source.find(frames, 1.0).others is False
+    frames[2:] += spot(60.0, (40, 150))
+    assert source.find(frames, 1.0).others is True
