@@ -22,9 +22,9 @@ METHOD = "bars-forward"
     quantities=("mtf",),
     preferred=True,
     scope=(
-        "Two to forty bars, brighter than an even ground, in any direction, whole with their blur inside the region and "
-        "about seven times as long as wide, or running through it within 12 degrees of an axis; as wide as their gaps; "
-        "fundamental over 5 standard errors. A camera that is not described is taken to have a transfer near "
+        "Two to forty bars, brighter than an even ground and as wide as their gaps, in any direction, whole with their "
+        "blur inside the region and about seven times as long as wide, or running through it within 12 degrees of an "
+        "axis; fundamental over 5 standard errors. A camera that is not described is taken to have a transfer near "
         "exp(-(f/fc)^n), a Gaussian behind it or not, and no halo. Broken by "
         "clipping, motion between fields (not told of bars along rows) and a curved response: an exponent within 0.9 "
         "to 1.1 changes the MTF by up to 8 % and shows only where the fundamental stands over 300 standard errors, and "

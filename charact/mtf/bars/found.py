@@ -159,13 +159,11 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
         notes.append(f"The picture is rather that of {other} bars than of {fit.target.bars}.")
     if rounding_sd(fit) > COARSE:
         flags = [*flags, "quantised"]
-    near = np.zeros(problem.window.shape, bool)
-    near[problem.window] = _lit(fit)
     return Found(
         target=replace(fit.target, frequency=asked),
         posterior=posterior,
         mtf=mtf_of(posterior, fit, context),
-        flags=(*flags, *flags_of_light(used, fit), *flags_of_codes(used, near, context)),
+        flags=(*flags, *flags_of_light(used, fit), *flags_of_codes(used, problem.window, context)),
         notes=tuple(notes),
         margin_px=margin,
     )

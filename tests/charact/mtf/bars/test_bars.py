@@ -272,3 +272,17 @@ def test_dark_bars_are_refused_for_what_they_are(seed: int) -> None:
     found = mtf_at(frames_of(image, np.random.default_rng(seed)), 0.1)
     assert found.status == "refused"
     assert "brighter than the ground" in found.reason
+
+
+@pytest.mark.parametrize("floor", [0, 64, 300])
+def test_ground_that_is_cut_off_at_black_is_clipped(floor: int, seed: int) -> None:
+    """Half of the ground's noise lost lifts the pedestal: 1 to 8 % off, ok, as only lit pixels were looked at."""
+    scene = BarScene(
+        black_dn=0.0, pedestal_dn=float(floor), level_dn=1500.0, full_scale_dn=4095.0, snr=30.0, frames=8,
+    )  # fmt: skip
+    stack = scene.frames_drawn(np.random.default_rng(seed))
+    cut = FrameStack(data=np.maximum(stack.data, floor), full_scale_dn=4095.0)
+    told = {"bars": 4, "frequency_cy_per_px": 0.12, "method": "bars-forward", "context": Context(quick=True)}
+    assert "clipped" in measure("bars", cut, **told).measurements[0].flags
+    if floor > 64:
+        assert "clipped" not in measure("bars", stack, **told).measurements[0].flags
