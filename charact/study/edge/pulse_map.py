@@ -22,7 +22,7 @@ from labdata.frames import FrameStack
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "edge_pulse_map.json"
 METHOD, QUANTITY = "edge-parametric", "mtf50"
-CELLS, REPEATS = 1000, 2
+CELLS, REPEATS = 1000, 1
 # What is flagged was set looking at cells below: nothing was on these.
 FIRST = 3000
 BREAKING: Breaking = {
