@@ -47,8 +47,8 @@ class Wander:
     def lowers(self, frequency_cy_per_px: float) -> float:
         """Return the share by which it lowers the MTF at a frequency, and about that of an MTF50.
 
-        What is averaged is blurred by exp(-2 (pi f s)^2); where the MTF is one half its logarithm falls by about as much
-        as that of the frequency rises.
+        What is averaged is blurred by exp(-2 (pi f s)^2); where the MTF is one half its logarithm falls by about as
+        much as that of the frequency rises.
         """
         return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2
 
