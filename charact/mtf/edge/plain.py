@@ -184,7 +184,6 @@ def _unusable(edge: FoundEdge) -> str | None:
 
 def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -> tuple[str, ...]:
     used, profile = edge.used, edge.profile
-    moved_by = (("drift", edge.wander), ("curved-edge", edge.roughness))
     return (
         *edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn),
         *edge_checks.line_flags(edge.picture, edge.rows, edge.profile),
@@ -197,7 +196,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
         ),
         *(("defects",) if profile.defects else ()),
         *edge.flags,
-        *(flag for flag, moved in moved_by if moved.moves and not moved.lowers(half) < LOWERED),
+        *edge.untold(lambda moved: not moved.lowers(half) < LOWERED),
         *_window_flags(profile, half),
     )
 

@@ -146,9 +146,7 @@ def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
     yield from outcome.flags
     yield from edge.flags
     untold = UNTOLD * _relative_sd(halves)
-    for flag, moved in (("drift", edge.wander), ("curved-edge", edge.roughness)):
-        if moved.moves and moved.lowers(half) > untold:
-            yield flag
+    yield from edge.untold(lambda moved: moved.lowers(half) > untold)
 
 
 def _relative_sd(halves: Array) -> float:

@@ -1,19 +1,22 @@
 """From frames to an edge ready to be fitted: where it is, how its rows lie, and its profile."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.edge.pixels import line
 from charact.mtf.edge.pixels.extent import LEAST_ROWS, extent
-from charact.mtf.edge.pixels.fields import with_fields_apart
+from charact.mtf.edge.pixels.fields import steepness, with_fields_apart
 from charact.mtf.edge.pixels.profile import Profile, centred, profile_of
 from charact.mtf.edge.pixels.roughness import roughness_of
 from charact.mtf.picture import Picture, mean_picture
 from charact.mtf.region import Region
 from charact.mtf.shimmer import Sides, sides_of
+from charact.mtf.smoothed import OnSlopes, noise_on_slopes
 from charact.mtf.wander import Wander, wander_across
 from labdata.frames import FrameStack
 
@@ -66,8 +69,7 @@ class FoundEdge:
         across = edge.across(picture.value.shape)
         row = np.broadcast_to(np.arange(len(across))[:, None], across.shape)
         normal = across * float(np.cos(edge.angle_rad(picture.pitch_ratio)))
-        frames = [picture.upright(one) for one in self.used.data]
-        return wander_across(frames, normal, row, np.abs(across) < line.ROW_REACH_PX)
+        return wander_across(list(self._upright), normal, row, np.abs(across) < line.ROW_REACH_PX)
 
     @cached_property
     def roughness(self) -> Wander:
@@ -77,15 +79,43 @@ class FoundEdge:
     @cached_property
     def shimmer(self) -> Sides | None:
         """The noise of both its sides; None: a side has few pixels."""
-        profile, picture = self.profile, self.picture
+        value, _, sides = self._levels
+        tied = self.profile.grain.covariance_over_variance
+        return sides_of(self._upright, value, sides, along=0 if self.picture.transposed else 1, tied=tied)
+
+    @cached_property
+    def on_slopes(self) -> OnSlopes:
+        """How much noisier it is where it rises than its plateaus are."""
+        _, level, sides = self._levels
+        gathered = self.profile.gathered
+        steep = steepness(self.profile.distance, self.profile.value, gathered.distance) * gathered.used
+        return noise_on_slopes(self._upright, level, steep, sides)
+
+    def untold(self, matters: Callable[[Wander], bool]) -> Iterator[str]:
+        """Yield flags of what blurs or alters its mean frame unseen: `matters` tells from when on motion does."""
+        drifts = self.wander.moves and matters(self.wander)
+        if drifts:
+            yield "drift"
+        if self.roughness.moves and matters(self.roughness):
+            yield "curved-edge"
+        # An edge that moves far leaves more on its slopes than rows that move in one piece.
+        if self.on_slopes.smoothed and not drifts:
+            yield "processed"
+
+    @cached_property
+    def _upright(self) -> NDArray[np.float64]:
+        return np.stack([self.picture.upright(one) for one in self.used.data])
+
+    @cached_property
+    def _levels(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+        """The profile at every pixel, DN and from 0 to 1, and which side it is on, 0: neither."""
+        profile = self.profile
         value = np.zeros(profile.keep.size)
         value[profile.keep] = profile.value
         value = value[profile.gathered.bin_index]
         level = (value - profile.dark) / (profile.step or 1.0)
         sides = np.where(level < PLATEAU, 1, np.where(level > 1.0 - PLATEAU, 2, 0)) * profile.gathered.used
-        frames = np.stack([picture.upright(one) for one in self.used.data])
-        tied = profile.grain.covariance_over_variance
-        return sides_of(frames, value, sides, along=0 if picture.transposed else 1, tied=tied)
+        return value, level, sides
 
 
 @dataclass(frozen=True, kw_only=True)
