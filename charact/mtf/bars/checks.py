@@ -21,6 +21,8 @@ DOUBTFUL = 0.15
 LEAST_FLANK = 0.6
 FIELD_OFFSET_PX, UPRIGHT = 0.04, 0.5
 SIGNIFICANT = 5.0
+# How far a fundamental and its alias must lie apart, in widths of either: two, of whose rims a tenth does no harm.
+LOBES_APART = 1.8
 # Travel of the bars over the rows that averages the alias away, px.
 LEAST_TRAVEL_PX = 0.8
 # Second harmonic over the fundamental that bars and gaps a little unequal make, and its noise in standard errors.
@@ -138,7 +140,7 @@ def not_identifiable(target: BarTarget, length_px: float) -> str | None:
     Notes
     -----
     The alias of a component g along a grid axis lies at 1 - g. The spectrum of N bars is f/N wide on either side, so
-    that the two run into each other where 1 - 2 g < f/N, unless the bars travel through the pixel's phases.
+    that the two run into each other where 1 - 2 g < 2 f/N, unless the bars travel through the pixel's phases.
     """
     cosine, sine = abs(np.cos(target.angle_rad)), abs(np.sin(target.angle_rad))
     ratio = target.pitch_ratio
@@ -147,7 +149,7 @@ def not_identifiable(target: BarTarget, length_px: float) -> str | None:
         (target.frequency * sine * ratio, length_px * cosine / ratio),
     ]
     for sampled, travel in cases:
-        if 1.0 - 2.0 * sampled < target.frequency / target.bars and travel < LEAST_TRAVEL_PX:
+        if 1.0 - 2.0 * sampled < LOBES_APART * target.frequency / target.bars and travel < LEAST_TRAVEL_PX:
             return (
                 f"not identifiable: {sampled:.3g} cycles per sample have their alias at {1.0 - sampled:.3g}, and the "
                 f"bars travel only {travel:.2g} px over their length; tilt them by a few degrees"

@@ -29,6 +29,9 @@ BOUNDS = {
     "log_exponent": (float(np.log(0.3)), float(np.log(4.0))),
     "gaussian_share": (0.0, 1.0),
     "departure": (-0.9, 5.0),
+    # Far beyond any target: a fit of what is no bars must not ask for a picture of any size.
+    "log_frequency": (float(np.log(1e-3)), 0.0),
+    "log_length": (0.0, float(np.log(4e3))),
 }
 START_EXPONENT, START_CORE = 1.6, 0.4
 

@@ -286,3 +286,24 @@ def test_ground_that_is_cut_off_at_black_is_clipped(floor: int, seed: int) -> No
     assert "clipped" in measure("bars", cut, **told).measurements[0].flags
     if floor > 64:
         assert "clipped" not in measure("bars", stack, **told).measurements[0].flags
+
+
+@pytest.mark.parametrize("col_px", [-0.25, 0.0, 0.22])
+def test_untilted_bars_whose_alias_lies_within_their_width_are_refused(col_px: float, seed: int) -> None:
+    """Three bars at 0.39 cy/px: 3 to 4 % high, ok, by their phase; of no noise a picture of terabytes was asked for."""
+    for snr in (31.0, 1e4):
+        scene = BarScene(
+            blur=Blur(sigma_px=0.51), bars=3, frequency_cy_per_px=0.3913, angle_deg=0.0, row_px=2.6, col_px=col_px,
+            snr=snr, pedestal_dn=666.0, level_dn=1198.0, black_dn=100.0, full_scale_dn=4095.0,
+        )  # fmt: skip
+        assert scene_mtf(scene, np.random.default_rng(seed)).status == "refused"
+
+
+def test_four_untilted_bars_at_two_fifths_of_the_sampling_are_told(seed: int) -> None:
+    scene = BarScene(
+        blur=Blur(sigma_px=0.5), frequency_cy_per_px=0.4, angle_deg=0.0, pedestal_dn=666.0, level_dn=1198.0,
+        black_dn=100.0, full_scale_dn=4095.0,
+    )  # fmt: skip
+    found = scene_mtf(scene, np.random.default_rng(seed))
+    assert found.status == "ok"
+    assert abs(found.value - scene.truth_mtf) < 4.5 * 0.5 * np.ptp(found.interval68)
