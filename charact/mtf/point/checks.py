@@ -9,7 +9,7 @@ from charact.mtf.point.data import Window
 from charact.mtf.point.forward_fit import PointFit
 from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.noise import near_pixels
-from charact.mtf.point.profile import evidence
+from charact.mtf.point.profile import evidence, rounding_note
 from charact.mtf.point.response import profile, response_of
 from charact.mtf.point.source import Source
 
@@ -125,17 +125,21 @@ def notes(found: PointFit, window: Window, context: Context, pinhole_px: float |
         out.append("Normalised to the light of the core; a halo would not be seen in this region.")
     elif found.noise is not None:
         out.append("Normalised to all light, the halo's share as far as pixels and the camera's description tell it.")
+    out += rounding_note(window)
     if context.sensor is None:
         out.append("Pixels taken as square.")
     return tuple(out)
 
 
 def shown(found: PointFit, window: Window) -> dict:
-    """Return the evidence of a fit for a figure."""
+    """Return the evidence of a fit for a figure, with what rounding makes of faint light by the fit."""
     core = found.pedestal + found.light * found.model.core(found.point[None])[0]
     rings = (
         found.pedestal + found.light * found.model.rings(found.point[None])[0] if window.ring_dn.size else np.empty(0)
     )
+    shift = found.shift_of_rounding()
+    core[window.keep] += shift[: shift.size - rings.size]
+    rings = rings + shift[shift.size - rings.size :]
     at = dict(zip(found.model.prior.free, found.point.tolist(), strict=True))
     return evidence(
         window,

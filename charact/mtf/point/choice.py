@@ -123,6 +123,9 @@ def forms(fitter: PointFitter, first: FormFit, wide: tuple[Wide, ...]) -> list[W
             worth = WORTH_CHI2 if core.log_evidence < top - NEAR else -np.inf
             more = _with_wide(fitter, core, light, worth)
             found += [] if more is None else [more]
+    if any(isinstance(light, HaloPrior) for light in wide):
+        # A described intensifier has a halo, of however little light.
+        found = [one for one in found if one.form.wide is not None and np.isfinite(one.log_evidence)] or found
     return _weighed(found)
 
 

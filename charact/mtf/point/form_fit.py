@@ -28,6 +28,8 @@ class Pixels:
         From a transfer at the nodes to them at unit light, shape (value, node).
     root, basis
         Inverse root of the covariance, and whitened directions that are marginalised, shape (value, direction).
+    rounding
+        Part of the covariance that rounding to whole codes makes, shape (value, value), DN^2.
     censored
         Pixels of which only a least value is known; None: there are none.
     free
@@ -39,6 +41,7 @@ class Pixels:
     free: int
     root: Array
     basis: Array
+    rounding: Array
     censored: Censored | None = None
 
     def whitened(self, columns: Array) -> Array:

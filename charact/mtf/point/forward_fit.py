@@ -34,8 +34,8 @@ class PointFit:
     ----------
     model
         The forward model.
-    data, white
-        Values used, shape (value,), and the matrix that whitens them.
+    data, white, rounding
+        Values used, shape (value,), the matrix that whitens them, and the covariance of what rounding adds to them.
     keep
         Which pixels of the core are used, shape (row, col).
     point, covariance
@@ -53,6 +53,7 @@ class PointFit:
     model: PointModel
     data: Array
     white: Array
+    rounding: Array
     keep: NDArray[np.bool_]
     point: Array = field(default_factory=lambda: np.empty(0))
     covariance: Array = field(default_factory=lambda: np.empty(0))
@@ -85,6 +86,11 @@ class PointFit:
         best = np.linalg.solve(normal, right[..., None])[..., 0]
         chi2 = data @ data - (best * right).sum(axis=1)
         return np.asarray(chi2, np.float64), np.asarray(best, np.float64), normal
+
+    def shift_of_rounding(self) -> Array:
+        """Return what rounding most probably added to the values at the peak, shape (value,), DN."""
+        left = self.data - self.pedestal - self.light * self.shapes(self.point[None])[0]
+        return self.rounding @ (self.white.T @ (self.white @ left))
 
     def log_probability(self, theta: Array) -> Array:
         """Return ln of the posterior with light and pedestal marginalised, shape (n,)."""
@@ -184,12 +190,14 @@ def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, 
     whole[size:, size:] = window.ring_covariance(window.ring_variance)
     pulse = np.zeros(bright.size) if noise is None else noise.gain * light * np.diag(noise.pulse) * memory.frame_same
     scatter = np.append(pulse[keep], np.full(rings.size, np.inf))
+    rounding = np.zeros_like(whole)
     if window.quiet_sd < UNROUNDED_SD:
         pulses = SPARSE if noise is None else PULSE_VARIANCE / (noise.gain * noise.sharpness)
-        whole += rounding_covariance(np.append(bright[keep], rings), scatter, window.quiet_sd, pulses)
+        rounding = rounding_covariance(np.append(bright[keep], rings), scatter, window.quiet_sd, pulses)
+    whole += rounding
     root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole)), np.float64)
     return PointFit(model=model, data=np.concatenate([window.core.ravel()[keep], window.ring_dn]), white=root,
-                    keep=window.keep)  # fmt: skip
+                    rounding=rounding, keep=window.keep)  # fmt: skip
 
 
 def _core_covariance(window: Window, bright: Array, noise: Noise | None, memory, light: float) -> Array:
@@ -239,6 +247,7 @@ def _at(found: PointFit, point: Array, covariance: Array, noise: Noise | None) -
         model=found.model,
         data=found.data,
         white=found.white,
+        rounding=found.rounding,
         keep=found.keep,
         point=point,
         covariance=covariance,

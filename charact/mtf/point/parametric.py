@@ -20,7 +20,7 @@ from charact.mtf.point.choice import Weighed, fitted
 from charact.mtf.point.data import window_of
 from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.pixels import Site
-from charact.mtf.point.profile import evidence
+from charact.mtf.point.profile import evidence, rounding_note
 from charact.mtf.point.pulses import dark_of
 from charact.mtf.point.sharp import doubted_where_sharp
 from charact.mtf.point.table import Aperture
@@ -271,12 +271,18 @@ class _Task:
 
 
 def _shown(site: Site, fitter: PointFitter, fit: FormFit) -> dict[str, Any]:
-    """Return the evidence of the most probable form for a figure, that of the first source."""
+    """Return the evidence of the most probable form for a figure, with what rounding makes of it by the fit.
+
+    That of the first source.
+    """
     pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
     lit = light * (site.matrix() @ fitter.nodes(fit.form, fit.point[None])[0])
     white = pixels.root @ background[site.used]
     level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.used], rcond=None)[0]
-    core, rings = np.split(lit + background @ level, [site.window.core.size])
+    mean, used = lit + background @ level, site.used
+    left = pixels.root.T @ (pixels.root @ (site.values - mean)[used])
+    mean[used] += pixels.rounding @ left
+    core, rings = np.split(mean, [site.window.core.size])
     return evidence(
         site.window,
         site.place,
@@ -332,6 +338,7 @@ def _notes(
         out.append("Normalised to the light of the core; a halo would not be seen, or was not.")
     if any(site.dark.common > 0 for site in sites):
         out.append("Noise is correlated between pixels and treated as such.")
+    out += rounding_note(min((site.window for site in sites), key=lambda window: window.quiet_sd))
     if context.sensor is None:
         out.append("Pixels taken as square.")
     return tuple(out)

@@ -206,24 +206,31 @@ def covariance(site: Site, mean: Array, light: float) -> Array:
     """Return the covariance of the mean frame's core pixels and rings, shape (value, value), DN^2."""
     window, count, size = site.window, site.window.frames, site.window.core.size
     out = np.zeros((mean.size, mean.size))
-    pulse = np.zeros(size)
     if site.pulses is None:
         core = np.diag(FIRST_SHARE * np.maximum(mean[:size], 0.0) * max(float(mean[:size].max()), 0.0))
     else:
         same = window.parity[:, None] == window.parity[None, :]
         core = site.pulses.covariance * np.where(same, site.memory.mean_same, site.memory.mean_other)
-        pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
     out[:size, :size] = (core + dark_noise(site)) / count
     if site.screen:
         pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
         out[:size, :size] += PATTERN**2 * np.outer(mean[:size], mean[:size]) * pattern
     out[size:, size:] = window.ring_covariance(site.ring_variance())
     out += np.diag((EXACT * (mean + 0.1 * float(mean.max()))) ** 2)
-    if window.quiet_sd < UNROUNDED_SD:
-        gain = 0.0 if site.pulses is None else site.pulses.gain
-        scatter = np.append(pulse, np.full(mean.size - size, np.inf))
-        out += rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
-    return out
+    return out + rounding(site, mean)
+
+
+def rounding(site: Site, mean: Array) -> Array:
+    """Return the covariance of what rounding to codes adds to core pixels and rings, shape (value, value), DN^2."""
+    window, size = site.window, site.window.core.size
+    if window.quiet_sd >= UNROUNDED_SD:
+        return np.zeros((mean.size, mean.size))
+    pulse = np.zeros(size)
+    if site.pulses is not None:
+        pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
+    gain = 0.0 if site.pulses is None else site.pulses.gain
+    scatter = np.append(pulse, np.full(mean.size - size, np.inf))
+    return rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
 
 
 def pixels(site: Site, transfer: Array, light: float) -> Pixels:
@@ -255,6 +262,7 @@ def pixels(site: Site, transfer: Array, light: float) -> Pixels:
         free=int(used.sum()) - nuisance.shape[1],
         root=root,
         basis=basis,
+        rounding=rounding(site, mean)[np.ix_(used, used)],
         censored=_censored(site, hidden, matrix, nuisance, back, raw, data, whole) if hidden.any() else None,
     )
 

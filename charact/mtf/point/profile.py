@@ -9,6 +9,20 @@ from charact.mtf.point.data import Window
 
 Array = NDArray[np.float64]
 
+# Shift of faint light by rounding from which it is said, DN.
+TOLD_DN = 0.02
+
+
+def rounding_note(window: Window) -> list[str]:
+    """Return what is said of rounding where it may shift faint light: at most so much, and that the model follows."""
+    most = float(np.exp(-2.0 * np.pi**2 * window.quiet_sd**2) / np.pi)
+    if most < TOLD_DN:
+        return []
+    return [
+        f"Rounding to whole codes may shift faint light and its level by up to {most:.2f} DN: "
+        "the fit allows for it, and its model is drawn with what the pixels say of that."
+    ]
+
 
 def evidence(
     window: Window, place: tuple[float, float], core_dn: Array, rings_dn: Array, **fitted: float

@@ -162,6 +162,8 @@ def test_flashes_beside_a_point_are_no_other_points() -> None:
 
     frames = np.random.default_rng(0).normal(spot(200.0, (100, 100)), 1.0, (4, 200, 200))
     frames[:2] += spot(60.0, (40, 150))
-    assert source.find(frames, 1.0).others is False
+    flashed = source.find(frames, 1.0)
     frames[2:] += spot(60.0, (40, 150))
-    assert source.find(frames, 1.0).others is True
+    steady = source.find(frames, 1.0)
+    assert isinstance(flashed, source.Source) and isinstance(steady, source.Source)
+    assert not flashed.others and steady.others
