@@ -193,7 +193,9 @@ def _whole(used: FrameStack, mean: Array, target: BarTarget, context: Context) -
         return DARK
     if not amplitudes.light > 0 or amplitudes.zeros > OTHER_OBJECT + OTHER_OBJECT_SD / amplitudes.signal_to_noise:
         return _another(target, asked)
-    why = not_identifiable(target, target.length_px)
+    # Where the alias lies so near, the bars' own frequency is not known either.
+    wanted = replace(target, frequency=asked)
+    why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
         return why
     second = second_harmonic(mean, target, window, float(mean[ground.beyond].mean()), amplitudes)

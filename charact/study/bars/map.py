@@ -190,7 +190,15 @@ def case_of(cell: Cell[BarTarget], truth: float, repeat: int) -> Case:
 def main() -> None:
     """Make the map."""
     cell_map.make(
-        measured_cell, kind="bars", method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__, first=FIRST
+        measured_cell,
+        kind="bars",
+        method=METHOD,
+        table=TABLE,
+        cells=CELLS,
+        repeats=REPEATS,
+        about=__doc__,
+        first=FIRST,
+        chained=CHAINED_CELLS,
     )
 
 
