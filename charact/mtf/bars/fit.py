@@ -16,6 +16,8 @@ Mask = NDArray[np.bool_]
 ITERATIONS, SETTLED, ROUGHLY = 12, 3e-3, 0.1
 # Shares of a step that are tried until one betters the fit.
 SHARES = (1.0, 0.4, 0.1, 0.02)
+# Standard errors by which the pixels must ask for a second form before there is one: it costs others their certainty.
+ASKED_SD = 3.0
 # Least variance of a pixel, on the square of the bars' height: the table of the picture is no better.
 LEAST_VARIANCE = 1e-8
 
@@ -214,7 +216,22 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
     # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
     least = max(float(noise.variance.mean()), LEAST_VARIANCE * first["level_dn"] ** 2)
     weighed = replace(problem, variance=np.maximum(noise.variance, least))
-    return fitted(weighed, target, first.values, noise), weighed
+    fit = fitted(weighed, target, first.values, noise)
+    if not _of_several_stages(fit, weighed):
+        return fit, weighed
+    weighed = replace(weighed, several_stages=True)
+    return fitted(weighed, target, fit.values, noise), weighed
+
+
+def _of_several_stages(fit: Fit, problem: Problem) -> bool:
+    """Tell whether the pixels ask for a second form in the transfer, all else free to give way."""
+    share = fit.names.index("gaussian_share")
+    others = np.delete(fit.slope, share, axis=0) / np.sqrt(problem.variance)
+    basis = np.linalg.qr(others.T)[0]
+    wanted = fit.slope[share] / np.sqrt(problem.variance)
+    apart = (wanted - (wanted @ basis) @ basis.T) / np.sqrt(problem.variance)
+    sd = np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))
+    return float(apart @ fit.residual_dn) > max(ASKED_SD * sd, 1e-12)
 
 
 def _root(covariance: Array) -> Array:

@@ -159,11 +159,15 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
         notes.append(f"The picture is rather that of {other} bars than of {fit.target.bars}.")
     if rounding_sd(fit) > COARSE:
         flags = [*flags, "quantised"]
+    near = np.zeros(problem.window.shape, bool)
+    near[problem.window] = _lit(fit)
+    # White is cut off where there is light, black mostly where there is none.
+    codes = [*flags_of_codes(used, near, context), *flags_of_codes(used, problem.window, context)]
     return Found(
         target=replace(fit.target, frequency=asked),
         posterior=posterior,
         mtf=mtf_of(posterior, fit, context),
-        flags=(*flags, *flags_of_light(used, fit), *flags_of_codes(used, problem.window, context)),
+        flags=(*flags, *flags_of_light(used, fit), *dict.fromkeys(codes)),
         notes=tuple(notes),
         margin_px=margin,
     )

@@ -21,7 +21,7 @@ ALONG = ("log_length", "along_px")
 LOG_EXPONENT_PRIOR = (float(np.log(1.5)), 0.8)
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
 # Share of the attenuation that goes as the square of the frequency, of a camera of several stages.
-GAUSSIAN_SHARE = (0.05, 0.25)
+GAUSSIAN_SHARE, NO_SHARE = (0.2, 0.25), (0.0, 1e-3)
 # How far a transfer may depart from the family at the bars' frequency: share of itself, and of the whole.
 DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
 BOUNDS = {
@@ -38,7 +38,7 @@ START_EXPONENT, START_CORE = 1.6, 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What is fitted: the pixels of a window and the weight of each."""
+    """What is fitted: the pixels of a window and the weight of each, and whether the transfer may be of two forms."""
 
     image: Array
     window: Mask
@@ -46,6 +46,7 @@ class Problem:
     asked: float
     length_px: float
     strip: bool
+    several_stages: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -57,7 +58,7 @@ def priors(problem: Problem, mtf: float) -> tuple[Array, Array]:
     """Return mean and precision of the normal prior of each parameter; precision 0: none."""
     known = {
         "log_exponent": LOG_EXPONENT_PRIOR,
-        "gaussian_share": GAUSSIAN_SHARE,
+        "gaussian_share": GAUSSIAN_SHARE if problem.several_stages else NO_SHARE,
         "departure": (0.0, DEPARTURE_SD + DEPARTURE_FLOOR / max(mtf, 1e-3)),
         "log_frequency": (np.log(problem.asked), FREQUENCY_SD),
         "log_length": (np.log(problem.length_px), LENGTH_SD),
@@ -73,7 +74,7 @@ def start_of(problem: Problem, target: BarTarget, exponent: float, mtf: float) -
     return {
         "log_attenuation": float(np.log(-np.log(mtf))),
         "log_exponent": float(np.log(exponent)),
-        "gaussian_share": GAUSSIAN_SHARE[0],
+        "gaussian_share": 0.0,
         "departure": 0.0,
         "log_frequency": float(np.log(target.frequency)),
         "log_length": float(np.log(problem.length_px)),
