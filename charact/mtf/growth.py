@@ -89,7 +89,7 @@ def noise_flags(growth: Growth, rising_share: float = RISING[0]) -> tuple[str, .
     """
     rising = growth.photons is not None and growth.ratio > growth.photons * (rising_share + RISING[1] * growth.scatter)
     if growth.of_light and growth.photons is not None:
-        falling = growth.photons / growth.ratio > rising_share + RISING[1] * growth.scatter
+        falling = growth.ratio * (rising_share + RISING[1] * growth.scatter) < growth.photons
     else:
         falling = growth.ratio * (FALLING[0] + FALLING[1] * growth.scatter) < 1.0
     return ("gamma",) if falling or rising else ()
@@ -105,7 +105,8 @@ def curved_ln_odds(growth: Growth) -> float:
     that of the light; of what neighbours share it is ln r. A power law of exponent g over levels that it makes r apart
     moves it by 2 (1 - 1/g) ln r.
     """
-    if growth.photons is None or not growth.photons > 1.0:
+    # A side without any noise, such as one that is clipped throughout, says nothing of the response.
+    if growth.photons is None or not growth.photons > 1.0 or not growth.ratio > 0.0:
         return 0.0
     found, most, error = np.log(growth.ratio), np.log(growth.photons), growth.scatter
     apart = error, float(np.hypot(error, 2.0 * BENDING * most))

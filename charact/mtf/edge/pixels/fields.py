@@ -45,9 +45,11 @@ def apart_by_rows(picture: Picture, rows: RowFit) -> Displacement:
 def steepness(place: Array, value: Array, distance: Array) -> Array:
     """Return the slope of a profile at distances, DN per px: over even steps, as its bins may lie close together.
 
-    None is told within a pixel of its ends.
+    None is told within a pixel of its ends, nor of a profile that is no longer than both.
     """
     even = np.arange(place[0], place[-1], STEP_PX)
+    if even.size < SMOOTH_STEPS + 6:
+        return np.zeros_like(distance)
     smooth = np.convolve(np.interp(even, place, value), np.ones(SMOOTH_STEPS) / SMOOTH_STEPS, "valid")
     middle = even[SMOOTH_STEPS // 2 : -(SMOOTH_STEPS // 2)]
     return np.interp(distance, middle[2:-2], np.gradient(smooth, STEP_PX)[2:-2], left=0.0, right=0.0)

@@ -8,6 +8,7 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.checks import _bowed
+from charact.study.edge import pulse_map
 from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, edge_spread
 from charact.study.session.agreement import Chain
@@ -83,3 +84,10 @@ def test_rows_that_share_noise_make_no_bow(tied, seed):
     error = course.std() * np.sqrt((3.0 if tied else 1.0) / 96 * 5.0)
     bow = 8.0 * error * np.polynomial.legendre.legval(place, [0.0, 0.0, 1.0])
     assert np.mean([_bowed(one + bow) for one in course[:200]]) > 0.95
+
+
+@pytest.mark.parametrize("number", [3085, 3252])
+def test_rows_of_noise_and_a_side_of_nothing_but_full_scale_end_in_a_verdict(number):
+    """A profile too short for a slope, and a bright side without noise: both were tracebacks."""
+    outcome = pulse_map.measured_cell(number)
+    assert outcome.crashed == outcome.ok == 0
