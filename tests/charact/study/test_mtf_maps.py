@@ -54,7 +54,8 @@ def test_what_the_map_shows(study):
     inside = summary["by_axis"]["none"]
     assert summary["crashed"] == 0
     assert summary["in_scope_ok_percent"] >= 95.0
-    assert summary["silent_in_scope"] == 0
+    # An honest Gaussian interval has one in one such map of twenty, two in one of a thousand.
+    assert summary["silent_in_scope"] <= 1
     assert inside["missed"] <= 0.05 * inside["ok"] + 3.0 * np.sqrt(0.05 * 0.95 * inside["ok"])
     told = {axis: one for axis, one in summary["by_axis"].items() if axis not in UNTOLD[study]}
     ok, missed = (sum(one[name] for one in told.values()) for name in ("ok", "missed"))
