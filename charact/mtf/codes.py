@@ -67,7 +67,7 @@ def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) ->
     else:
         crossing = np.count_nonzero(piled[..., :-2] & away[..., 1:-1] & piled[..., 2:])
         staying = np.count_nonzero(piled[..., :-1] & piled[..., 1:])
-    return crossing > max(LEAST_PIXELS, LEAST_CROSSING * own) and staying > max(LEAST_PIXELS, LEAST_STAYING * own)
+    return bool(crossing > max(LEAST_PIXELS, LEAST_CROSSING * own) and staying > max(LEAST_PIXELS, LEAST_STAYING * own))
 
 
 def _piled(data: NDArray) -> bool:
