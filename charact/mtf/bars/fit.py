@@ -9,6 +9,7 @@ from charact.mtf.bars.model import Shape
 from charact.mtf.bars.noise import Noise, noise_of, noise_of_one
 from charact.mtf.bars.picture import BOUNDS, START_CORE, START_EXPONENT, Picture, Problem, priors, start_of
 from charact.mtf.bars.target import BarTarget
+from charact.mtf.rounding import rounding_shifts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -213,6 +214,9 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
             absorbed = _root(spread).T @ first.slope
             noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window)
             spread = noise.spread(first.estimator, window)
+        # What rounding shifts alike stays in the picture: it is not in what a fit leaves over.
+        if frames.dtype.kind in "ui":
+            noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
     # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
     least = max(float(noise.variance.mean()), LEAST_VARIANCE * first["level_dn"] ** 2)
     weighed = replace(problem, variance=np.maximum(noise.variance, least))
