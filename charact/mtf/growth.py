@@ -74,22 +74,18 @@ def _photons(sides: Sides, black_dn: float | None) -> float | None:
     return bright / dark if dark > 0 and bright > dark else None
 
 
-def noise_flags(growth: Growth, rising_share: float = RISING[0]) -> tuple[str, ...]:
+def noise_flags(growth: Growth) -> tuple[str, ...]:
     """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
-
-    Parameters
-    ----------
-    rising_share
-        By how much noise may rise beyond the light besides its errors.
 
     Notes
     -----
     Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
     that the response steepens. What neighbours share grows as the level, neither more nor less.
     """
-    rising = growth.photons is not None and growth.ratio > growth.photons * (rising_share + RISING[1] * growth.scatter)
+    beyond = RISING[0] + RISING[1] * growth.scatter
+    rising = growth.photons is not None and growth.ratio > growth.photons * beyond
     if growth.of_light and growth.photons is not None:
-        falling = growth.ratio * (rising_share + RISING[1] * growth.scatter) < growth.photons
+        falling = growth.ratio * beyond < growth.photons
     else:
         falling = growth.ratio * (FALLING[0] + FALLING[1] * growth.scatter) < 1.0
     return ("gamma",) if falling or rising else ()

@@ -9,8 +9,6 @@ from charact.mtf.bars.fit import Fit
 from charact.mtf.bars.sharpened import is_sharpened
 from charact.mtf.bars.target import BarTarget, core_margin_px
 from charact.mtf.codes import code_flags
-from charact.mtf.growth import growth_of_light, noise_flags
-from charact.mtf.shimmer import sides_of
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -34,9 +32,6 @@ MISFIT, DEPARTED = 0.02, 3.5
 STEEPEST, SLOWEST, BEYOND_SD = 2.2, 1.0, 1.5
 # An MTF of fewer standard errors is an upper limit: of those that chance lifts over two, too many would be ok.
 LEAST_FUNDAMENTAL_SD = 3.0
-# Shares of the brightest light up to which pixels are ground and from which on they are bars, and by how much what they
-# share may grow otherwise than their light, which changes over a few pixels as pulses do.
-GROUND, BARS, UNLIKE_LIGHT = 0.1, 0.75, 1.25
 
 
 def flags_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> list[str]:
@@ -68,18 +63,6 @@ def flags_of_fit(fit: Fit) -> list[str]:
     if abs(np.sin(fit.target.angle_rad)) < UPRIGHT and _fields_apart(fit):
         flags.append("interlace-motion")
     return flags
-
-
-def flags_of_light(used: FrameStack, fit: Fit) -> tuple[str, ...]:
-    """Return `gamma` where what neighbours share of the noise does not grow from ground to bars as the light does."""
-    light, model = np.zeros(fit.window.shape), np.zeros(fit.window.shape)
-    light[fit.window], model[fit.window] = fit.model_dn - fit["pedestal_dn"], fit.model_dn
-    share = light / max(float(light.max()), 1e-300)
-    sides = np.where(fit.window, np.where(share < GROUND, 1, np.where(share > BARS, 2, 0)), 0)
-    tied = float(np.abs(fit.noise.correlation).sum())
-    found = sides_of(used.data.astype(np.float64), model, sides, along=1, tied=tied)
-    growth = found and growth_of_light(found, used.black_level_dn)
-    return noise_flags(growth, UNLIKE_LIGHT) if growth else ()
 
 
 def light_in_standard_errors(fit: Fit) -> float:

@@ -11,7 +11,6 @@ from charact.mtf.bars.bias import rounding_sd
 from charact.mtf.bars.checks import (
     flags_of_codes,
     flags_of_fit,
-    flags_of_light,
     flags_of_sums,
     fundamental_in_standard_errors,
     light_in_standard_errors,
@@ -23,6 +22,7 @@ from charact.mtf.bars.number import other_number
 from charact.mtf.bars.picture import Problem
 from charact.mtf.bars.place import runs_through, strip_of
 from charact.mtf.bars.posterior import mtf_of, of_fit, of_sums
+from charact.mtf.bars.response import response_flags
 from charact.mtf.bars.target import LENGTH_OVER_WIDTH, BarTarget, core_margin_px, find, own_frequency
 from charact.mtf.bars.window import fitting_margin, lost_share, margin_px
 from charact.mtf.memory import memory_of
@@ -167,7 +167,7 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
         target=replace(fit.target, frequency=asked),
         posterior=posterior,
         mtf=mtf_of(posterior, fit, context),
-        flags=(*flags, *flags_of_light(used, fit), *dict.fromkeys(codes)),
+        flags=(*flags, *response_flags(used, fit), *dict.fromkeys(codes)),
         notes=tuple(notes),
         margin_px=margin,
     )
