@@ -82,6 +82,14 @@ class Fit:
         index = self.names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
 
+    @property
+    def ln_mtf_slope(self) -> Array:
+        """Derivatives of ln of the MTF at the reference frequency, shape (parameter,)."""
+        slope = np.zeros(len(self.names))
+        slope[self.names.index("log_attenuation")] = -np.exp(self["log_attenuation"])
+        slope[self.names.index("departure")] = 1.0 / (1.0 + self["departure"])
+        return slope
+
 
 def fitted(
     problem: Problem,

@@ -22,7 +22,7 @@ from charact.mtf.bars.number import other_number
 from charact.mtf.bars.picture import Problem
 from charact.mtf.bars.place import runs_through, strip_of
 from charact.mtf.bars.posterior import mtf_of, of_fit, of_sums
-from charact.mtf.bars.response import response_flags
+from charact.mtf.bars.response import response_flags, response_of, straightened
 from charact.mtf.bars.target import LENGTH_OVER_WIDTH, BarTarget, core_margin_px, find, own_frequency
 from charact.mtf.bars.window import fitting_margin, lost_share, margin_px
 from charact.mtf.memory import memory_of
@@ -163,11 +163,12 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
     near[problem.window] = _lit(fit)
     # White is cut off where there is light, black mostly where there is none.
     codes = [*flags_of_codes(used, near, context), *flags_of_codes(used, problem.window, context)]
+    response = response_of(used, fit)
     return Found(
         target=replace(fit.target, frequency=asked),
         posterior=posterior,
-        mtf=mtf_of(posterior, fit, context),
-        flags=(*flags, *response_flags(used, fit), *dict.fromkeys(codes)),
+        mtf=straightened(mtf_of(posterior, fit, context), response, context.seed),
+        flags=(*flags, *response_flags(response), *dict.fromkeys(codes)),
         notes=tuple(notes),
         margin_px=margin,
     )

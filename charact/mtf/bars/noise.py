@@ -12,6 +12,9 @@ Mask = NDArray[np.bool_]
 
 # Pixels further apart share nothing; less far, unless neighbours share more than this.
 NEAR_PX, FAR_PX, SHARED = 2, 4, 0.2
+# Lags along a row at which only what a row has in common ties pixels, standard errors from which on it does, share of
+# the bars' height up to which pixels are ground, and how many must be.
+ALONG_ROWS, ROWS_SD, GROUND, LEAST_GROUND = (8, 12, 16), 6.0, 0.1, 300
 # Frames whose scatter tells the correlation.
 MOST_FRAMES = 6
 
@@ -30,12 +33,15 @@ class Noise:
         Factor on all variances: light that lingers from frame to frame.
     rounding
         By how much the digitiser's steps may shift the pixels, shape (place, pixel), DN; each place is as likely.
+    of_rows
+        Variance of an offset that all pixels of a row share, DN^2.
     """
 
     variance: Array
     correlation: Array
     inflation: float = 1.0
     rounding: Array | None = None
+    of_rows: float = 0.0
 
     def spread(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance that the noise gives to linear estimates, shape (estimate, estimate).
@@ -67,6 +73,9 @@ class Noise:
         power = np.maximum(np.real(np.asarray(rfft2(kernel))), 0.0)
         spectrum = np.asarray(rfft2(fields)) * power
         shared = self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
+        if self.of_rows:
+            of_row = np.stack([np.bincount(rows, one) for one in estimator])
+            shared = shared + self.of_rows * of_row[:, rows]
         if self.rounding is None or not len(self.rounding):
             return shared
         return shared + (estimator @ self.rounding.T) @ self.rounding / len(self.rounding)
@@ -94,6 +103,7 @@ def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> 
         correlation=correlation_of(field, window),
         inflation=inflation,
         rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
+        of_rows=share * of_rows(left, model, window) / len(frames),
     )
 
 
@@ -112,7 +122,42 @@ def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask) -
     fields = np.zeros((1 + len(absorbed), *window.shape))
     fields[0, window] = residual * scale
     fields[1:, window] = absorbed * scale
-    return Noise(variance=variance, correlation=correlation_of(fields, window))
+    left = np.zeros((1, *window.shape))
+    left[0, window] = residual
+    return Noise(variance=variance, correlation=correlation_of(fields, window), of_rows=of_rows(left, model, window))
+
+
+def of_rows(left: Array, model: Array, window: Mask) -> float:
+    """Return the variance of an offset that pixels of a row share, DN^2; 0 where it is not there for sure.
+
+    Parameters
+    ----------
+    left
+        Frames less what is expected of them, shape (frame, row, col), DN.
+    model
+        Picture of the window's pixels, shape (pixel,): the darkest of them count, on which no frame's light flickers.
+    window
+        Which pixels they are, shape (row, col).
+
+    Notes
+    -----
+    Pixels of a row so far apart share nothing else; what all of a frame's ground has in common is taken off.
+    """
+    ground = np.zeros(window.shape, bool)
+    ground[window] = model <= model.min() + GROUND * (model.max() - model.min())
+    if np.count_nonzero(ground) < LEAST_GROUND:
+        return 0.0
+    left = np.where(ground, left - left[:, ground].mean(axis=1)[:, None, None], 0.0)
+    products = []
+    for lag in ALONG_ROWS:
+        last = window.shape[1] - lag
+        pairs = ground[:, :last] & ground[:, lag:]
+        products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
+    told = np.concatenate(products)
+    if told.size < LEAST_GROUND:
+        return 0.0
+    mean = float(told.mean())
+    return mean if mean > ROWS_SD * float(told.std()) / np.sqrt(told.size) else 0.0
 
 
 def variance_of(level: Array, square: Array) -> Array:

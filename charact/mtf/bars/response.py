@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.fit import Fit
+from charact.mtf.bars.fit import LEAST_VARIANCE, Fit
+from charact.mtf.curvature import curvatures
+from charact.mtf.growth import BENDING, MOST_LN_ODDS
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -23,6 +25,8 @@ NEIGHBOURS, PIXELS = (2.3, 0.02), (3.0, 0.05)
 # Standard errors from which on neighbours share any noise; light over its noise beyond which one frame's pixels show
 # how unequal they are, and noise of whole codes that rounding leaves as it is, DN.
 SHARED_SD, QUIETEST, ROUNDED_SD_DN = 4.0, 30.0, 0.5
+# Standard errors of a curvature, and what blurs of several stages make of one without any noise.
+CURVED_SD_OFF, CURVED_BY = 3.5, 0.01
 # Powers from which the noise's own is looked for, and how.
 STARTS = (0.0, 1.0, 2.0)
 MOST_STEPS, LONGEST_STEP, CLOSE = 60, 1.0, 1e-5
@@ -41,8 +45,35 @@ class Power(NamedTuple):
     sd: float
 
 
-def response_flags(used: FrameStack, fit: Fit) -> tuple[str, ...]:
-    """Return `gamma` where the noise of bars does not grow as that of light under a straight response.
+class Response(NamedTuple):
+    """A camera's response as bars and their noise tell it.
+
+    Parameters
+    ----------
+    curvature, sd
+        c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard error.
+    lifts
+        By how much a curvature of one lifts ln of the fitted MTF.
+    shared, own
+        Powers of the light with which the covariance of neighbours and the variance of pixels grow; None: not told.
+    """
+
+    curvature: float
+    sd: float
+    lifts: float
+    shared: Power | None
+    own: Power | None
+
+
+def response_of(used: FrameStack, fit: Fit) -> Response:
+    """Return what a fitted target tells of the response; without a code at no light its noise tells nothing."""
+    black_dn = used.black_level_dn
+    powers = (None, None) if black_dn is None else noise_powers(used.data, fit, black_dn)
+    return Response(*_curvature(fit), *powers)
+
+
+def response_flags(response: Response) -> tuple[str, ...]:
+    """Return `gamma` where the picture or the noise of bars is not that of light under a straight response.
 
     Notes
     -----
@@ -50,12 +81,52 @@ def response_flags(used: FrameStack, fit: Fit) -> tuple[str, ...]:
     neighbours grows as the 2 - 1/g th power of the level over black: as the level itself under a straight one. The
     variance of pixels, to which read-out adds, then grows at most so, and does not fall.
     """
-    if used.black_level_dn is None:
-        return ()
-    shared, own = noise_powers(used.data, fit, used.black_level_dn)
+    shared, own = response.shared, response.own
+    curved = abs(response.curvature) > CURVED_SD_OFF * response.sd
     unlike = shared and abs(shared.exponent - 1.0) > NEIGHBOURS[0] * float(np.hypot(shared.sd, NEIGHBOURS[1]))
     outside = own and max(own.exponent - 1.0, -own.exponent) > PIXELS[0] * own.sd + PIXELS[1]
-    return ("gamma",) if unlike or outside else ()
+    return ("gamma",) if curved or unlike or outside else ()
+
+
+def straightened(mtf: Array, response: Response, seed: int) -> Array:
+    """Return draws of the MTF less what a response that may be curved has done to them."""
+    rng = np.random.default_rng([seed, 62])
+    curvature = curvatures((response.curvature, response.sd), _noise_ln_odds(response.shared), rng, mtf.size)
+    return mtf * np.exp(-response.lifts * curvature)
+
+
+def _noise_ln_odds(shared: Power | None) -> float:
+    """Return ln of how much likelier the power of neighbours' noise is under a curved response than under a straight.
+
+    A response of exponent g makes it 2 - 1/g, which is one, give or take what exponents do.
+    """
+    if shared is None:
+        return 0.0
+    away, sd = shared.exponent - 1.0, float(np.hypot(shared.sd, NEIGHBOURS[1]))
+    apart = float(np.hypot(sd, BENDING))
+    ln_odds = np.log(sd / apart) + 0.5 * ((away / sd) ** 2 - (away / apart) ** 2)
+    return float(np.clip(ln_odds, -MOST_LN_ODDS, MOST_LN_ODDS))
+
+
+def _curvature(fit: Fit) -> tuple[float, float, float]:
+    """Return the curvature that a picture asks for, its error, and by how much one of one lifts ln of the fitted MTF.
+
+    Notes
+    -----
+    First order: the picture of bars u becomes u + c u (1 - u) times their height, of which the parameters, priors
+    and all, take up what they can.
+    """
+    share = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
+    bent = fit["level_dn"] * share * (1.0 - share)
+    weight = 1.0 / np.maximum(fit.noise.variance, LEAST_VARIANCE * fit["level_dn"] ** 2)
+    known = np.concatenate([(fit.slope * np.sqrt(weight)).T, np.diag(np.sqrt(fit.precision))])
+    basis = np.linalg.qr(known)[0]
+    wanted = np.concatenate([bent * np.sqrt(weight), np.zeros(len(fit.names))])
+    apart = (wanted - basis @ (wanted @ basis))[: bent.size] * np.sqrt(weight)
+    size = max(float(apart @ bent), 1e-300)
+    noise = float(np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))) / size
+    sd = float(np.hypot(noise, CURVED_BY))
+    return float(apart @ fit.residual_dn) / size, sd, float(fit.ln_mtf_slope @ (fit.estimator @ bent))
 
 
 def noise_powers(data: NDArray, fit: Fit, black_dn: float) -> tuple[Power | None, Power | None]:

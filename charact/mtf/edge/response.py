@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.curvature import curvatures
 from charact.mtf.edge.pixels.profile import Profile
 from labdata.measurement import Posterior
 
@@ -16,8 +17,6 @@ NOT_LOOKED_FOR: Response = (0.0, 1.0)
 
 # Curvature of the response from which the modulus is in doubt by a percent, and its significance.
 CURVATURE, CURVATURE_SD = 0.05, 3.0
-# Before the data: the probability that a response is curved, and by how much then, as a standard deviation.
-CURVED, CURVED_SD = 0.25, 0.2
 # By how much MTF50 is found too high for each curvature of one, in ln, under responses that steepen and that flatten,
 # and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on edges of every form.
 STEEPENING, FLATTENING, EITHER_WAY = 0.05, 0.02, 0.03
@@ -72,27 +71,16 @@ def bent(posterior: Posterior, response: Response, noise_ln_odds: float, seed: i
 
     Notes
     -----
-    A straight response is weighed against one whose curvature is normal about none (Savage-Dickey ratio); of the
-    share that the curved one has, each draw takes back what a curvature, drawn from what prior and profile leave of
-    it, has done to its frequency. That is nothing to a tenth of the curvature, for the blur may be what is lopsided.
+    Of the share that a curved response has, each draw takes back what a curvature, drawn from what prior and profile
+    leave of it, has done to its frequency. That is nothing to a tenth of the curvature, for the blur may be what is
+    lopsided.
     """
     rng = np.random.default_rng([seed, 61])
     draws = posterior.draws.copy()
-    curvature = _curvatures(response, noise_ln_odds, rng, len(draws))
+    curvature = curvatures(response, noise_ln_odds, rng, len(draws))
     share = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(len(draws))
     draws[:, 1] += share * curvature
     return replace(posterior, draws=draws)
-
-
-def _curvatures(response: Response, noise_ln_odds: float, rng: np.random.Generator, count: int) -> Array:
-    """Return draws of the response's curvature, 0 where it is straight."""
-    found, error = response[0], max(response[1], 1e-9)
-    apart = np.hypot(error, CURVED_SD)
-    ln_odds = np.log(CURVED / (1.0 - CURVED) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
-    ln_odds += noise_ln_odds
-    curved = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
-    drawn = found * (CURVED_SD / apart) ** 2 + error * CURVED_SD / apart * rng.standard_normal(count)
-    return np.where(curved, drawn, 0.0)
 
 
 def response_curvature(

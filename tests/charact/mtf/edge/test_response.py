@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from charact.method import Context
+from charact.mtf import curvature as of_response
+from charact.mtf.curvature import CURVED, CURVED_SD
 from charact.mtf.edge import response as edge_response
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.response import CURVED, CURVED_SD, EITHER_WAY, FLATTENING, STEEPENING, bent
+from charact.mtf.edge.response import EITHER_WAY, FLATTENING, STEEPENING, bent
 from charact.study.edge.map import case_of, cell_of
 from charact.study.edge.scene import Blur, EdgeScene
 from labdata.measurement import Posterior
@@ -160,7 +162,7 @@ def test_a_gamma_that_is_not_seen_is_allowed_for(monkeypatch, curved, silent):
     Of four scenes of the map those drawings that show no gamma: without doubt about the response some are off by more
     than twice the 95 % half interval, with it none is.
     """
-    monkeypatch.setattr(edge_response, "CURVED", curved)
+    monkeypatch.setattr(of_response, "CURVED", curved)
     pulls = []
     for number, repeats in ((648, (1, 10)), (1308, range(6)), (3801, range(6, 12)), (4031, (2, 6, 7, 9, 12))):
         cell = cell_of(number)
