@@ -22,7 +22,7 @@ from charact.mtf.bars.number import other_number
 from charact.mtf.bars.picture import Problem
 from charact.mtf.bars.place import runs_through, strip_of
 from charact.mtf.bars.posterior import mtf_of, of_fit, of_sums
-from charact.mtf.bars.response import response_flags, response_of, straightened
+from charact.mtf.bars.response import response_flags, response_notes, response_of, straightened
 from charact.mtf.bars.target import LENGTH_OVER_WIDTH, BarTarget, core_margin_px, find, own_frequency
 from charact.mtf.bars.window import fitting_margin, lost_share, margin_px
 from charact.mtf.memory import memory_of
@@ -169,7 +169,7 @@ def _of_fit(used: FrameStack, fit: Fit, problem: Problem, context: Context, flag
         posterior=posterior,
         mtf=straightened(mtf_of(posterior, fit, context), response, context.seed),
         flags=(*flags, *response_flags(response), *dict.fromkeys(codes)),
-        notes=tuple(notes),
+        notes=(*notes, *response_notes(response)),
         margin_px=margin,
     )
 

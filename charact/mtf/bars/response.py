@@ -81,11 +81,29 @@ def response_flags(response: Response) -> tuple[str, ...]:
     neighbours grows as the 2 - 1/g th power of the level over black: as the level itself under a straight one. The
     variance of pixels, to which read-out adds, then grows at most so, and does not fall.
     """
+    return ("gamma",) if response_notes(response) else ()
+
+
+def response_notes(response: Response) -> tuple[str, ...]:
+    """Return what speaks against a straight response, a sentence each."""
     shared, own = response.shared, response.own
-    curved = abs(response.curvature) > CURVED_SD_OFF * response.sd
-    unlike = shared and abs(shared.exponent - 1.0) > NEIGHBOURS[0] * float(np.hypot(shared.sd, NEIGHBOURS[1]))
-    outside = own and max(own.exponent - 1.0, -own.exponent) > PIXELS[0] * own.sd + PIXELS[1]
-    return ("gamma",) if curved or unlike or outside else ()
+    notes = []
+    if abs(response.curvature) > CURVED_SD_OFF * response.sd:
+        notes.append(
+            f"The picture is bent as by a response of curvature {response.curvature:.2g} +- {response.sd:.1g}, 0 where "
+            "it is straight; bars wider or narrower than their gaps look alike."
+        )
+    if shared and abs(shared.exponent - 1.0) > NEIGHBOURS[0] * float(np.hypot(shared.sd, NEIGHBOURS[1])):
+        notes.append(
+            f"What neighbours share of the noise grows with the power {shared.exponent:.2f} +- {shared.sd:.2f} of the "
+            "light, and under a straight response with the first; targets that move make noise of their own."
+        )
+    if own and max(own.exponent - 1.0, -own.exponent) > PIXELS[0] * own.sd + PIXELS[1]:
+        notes.append(
+            f"The noise of pixels grows with the power {own.exponent:.2f} +- {own.sd:.2f} of the light: of photons and "
+            "read-out it is between 0 and 1."
+        )
+    return tuple(notes)
 
 
 def straightened(mtf: Array, response: Response, seed: int) -> Array:

@@ -92,7 +92,7 @@ def test_the_picture_tells_its_curvature_and_what_it_does(curvature, seed, monke
     one, of = told(bent_frames(PLAIN, curvature, rng), PLAIN, monkeypatch)
     assert of.shared is None and of.own is None
     assert of.curvature == pytest.approx(curvature, abs=4.0 * of.sd + 0.15 * abs(curvature))
-    assert ("gamma" in one.flags) == (curvature != 0.0)
+    assert ("gamma" in one.flags) == (curvature != 0.0) == any("curvature" in note for note in one.notes)
     # What is told has its lift taken off: what is left of it is of second order.
     assert one.value == pytest.approx(PLAIN.truth_mtf, rel=0.25 * abs(of.lifts * curvature) + 0.01)
     assert curvature == 0.0 or abs(of.lifts * curvature) > 0.03
