@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.fit import LEAST_VARIANCE, Fit
-from charact.mtf.curvature import curvatures
+from charact.mtf.curvature import contrast_of, curvatures
 from charact.mtf.growth import BENDING, MOST_LN_ODDS
 from labdata.frames import FrameStack
 
@@ -52,6 +52,8 @@ class Response(NamedTuple):
     ----------
     curvature, sd
         c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard error.
+    contrast
+        Of the bars and their ground.
     lifts
         By how much a curvature of one lifts ln of the fitted MTF.
     shared, own
@@ -60,6 +62,7 @@ class Response(NamedTuple):
 
     curvature: float
     sd: float
+    contrast: float
     lifts: float
     shared: Power | None
     own: Power | None
@@ -69,7 +72,9 @@ def response_of(used: FrameStack, fit: Fit) -> Response:
     """Return what a fitted target tells of the response; without a code at no light its noise tells nothing."""
     black_dn = used.black_level_dn
     powers = (None, None) if black_dn is None else noise_powers(used.data, fit, black_dn)
-    return Response(*_curvature(fit), *powers)
+    curvature, sd, lifts = _curvature(fit)
+    ground = fit["pedestal_dn"]
+    return Response(curvature, sd, contrast_of(ground, ground + fit["level_dn"], black_dn), lifts, *powers)
 
 
 def response_flags(response: Response) -> tuple[str, ...]:
@@ -109,7 +114,9 @@ def response_notes(response: Response) -> tuple[str, ...]:
 def straightened(mtf: Array, response: Response, seed: int) -> Array:
     """Return draws of the MTF less what a response that may be curved has done to them."""
     rng = np.random.default_rng([seed, 62])
-    curvature = curvatures((response.curvature, response.sd), _noise_ln_odds(response.shared), rng, mtf.size)
+    curvature = curvatures(
+        (response.curvature, response.sd), response.contrast, _noise_ln_odds(response.shared), rng, mtf.size
+    )
     return mtf * np.exp(-response.lifts * curvature)
 
 

@@ -76,7 +76,7 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
     wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
     doubtful = departs(fitter, fit) or not stands_alone(fitter, fit, wide)
     response = fitter.response_curvature(fit)
-    posterior = bent(posterior, response, curved_ln_odds(growth_of(edge)), context.seed)
+    posterior = bent(posterior, response, edge.profile, curved_ln_odds(growth_of(edge)), context.seed)
     outcome = Outcome(
         method=METHOD,
         edge=edge,

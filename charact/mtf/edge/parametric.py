@@ -97,7 +97,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
         drawn = _drawn(fitter, fits, context, parabolic=False)
     response = fitter.response_curvature(best)
     odds = curved_ln_odds(growth_of(edge))
-    drawn = [(form, bent(posterior, response, odds, context.seed), count) for form, posterior, count in drawn]
+    drawn = [(form, bent(posterior, response, profile, odds, context.seed), count) for form, posterior, count in drawn]
     outcome = Outcome(
         method=METHOD,
         edge=edge,

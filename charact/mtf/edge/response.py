@@ -1,11 +1,13 @@
 """A camera's response that is not straight: what of it an edge shows, and what it leaves in doubt."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.curvature import curvatures
+from charact.mtf.curvature import contrast_of, curvatures
+from charact.mtf.curve import FINE
 from charact.mtf.edge.pixels.profile import Profile
 from labdata.measurement import Posterior
 
@@ -17,11 +19,12 @@ NOT_LOOKED_FOR: Response = (0.0, 1.0)
 
 # Curvature of the response from which the modulus is in doubt by a percent, and its significance.
 CURVATURE, CURVATURE_SD = 0.05, 3.0
-# By how much MTF50 is found too high for each curvature of one, in ln, under responses that steepen and that flatten,
-# and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on edges of every form.
-STEEPENING, FLATTENING, EITHER_WAY = 0.05, 0.02, 0.03
-# Most that an exponent up to 2.2 has been seen to lift MTF50 by.
-MOST_LIFTED = 0.04
+# By how much MTF50 is found too high for each curvature of one and each contrast of one, in ln, under responses that
+# steepen and that flatten, and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on
+# edges of every form. Dark sides a fiftieth to two thirds as bright as bright ones make as much for their contrast.
+STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
+# Most that an exponent up to 2.2 lifts MTF50 by, at a contrast of one; it goes as the contrast squared.
+MOST_LIFTED = 0.23
 # Deviations of MTF50 by which a response that does not show may have moved it where that is said, and distrusted.
 HIDDEN_NOTE, HIDDEN_FLAG = 2.0, 4.0
 
@@ -34,17 +37,19 @@ def response_flags(curvature: float, error: float) -> tuple[str, ...]:
     return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
 
 
-def hidden(response: Response, deviation: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def hidden(response: Response, contrast: float, deviation: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return flags and notes on a curved response that the profile cannot show, where the errors do not cover it.
 
     Parameters
     ----------
     response
         Curvature of the response and its error.
+    contrast
+        Of both sides of the edge.
     deviation
         Standard deviation of MTF50, as a share of it.
     """
-    lifted = min(2.0 * STEEPENING * response[1], MOST_LIFTED)
+    lifted = contrast * min(2.0 * STEEPENING * response[1], MOST_LIFTED * contrast)
     if lifted < HIDDEN_NOTE * deviation:
         return (), ()
     flags = ("response-unknown",) if lifted > HIDDEN_FLAG * deviation else ()
@@ -55,7 +60,7 @@ def hidden(response: Response, deviation: float) -> tuple[tuple[str, ...], tuple
     )
 
 
-def bent(posterior: Posterior, response: Response, noise_ln_odds: float, seed: int) -> Posterior:
+def bent(posterior: Posterior, response: Response, profile: Profile, noise_ln_odds: float, seed: int) -> Posterior:
     """Return draws of a blur with what a response that may be curved leaves in doubt.
 
     Parameters
@@ -64,6 +69,8 @@ def bent(posterior: Posterior, response: Response, noise_ln_odds: float, seed: i
         Draws of the blur's parameters, the second one ln of a frequency that scales the form.
     response
         Curvature of the response and its error, as the profile asks for them; below 0 it steepens.
+    profile
+        The edge's, whose contrast counts.
     noise_ln_odds
         Ln of how much likelier the noise is under a curved response.
     seed
@@ -72,15 +79,47 @@ def bent(posterior: Posterior, response: Response, noise_ln_odds: float, seed: i
     Notes
     -----
     Of the share that a curved response has, each draw takes back what a curvature, drawn from what prior and profile
-    leave of it, has done to its frequency. That is nothing to a tenth of the curvature, for the blur may be what is
-    lopsided.
+    leave of it, has done to its frequency. That is nothing to a tenth of the curvature at low contrast, for the blur
+    may be what is lopsided.
     """
-    rng = np.random.default_rng([seed, 61])
     draws = posterior.draws.copy()
-    curvature = curvatures(response, noise_ln_odds, rng, len(draws))
-    share = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(len(draws))
-    draws[:, 1] += share * curvature
+    draws[:, 1] -= lifts(response, contrast(profile), noise_ln_odds, seed, len(draws))
     return replace(posterior, draws=draws)
+
+
+def contrast(profile: Profile) -> float:
+    """Return the contrast of an edge's sides."""
+    return contrast_of(profile.dark, profile.bright, profile.black)
+
+
+def lifts(response: Response, contrast: float, noise_ln_odds: float, seed: int, count: int) -> Array:
+    """Return draws of what a response that may be curved adds to ln of every frequency, 0 where it is straight."""
+    rng = np.random.default_rng([seed, 61])
+    curvature = curvatures(response, contrast, noise_ln_odds, rng, count)
+    share = np.where(curvature < 0.0, STEEPENING, FLATTENING) + EITHER_WAY * rng.standard_normal(count)
+    return -contrast * share * curvature
+
+
+def unbent(mtf: Callable[[Array], Array], lifted: Array) -> Callable[[Array], Array]:
+    """Return drawn MTFs less what has been added to ln of their frequencies, shape (f,) -> (draw, f).
+
+    Parameters
+    ----------
+    mtf
+        From frequencies, cy/px, to drawn MTFs.
+    lifted
+        Shape (draw,); most of them 0.
+    """
+    moved = np.flatnonzero(lifted)
+    finely = mtf(FINE)[moved]
+
+    def told(frequency: Array) -> Array:
+        draws = mtf(frequency)
+        for place, curve in zip(moved, finely, strict=True):
+            draws[place] = np.interp(frequency * np.exp(lifted[place]), FINE, curve)
+        return draws
+
+    return told
 
 
 def response_curvature(

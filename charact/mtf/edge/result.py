@@ -16,7 +16,7 @@ from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import FoundEdge
 from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, hidden, response_flags
+from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, contrast, hidden, response_flags
 from charact.mtf.growth import curved_ln_odds, noise_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
@@ -272,7 +272,9 @@ def _hidden_by_response(outcome: Outcome, halves: Array, context: Context) -> tu
     straight = curved_ln_odds(growth_of(outcome.edge)) < STRAIGHT_LN_ODDS
     if context.sensor is not None or straight or not known.size:
         return (), ()
-    flags, notes = hidden(outcome.response or NOT_LOOKED_FOR, float(np.std(np.log(known))))
+    flags, notes = hidden(
+        outcome.response or NOT_LOOKED_FOR, contrast(outcome.edge.profile), float(np.std(np.log(known)))
+    )
     return flags if outcome.response else (), notes
 
 

@@ -108,15 +108,15 @@ def test_a_curved_response_of_fine_bars_is_told_without_any_harmonic(gamma, seed
 
 def test_a_curvature_that_is_sure_is_taken_off_and_none_is_left_alone(seed):
     mtf = np.full(20_000, 0.4)
-    sure = straightened(mtf, Response(0.2, 0.01, -0.5, None, None), seed)
+    sure = straightened(mtf, Response(0.2, 0.01, 1.0, -0.5, None, None), seed)
     assert np.log(sure / 0.4).mean() == pytest.approx(0.5 * 0.2, abs=0.001)
-    none = straightened(mtf, Response(0.0, 0.01, -0.5, None, None), seed)
+    none = straightened(mtf, Response(0.0, 0.01, 1.0, -0.5, None, None), seed)
     assert np.mean(none != mtf) < 0.03 and np.abs(none / mtf - 1.0).max() < 0.04
 
 
 def test_noise_that_grows_as_the_light_speaks_for_a_straight_response(seed):
     mtf = np.ones(20_000)
-    unsure = Response(0.0, 0.15, -0.5, None, None)
+    unsure = Response(0.0, 0.15, 0.5, -0.5, None, None)
     moved = [
         np.mean(straightened(mtf, unsure._replace(shared=power), seed) != mtf)
         for power in (response.Power(1.0, 0.03), None, response.Power(0.5, 0.1))

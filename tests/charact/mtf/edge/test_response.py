@@ -1,6 +1,7 @@
 """A response that may be curved: how likely it is, what it leaves in doubt, and edges that do not show theirs."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from charact.study.edge.scene import Blur, EdgeScene
 from labdata.measurement import Posterior
 
 DRAWS = 40_000
+BLACK_AND_WHITE = SimpleNamespace(dark=100.0, bright=1100.0, black=100.0)
 
 
 def posterior_of(draws):
@@ -44,7 +46,7 @@ def summed_up(found, error, ln_odds):
 @pytest.mark.parametrize(("found", "error"), [(0.0, 0.05), (0.12, 0.05), (-0.2, 0.07), (0.3, 0.4), (0.0, 2.0)])
 def test_draws_move_as_far_as_bayes_leaves_in_doubt(found, error, ln_odds, seed):
     share, mean, square = summed_up(found, error, ln_odds)
-    moved = bent(posterior_of(np.zeros((DRAWS, 3))), (found, error), ln_odds, seed).draws
+    moved = bent(posterior_of(np.zeros((DRAWS, 3))), (found, error), BLACK_AND_WHITE, ln_odds, seed).draws
     assert not moved[:, [0, 2]].any()
     away = moved[:, 1]
     curved = away[away != 0]
@@ -55,14 +57,14 @@ def test_draws_move_as_far_as_bayes_leaves_in_doubt(found, error, ln_odds, seed)
 
 
 def test_a_response_known_to_be_straight_moves_next_to_nothing(seed):
-    moved = bent(posterior_of(np.zeros((DRAWS, 3))), (1e-4, 1e-4), 0.0, seed).draws
+    moved = bent(posterior_of(np.zeros((DRAWS, 3))), (1e-4, 1e-4), BLACK_AND_WHITE, 0.0, seed).draws
     assert np.count_nonzero(moved) < 2e-3 * DRAWS
     assert np.abs(moved).max() < 1e-4
 
 
 @pytest.mark.parametrize(("curvature", "share"), [(0.3, FLATTENING), (-0.3, STEEPENING)])
 def test_what_an_edge_surely_shows_moves_every_draw(curvature, share, seed):
-    moved = bent(posterior_of(np.zeros((DRAWS, 3))), (curvature, 0.01), 0.0, seed).draws[:, 1]
+    moved = bent(posterior_of(np.zeros((DRAWS, 3))), (curvature, 0.01), BLACK_AND_WHITE, 0.0, seed).draws[:, 1]
     assert np.count_nonzero(moved) == DRAWS
     assert moved.mean() == pytest.approx(share * curvature, abs=4 * moved.std() / np.sqrt(DRAWS))
     assert moved.std() == pytest.approx(EITHER_WAY * 0.3, rel=0.03)
@@ -79,17 +81,18 @@ RESPONSES = {
 }
 
 
+@pytest.mark.parametrize("dark", [1800.0, 500.0], ids=["grey", "dark"])
 @pytest.mark.parametrize("name", RESPONSES)
 @pytest.mark.parametrize(
     "blur",
     [Blur(sigma_px=1.0), Blur(form="exponential", frequency_cy_per_px=0.22, exponent=1.3)],
     ids=["gaussian", "exponential"],
 )
-def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(blur, name, monkeypatch):
-    """Error of MTF50 over the curvature found, at 300 standard deviations: within two of `EITHER_WAY`."""
+def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(blur, name, dark, monkeypatch):
+    """Error of MTF50 over curvature found and contrast, at 300 standard deviations: within two of `EITHER_WAY`."""
     responses = []
 
-    def kept(posterior, response, noise_ln_odds, seed):
+    def kept(posterior, response, profile, noise_ln_odds, seed):
         responses.append(response[0])
         return posterior
 
@@ -102,15 +105,17 @@ def test_what_a_curved_response_does_to_mtf50_lies_in_what_is_taken_back(blur, n
         )  # fmt: skip
         stack, mean = scene.frames_drawn(np.random.default_rng(number)), scene.mean()
         curve = RESPONSES[name]
-        low, high = curve(1800.0 / 3300.0), curve(1.0)
-        level = (curve((mean - 200.0) / 3300.0) - low) / (high - low)
+        # The light of the dark side, and that of the bright one 1500 above it.
+        low, high = curve(dark / (dark + 1500.0)), curve(1.0)
+        level = (curve((mean - 2000.0 + dark) / (dark + 1500.0)) - low) / (high - low)
         bent_data = np.rint(2000.0 + 1500.0 * level + stack.data - mean).astype(stack.data.dtype)
         found = edge_parametric(replace(stack, data=bent_data), context=Context(quick=True)).find("mtf50")[0]
         errors.append(np.log(found.value / scene.truth_mtf50))
     error, curvature = np.mean(errors), np.mean(responses)
     print(f"{name}: MTF50 {100 * error:+.2f} %, curvature {curvature:+.3f}, share {-error / curvature:+.3f}")
+    contrast = 1500.0 / (2.0 * dark + 1500.0)
     middle = STEEPENING if curvature < 0 else FLATTENING
-    assert -error / curvature == pytest.approx(middle, abs=2 * EITHER_WAY)
+    assert -error / curvature / contrast == pytest.approx(middle, abs=2 * EITHER_WAY)
 
 
 @pytest.mark.parametrize(
@@ -123,18 +128,18 @@ def test_a_curvature_is_told_where_it_matters_and_is_sure(curvature, error, told
 @pytest.mark.parametrize(
     ("error", "deviation", "said", "distrusted"),
     [
-        (0.3, 0.004, "3.0 %", True),
-        (0.9, 0.004, "4.0 %", True),
-        (0.3, 0.009, "3.0 %", False),
-        (0.3, 0.02, None, False),
-        (0.05, 0.004, None, False),
+        (0.2, 0.008, "3.6 %", True),
+        (0.9, 0.008, "5.8 %", True),
+        (0.2, 0.012, "3.6 %", False),
+        (0.2, 0.03, None, False),
+        (0.05, 0.008, None, False),
     ],
     ids=["hidden", "as far as seen", "three errors", "covered by the errors", "would show"],
 )
 def test_what_a_hidden_curvature_may_do_is_said_and_distrusted_by_what_the_errors_cover(
     error, deviation, said, distrusted
 ):
-    flags, notes = edge_response.hidden((0.1, error), deviation)
+    flags, notes = edge_response.hidden((0.1, error), 0.5, deviation)
     assert [said in note for note in notes] == ([] if said is None else [True])
     assert flags == (("response-unknown",) if distrusted else ())
 
