@@ -1,5 +1,7 @@
 """Draws of the MTF at the frequency of the bars: from a fitted picture, or from the sums over a whole target."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,8 @@ LARGEST_MTF = 1.5
 TABLE_SD = 3e-4
 # Effective draws by importance where an answer is wanted quickly.
 QUICK_ENOUGH = 500.0
+# Standard deviations of its draws by which a full posterior may lie beside the fit that it began from.
+APART_SD = 2.0
 SHAPE = ("log_attenuation", "log_exponent", "departure")
 
 
@@ -43,7 +47,22 @@ def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
     if context.quick:
         return laplace(lambda theta: np.zeros(len(theta)), **asked)
     density = compressed(fit, problem)
-    return sample(lambda theta: density(theta - shift), **asked)
+    posterior = sample(lambda theta: density(theta - shift), **asked)
+    if not _departs(posterior, fit, shift):
+        return posterior
+    return replace(posterior, flags=(*posterior.flags, "model-misfit"))
+
+
+def _departs(posterior: Posterior, fit: Fit, shift: Array) -> bool:
+    """Tell whether draws lie where the fit does not: pixels' weights and the numbers' ask for different blurs.
+
+    Both are efficient under the model, and agree within a part of their error; priors that the pixels contradict, as
+    a halo does, pull them apart.
+    """
+    start = np.array([fit[name] for name in SHAPE]) + shift
+    fitted = np.log1p(start[2]) - np.exp(start[0])
+    drawn = np.log1p(posterior["departure"]) - np.exp(posterior["log_attenuation"])
+    return bool(abs(drawn.mean() - fitted) > APART_SD * drawn.std())
 
 
 def mtf_of(posterior: Posterior, fit: Fit, context: Context) -> Array:
