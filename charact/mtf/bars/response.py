@@ -1,4 +1,4 @@
-"""What the noise of bars says of the camera's response: of light it grows as the light itself, at every level."""
+"""What bars and their noise say of the response: how far it bends the picture, and how noise grows with the light."""
 
 from typing import NamedTuple
 
