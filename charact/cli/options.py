@@ -21,6 +21,10 @@ Plane = Annotated[
         help="Colour channel: r, g, b or luminance of an RGB picture (else its luminance); r, g1, g2 or b of raw."
     ),
 ]
+BlackDn = Annotated[
+    float | None,
+    typer.Option(help="Code at no light, DN, else the file's: tells sloping light from a halo, a gamma by noise."),
+]
 Scheduler = Annotated[
     str | None,
     typer.Option(help="Address of a Dask scheduler whose workers read the stacks; they must see the same paths."),

@@ -12,6 +12,15 @@ Array = NDArray[np.float64]
 # contrast of one.
 CURVED, CURVED_SD = 0.25, 0.65
 LEAST_CONTRAST = 0.05
+# Share of the step by which a dark side may seem to lie below black: noise, and darks taken at another time.
+BELOW_BLACK = 0.1
+
+
+def believed_black(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
+    """Return the code at no light, DN; None where it is not known or the dark side lies well below it."""
+    if black_dn is None or black_dn > dark_dn + BELOW_BLACK * (bright_dn - dark_dn):
+        return None
+    return black_dn
 
 
 def contrast_of(dark_dn: float, bright_dn: float, black_dn: float | None) -> float:

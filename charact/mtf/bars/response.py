@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.fit import LEAST_VARIANCE, Fit
-from charact.mtf.curvature import contrast_of, curvatures
+from charact.mtf.curvature import believed_black, contrast_of, curvatures
 from charact.mtf.growth import BENDING, MOST_LN_ODDS
 from labdata.frames import FrameStack
 
@@ -70,10 +70,10 @@ class Response(NamedTuple):
 
 def response_of(used: FrameStack, fit: Fit) -> Response:
     """Return what a fitted target tells of the response; without a code at no light its noise tells nothing."""
-    black_dn = used.black_level_dn
+    ground = fit["pedestal_dn"]
+    black_dn = believed_black(used.black_level_dn, ground, ground + fit["level_dn"])
     powers = (None, None) if black_dn is None else noise_powers(used.data, fit, black_dn)
     curvature, sd, lifts = _curvature(fit)
-    ground = fit["pedestal_dn"]
     return Response(curvature, sd, contrast_of(ground, ground + fit["level_dn"], black_dn), lifts, *powers)
 
 

@@ -12,6 +12,7 @@ from charact.cli.annotate import COLOURS, drawn
 from charact.cli.application import app
 from charact.cli.captions import placed
 from charact.cli.units import FrequencyUnit
+from charact.study.bars.pulses import PulsedBars
 from charact.study.edge.scene import Blur, EdgeScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -73,6 +74,19 @@ def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: P
     said = "No light would be at 100 DN, above the edge's dark side at 40"
     assert any(note.startswith(said) and "not known" in note for note in above["measurements"][0]["notes"])
     assert [m["value"] for m in above["measurements"]] == [m["value"] for m in without["measurements"]]
+
+
+def test_a_black_level_lets_the_noise_of_bars_tell_a_gamma(tmp_path: Path) -> None:
+    scene = PulsedBars(
+        blur=Blur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4, rows=90,
+        cols=100, frequency_cy_per_px=0.25, gamma=1.9,
+    )  # fmt: skip
+    file = tmp_path / "bars.npy"
+    np.save(file, scene.frames_drawn(np.random.default_rng(0)).data)
+    asked = ("mtf", "bars", file, "--frequency", "0.25", "--quick", "--json")
+    told = [json.loads(charact(*asked, *more).stdout)["measurements"][0] for more in ((), ("--black-dn", "12"))]
+    by_noise = [any("noise grows with the power" in note for note in one["notes"]) for one in told]
+    assert by_noise == [False, True]
 
 
 @pytest.mark.parametrize("black", ["nan", "-inf", "4000"])

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.curvature import believed_black
 from charact.mtf.edge.fit.evidence import Evidence, evidence_of
 from charact.mtf.edge.fit.spread import edge_weights
 from charact.mtf.edge.pixels.bins import Gathered, coarser, gather
@@ -21,7 +22,7 @@ from charact.mtf.edge.pixels.light import (
     without_slope,
 )
 from charact.mtf.edge.pixels.line import Line
-from charact.mtf.edge.pixels.uneven_light import UnevenLight, believed_black, uneven_light
+from charact.mtf.edge.pixels.uneven_light import UnevenLight, uneven_light
 from charact.mtf.picture import Picture
 from charact.robust import median
 

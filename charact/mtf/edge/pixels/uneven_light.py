@@ -11,8 +11,6 @@ Array = NDArray[np.float64]
 EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
 # Share of a slope by which the sides may depart from one light on both: stray light falls on them alike.
 APART = 0.2
-# Share of the step by which a dark side may seem to lie below black: noise, and darks taken at another time.
-BELOW_BLACK = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +41,6 @@ class UnevenLight:
     def by_side(self, amplitude: Array) -> Array:
         """Return amplitudes that end with the slopes of bright and dark side for those that end with both ways'."""
         return np.concatenate([amplitude[:-2], amplitude[-2:] @ self.ways])
-
-
-def believed_black(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
-    """Return the code at no light, DN; None where it is not known or an edge's dark side lies well below it."""
-    if black_dn is None or black_dn > dark_dn + BELOW_BLACK * (bright_dn - dark_dn):
-        return None
-    return black_dn
 
 
 def uneven_light(dark_dn: float, bright_dn: float, black_dn: float | None) -> UnevenLight:

@@ -122,3 +122,12 @@ def test_noise_that_grows_as_the_light_speaks_for_a_straight_response(seed):
         for power in (response.Power(1.0, 0.03), None, response.Power(0.5, 0.1))
     ]
     assert moved[0] < 0.5 * moved[1] < 0.5 * moved[2]
+
+
+def test_a_black_above_the_ground_is_not_believed(seed, monkeypatch):
+    """Light below none grows with no power; the picture's own curvature is told as before."""
+    stack = FINE.frames_drawn(np.random.default_rng(seed))
+    _, right = told(stack, FINE, monkeypatch)
+    _, wrong = told(replace(stack, black_level_dn=80.0), FINE, monkeypatch)
+    assert right.shared is not None
+    assert wrong.shared is None and wrong.curvature == pytest.approx(right.curvature)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from charact.method import Context
+from charact.mtf.curvature import believed_black
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.pixels.uneven_light import APART, EVEN_PER_PX, UNEVEN_PER_PX, believed_black, uneven_light
+from charact.mtf.edge.pixels.uneven_light import APART, EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
 from charact.study.edge.scene import Blur, EdgeScene
 
 DISTANCE = np.linspace(-30.0, 40.0, 141)
