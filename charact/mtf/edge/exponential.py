@@ -5,13 +5,12 @@ import numpy as np
 from charact.method import Context, register
 from charact.mtf.edge.fit.family_fit import FamilyFitter
 from charact.mtf.edge.fit.forms import departs, stands_alone, wides
-from charact.mtf.edge.noise import growth_of
+from charact.mtf.edge.noise import bending_ln_odds
 from charact.mtf.edge.pixels.find import NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
 from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.forms.families import Family
-from charact.mtf.growth import curved_ln_odds
 from charact.mtf.optics import known_of
 from charact.mtf.region import Region
 from charact.posterior import laplace
@@ -76,7 +75,7 @@ def edge_exponential(stack: FrameStack, *, region: Region | None = None, context
     wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
     doubtful = departs(fitter, fit) or not stands_alone(fitter, fit, wide)
     response = fitter.response_curvature(fit)
-    posterior = bent(posterior, response, edge.profile, curved_ln_odds(growth_of(edge)), context.seed)
+    posterior = bent(posterior, response, edge.profile, bending_ln_odds(edge, context), context.seed)
     outcome = Outcome(
         method=METHOD,
         edge=edge,

@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 from charact.method import Context, register
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.forward_fit import EdgeFit, curvature, fit, refit
-from charact.mtf.edge.noise import growth_of
+from charact.mtf.edge.noise import bending_ln_odds
 from charact.mtf.edge.pixels.find import WIDEST_PX, FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.profile import refined, with_shading
 from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
-from charact.mtf.growth import curved_ln_odds
 from charact.mtf.optics import halo_of, known_of
 from charact.mtf.region import Region
 from charact.posterior import draw, weighed
@@ -73,7 +72,7 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
         return nothing(METHOD, found, edge.where, context)
     model = found.fit.model
     response = curvature(found.fit, found.edge.profile)
-    odds = curved_ln_odds(growth_of(found.edge))
+    odds = bending_ln_odds(found.edge, context)
     posterior = bent(_posterior(found.fit, context), response, found.edge.profile, odds, context.seed)
     outcome = Outcome(
         method=METHOD,

@@ -14,14 +14,13 @@ from charact.method import Context, register
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.fit.family_fit import FamilyFitter
 from charact.mtf.edge.line_spread import LineSpreads, Transfers
-from charact.mtf.edge.noise import growth_of
+from charact.mtf.edge.noise import bending_ln_odds
 from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
 from charact.mtf.edge.response import NOT_LOOKED_FOR, contrast, lifts, unbent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.forms.families import Family
-from charact.mtf.growth import curved_ln_odds
 from charact.mtf.optics import Known, known_of
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
@@ -85,7 +84,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     reason = too_blurred(edge.profile, float(half))
     if reason:
         return nothing(METHOD, reason, edge.where, context)
-    odds = curved_ln_odds(growth_of(edge))
+    odds = bending_ln_odds(edge, context)
     lifted = lifts(NOT_LOOKED_FOR, contrast(edge.profile), odds, context.seed, len(posterior.draws))
     outcome = Outcome(
         method=METHOD,

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from charact.method import Context
 from charact.mtf.edge.pixels.find import FoundEdge
-from charact.mtf.growth import Growth, growth_of_light, growth_of_variance
+from charact.mtf.growth import Growth, curved_ln_odds, growth_of_light, growth_of_variance
 
 # Level over noise beyond which unequal pixels may be the noise.
 QUIETEST = 80.0
@@ -18,6 +19,11 @@ def growth_of(edge: FoundEdge) -> Growth:
     if len(edge.used.data) == 1 or edge.shimmer is None or not max(one.variance for one in edge.shimmer) > 0:
         return _of_one(edge)
     return growth_of_variance(edge.shimmer, black)
+
+
+def bending_ln_odds(edge: FoundEdge, context: Context) -> float:
+    """Return ln of how much likelier the noise is under a curved response; a described camera's is straight: -inf."""
+    return curved_ln_odds(growth_of(edge)) if context.sensor is None else -np.inf
 
 
 def _of_one(edge: FoundEdge) -> Growth:

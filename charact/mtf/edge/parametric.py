@@ -11,13 +11,12 @@ from charact.method import Context, register
 from charact.mtf.curve import FINE, falls_to
 from charact.mtf.edge.fit.family_fit import FamilyFit, FamilyFitter
 from charact.mtf.edge.fit.forms import Weighed, departs, fitted_forms, wides
-from charact.mtf.edge.noise import growth_of
+from charact.mtf.edge.noise import bending_ln_odds
 from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.response import bent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.forms.families import Family, VeilPrior
-from charact.mtf.growth import curved_ln_odds
 from charact.mtf.optics import Known, known_of
 from charact.mtf.region import Region
 from charact.posterior import draw, laplace, weighed
@@ -96,7 +95,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     if context.quick and _unsure(drawn[0], known):
         drawn = _drawn(fitter, fits, context, parabolic=False)
     response = fitter.response_curvature(best)
-    odds = curved_ln_odds(growth_of(edge))
+    odds = bending_ln_odds(edge, context)
     drawn = [(form, bent(posterior, response, profile, odds, context.seed), count) for form, posterior, count in drawn]
     outcome = Outcome(
         method=METHOD,

@@ -22,8 +22,8 @@ from charact.study.harness import Case, attempt
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "bar_map.json"
 METHOD, QUANTITY = "bars-forward", "mtf"
 CELLS, REPEATS = 1000, 1
-# What is flagged, and how forms and rounding weigh, was set looking at cells 0 to 6999: nothing was on these.
-FIRST = 7000
+# What is flagged, how forms, rounding and responses weigh, was set looking at cells 0 to 8999: nothing was on these.
+FIRST = 9000
 # Share of the cells that are measured in full too.
 CHAINED_CELLS = 0.1
 # What breaks bars, from where it hardly matters to where nothing is left, and whether steps are even in ln.

@@ -23,8 +23,8 @@ from charact.study.pulse_cameras import camera_drawn, unclipped
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "bar_pulse_map.json"
 METHOD, QUANTITY = "bars-forward", "mtf"
 CELLS, REPEATS = 1000, 1
-# Forms and what is asked of dim targets were set looking at cells 0 to 1999: nothing was on these.
-FIRST = 2000
+# Forms, responses and what is asked of dim targets were set looking at cells 0 to 3999: nothing was on these.
+FIRST = 4000
 # Share of the cells that are measured in full too.
 CHAINED_CELLS = 0.1
 BREAKING: Breaking = {

@@ -12,7 +12,7 @@ from charact.study.flats import spectrum_map as spectra
 from charact.study.point import map as points
 
 # What a method says of itself that it does not tell, by the axis of the map.
-UNTOLD = {bars: ("gamma",), pulsed_bars: ("gamma",), points: ("gamma", "neighbour_px"), spectra: (), pulses: ()}
+UNTOLD = {bars: (), pulsed_bars: (), points: ("gamma", "neighbour_px"), spectra: (), pulses: ()}
 
 
 @pytest.fixture(
