@@ -33,7 +33,13 @@ def contrast_of(dark_dn: float, bright_dn: float, black_dn: float | None) -> flo
 
 
 def curvatures(
-    response: tuple[float, float], contrast: float, noise_ln_odds: float, rng: np.random.Generator, count: int
+    response: tuple[float, float],
+    contrast: float,
+    noise_ln_odds: float,
+    rng: np.random.Generator,
+    count: int,
+    *,
+    curved: float | None = None,
 ) -> Array:
     """Return draws of a response's curvature, 0 where it is straight.
 
@@ -49,6 +55,8 @@ def curvatures(
         Draws.
     count
         How many.
+    curved
+        Probability that a response is curved, before the data; None: `CURVED`.
 
     Notes
     -----
@@ -56,8 +64,9 @@ def curvatures(
     """
     found, error, prior_sd = response[0], max(response[1], 1e-9), CURVED_SD * contrast
     apart = np.hypot(error, prior_sd)
-    ln_odds = np.log(CURVED / (1.0 - CURVED) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
+    share = CURVED if curved is None else curved
+    ln_odds = np.log(share / (1.0 - share) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
     ln_odds += noise_ln_odds
-    curved = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
+    bends = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
     drawn = found * (prior_sd / apart) ** 2 + error * prior_sd / apart * rng.standard_normal(count)
-    return np.where(curved, drawn, 0.0)
+    return np.where(bends, drawn, 0.0)
