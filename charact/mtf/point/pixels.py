@@ -18,7 +18,7 @@ from charact.mtf.point.forward_fit import (
     UNROUNDED_SD,
     rounding_covariance,
 )
-from charact.mtf.point.pulses import NEAR_PX, SHARES, Dark, Pulses, pulse_covariance, pulses_of
+from charact.mtf.point.pulses import NEAR_PX, Dark, Pulses, pulse_covariances, pulses_of
 from charact.mtf.point.table import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
 
 Array = NDArray[np.float64]
@@ -175,12 +175,12 @@ def with_noise(site: Site, fit: FormFit, light: float) -> Site:
     x, y = site.axes
     mean = light * pictures(site.aperture, transfer, x, y)[0]
     blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
-    units = {share: pulse_covariance((_nodes(site)[0], blur), share, mean, x, y) for share in SHARES}
-    factor, near = site.memory.between_rows(site.window.parity), site.near
+    near = site.near
     if near.size < 9:
         return site
-    pulses = pulses_of(_samples(site, mean), dark_noise(site), {k: unit * factor for k, unit in units.items()}, near)
-    return replace(site, pulses=replace(pulses, unit=units[pulses.share]))
+    units = pulse_covariances((_nodes(site)[0], blur), mean, x, y)
+    factor = site.memory.between_rows(site.window.parity)
+    return replace(site, pulses=pulses_of(_samples(site, mean), dark_noise(site), units, factor, near))
 
 
 def _samples(site: Site, mean: Array) -> Array:

@@ -1,5 +1,6 @@
 """Noise around a point by few numbers: what the dark surroundings show, and pulses of light that neighbours share."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,8 @@ WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
 BY_CHANCE = 4.0
 # Shares of the blur that may lie behind the gain; 0: every pixel counts its own light.
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
+# Widths of pulses over that of all of the blur, where what lies before the gain need not be of its form.
+WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
 # Places of the pulses: spacing and reach, px. Pixels whose noise is compared lie this near.
 STEP_PX, REACH_PX, NEAR_PX = 0.6, 10.2, 5.0
@@ -108,14 +111,11 @@ class Pulses:
     ----------
     gain
         Variance over light, DN.
-    share
-        Share of the blur behind the gain.
     unit
         Covariance of one frame at unit gain, shape (pixel, pixel), DN.
     """
 
     gain: float
-    share: float
     unit: Array
 
     @property
@@ -124,15 +124,13 @@ class Pulses:
         return self.gain * self.unit
 
 
-def pulse_covariance(radial: tuple[Array, Array], share: float, mean: Array, x: Array, y: Array) -> Array:
-    """Return the covariance at unit gain of light whose pulses spread over neighbours, shape (pixel, pixel), DN.
+def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Array) -> list[Array]:
+    """Return covariances at unit gain of light whose pulses spread over neighbours, shape (pixel, pixel) each, DN.
 
     Parameters
     ----------
     radial
         Frequencies, cycles per column pitch, and the blur's transfer there averaged over directions.
-    share
-        Share of the blur's logarithm behind the gain; its pulses are taken as Gaussians of the same half frequency.
     mean
         Light in every pixel, DN.
     x, y
@@ -140,24 +138,47 @@ def pulse_covariance(radial: tuple[Array, Array], share: float, mean: Array, x: 
 
     Notes
     -----
+    Pulses are Gaussians. They take a share of the blur's logarithm, and what lies before the gain is of the blur's own
+    form; or they have some width, and it is what they leave of the blur: of long tails nearly all.
+    """
+    frequency, transfer = radial
+    log = np.log(np.clip(transfer, 1e-12, 1.0))
+    whole = _width(frequency, log)
+    laws = [((1.0 - share) * log, _width(frequency, share * log)) for share in SHARES if share > 0.0]
+    laws += [
+        (np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)), width)
+        for width in whole * WIDTHS
+    ]
+    return [np.diag(np.maximum(mean, 0.0)), *(_covariance(frequency, *law, mean, x, y) for law in laws)]
+
+
+def _width(frequency: Array, log: Array) -> float:
+    """Return the standard deviation of a Gaussian of the same half frequency, px."""
+    return float(np.sqrt(np.log(2.0) / 2.0) / np.pi / np.interp(np.log(2.0), -log, frequency))
+
+
+def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Array, x: Array, y: Array) -> Array:
+    """Return the covariance at unit gain of pulses of a width, shape (pixel, pixel), DN.
+
+    Parameters
+    ----------
+    log_before
+        ln of the transfer before the gain.
+
+    Notes
+    -----
     Photoelectrons of density d(u) with pulses p make the covariance sum_u d(u) p(x - u) p(y - u), never negative. It
     is scaled so that variance over mean is 1 on the whole.
     """
-    if share == 0.0:
-        return np.diag(np.maximum(mean, 0.0))
     from scipy.special import j0
 
-    frequency, transfer = radial
-    log = np.log(np.clip(transfer, 1e-12, 1.0))
-    half = float(np.interp(np.log(2.0), -share * log, frequency))
-    sigma = np.sqrt(np.log(2.0) / 2.0) / np.pi / half
     step = np.gradient(frequency)
     landed = (j0(2.0 * np.pi * RADII_PX[:, None] * frequency)) @ (
-        2.0 * np.pi * frequency * step * np.exp((1.0 - share) * log - 0.5 * (np.pi * frequency * STEP_PX) ** 2 / 3.0)
+        2.0 * np.pi * frequency * step * np.exp(log_before - 0.5 * (np.pi * frequency * STEP_PX) ** 2 / 3.0)
     )
     places = np.arange(-REACH_PX, REACH_PX + 1e-9, STEP_PX)
     density = np.interp(np.hypot(places[:, None], places), RADII_PX, np.maximum(landed, 0.0)) * STEP_PX**2
-    along, down = (_pulse(at, places, sigma) for at in (x, y))
+    along, down = (_pulse(at, places, width_px) for at in (x, y))
     columns = (along[:, :, None] * along[:, None, :]).reshape(places.size, -1)
     rows = (down[:, :, None] * down[:, None, :]).reshape(places.size, -1)
     both = (rows.T @ density @ columns).reshape(y.size, y.size, x.size, x.size)
@@ -174,7 +195,7 @@ def _pulse(at: Array, places: Array, sigma: float) -> Array:
     return ndtr((off + half) / sigma) - ndtr((off - half) / sigma)
 
 
-def pulses_of(samples: Array, dark: Array, units: dict[float, Array], near: NDArray[np.int64]) -> Pulses:
+def pulses_of(samples: Array, dark: Array, units: Sequence[Array], factor: Array, near: NDArray[np.int64]) -> Pulses:
     """Return the pulses that make independent samples of the noise most probable.
 
     Parameters
@@ -184,22 +205,24 @@ def pulses_of(samples: Array, dark: Array, units: dict[float, Array], near: NDAr
     dark
         Covariance of the dark noise, shape (pixel, pixel).
     units
-        Covariance at unit gain for each share.
+        Covariances at unit gain among which is chosen.
+    factor
+        What fields and frames share of a pulse, shape (pixel, pixel).
     near
         Pixels that are compared.
     """
-    root = np.linalg.inv(np.linalg.cholesky(dark[np.ix_(near, near)]))
+    both = np.ix_(near, near)
+    root = np.linalg.inv(np.linalg.cholesky(dark[both]))
     white = samples[:, near] @ root.T
-    best: tuple[float, float, float] | None = None
-    for share, unit in units.items():
-        values, vectors = np.linalg.eigh(root @ unit[np.ix_(near, near)] @ root.T)
+    found = []
+    for unit in units:
+        values, vectors = np.linalg.eigh(root @ (unit * factor)[both] @ root.T)
         values = np.maximum(values, 0.0)
         gains = GAINS / max(float(values.mean()), 1e-300)
         power = ((white @ vectors) ** 2).sum(axis=0)
         variance = gains[:, None] * values + 1.0
         fit = -0.5 * (len(white) * np.log(variance) + power / variance).sum(axis=1)
         top = int(np.argmax(fit))
-        if best is None or fit[top] > best[0]:
-            best = float(fit[top]), float(gains[top]), share
-    assert best is not None
-    return Pulses(gain=best[1], share=best[2], unit=units[best[2]])
+        found.append((float(fit[top]), float(gains[top])))
+    best = int(np.argmax([fit for fit, _ in found]))
+    return Pulses(gain=found[best][1], unit=units[best])

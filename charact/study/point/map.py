@@ -22,8 +22,8 @@ from charact.study.point.scene import PointScene
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "point_map.json"
 METHOD, QUANTITY = "point-parametric", "mtf50"
 CELLS, REPEATS = 1000, 2
-# What is flagged, and how forms and rounding weigh, was set looking at cells 0 to 6999: nothing was on these.
-FIRST = 7000
+# What is flagged, and how forms and rounding weigh, was set looking at cells 0 to 7999: nothing was on these.
+FIRST = 8000
 # What breaks points, from where it hardly matters to where nothing is left, and whether steps are even in ln.
 BREAKING: Breaking = {
     "photoelectrons": (1.0, 300.0, True),
