@@ -5,6 +5,7 @@ import pytest
 
 from charact.method import Context
 from charact.mtf.point.forward import point_forward
+from charact.mtf.point.parametric import point_parametric
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from labdata.target import Target
@@ -25,12 +26,12 @@ def bench(specimen):
     return LabBench(specimen)
 
 
-def measured(bench, seed, illuminance_lux):
+def measured(bench, seed, illuminance_lux, method=point_forward):
     conditions = Conditions(mcp_v=800.0, gate_ns=OPEN_GATE_NS, illuminance_lux=illuminance_lux)
     frames = bench.expose("point", Target(pinhole_px=1.0), conditions, frames=8, seed=seed)
     # The description of the type, not of the specimen: only the sheet is known.
     context = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0)
-    return point_forward(frames, region=(166, 304, 160, 160), pinhole_px=1.0, context=context)
+    return method(frames, region=(166, 304, 160, 160), pinhole_px=1.0, context=context)
 
 
 def test_mtf_of_a_pinhole_is_the_camera_s_in_both_directions(bench, specimen, seed):
@@ -53,5 +54,8 @@ def test_curves_of_a_pinhole_hold_the_true_mtf(bench, specimen, seed):
         assert np.all(np.abs(curve.value - expected) < 2.5 * half)
 
 
-def test_a_source_far_too_bright_is_never_ok(bench, seed):
-    assert all(m.status != "ok" for m in measured(bench, seed, BRIGHT_LUX).measurements)
+@pytest.mark.parametrize("method", [point_forward, point_parametric])
+@pytest.mark.parametrize("illuminance_lux", [BRIGHT_LUX, 0.05])
+def test_a_source_far_too_bright_is_never_ok(bench, seed, illuminance_lux, method):
+    """The wells are full before the digitiser is, and the video filter moves what they cut off: 25 to 40 % low."""
+    assert all(m.status != "ok" for m in measured(bench, seed, illuminance_lux, method).measurements)

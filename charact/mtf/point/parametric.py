@@ -57,9 +57,10 @@ PINHOLE_PX = (0.0, 50.0)
         "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, round, "
         "elliptical or separable and up to 1.5 times as long as wide, with halo, disc or glare that the region shows; "
         "MTF50 below 0.42 cycles per pixel. "
-        "Pixels at full scale count as at least that. Not told: a second source within the blur, a pinhole whose size "
-        "is not given, and a curved response that the noise does not show: a gamma of g moves MTF50 by about the root "
-        "of g, and more where there is a halo."
+        "Pixels at full scale count as at least that; before a described camera, whose wells may be full by then and "
+        "whose video moves what is cut off, the number is suspect. Not told: a second source within the blur, a "
+        "pinhole whose size is not given, and a curved response that the noise does not show: a gamma of g moves MTF50 "
+        "by about the root of g, and more where there is a halo."
     ),
 )
 def point_parametric(
@@ -208,6 +209,7 @@ class _Task:
         flags = (
             *point_distrust.flags(sites, fitter, found, pedestals),
             *(("gamma",) if response.curved else ()),
+            *(("saturated",) if self.context.sensor and any(site.cut.any() for site in sites) else ()),
             *(("several-targets",) if crowded else ()),
             *(("too-few-frames",) if sites[0].window.frames < 2 else ()),
             *(flag for one in drawn for flag in one.flags if flag not in ("prior-bound", "several-modes")),
@@ -330,6 +332,8 @@ def _notes(
     ))  # fmt: skip
     if cut:
         out.append(f"{cut} pixels at full scale count as at least that.")
+        if context.sensor is not None:
+            out.append("A camera's wells may be full before its digitiser: less light keeps both below full scale.")
     if lost:
         out.append(f"{lost} pixels that the video filter spoils behind full scale are left out.")
     if pinhole == 0.0:
