@@ -248,16 +248,18 @@ def _of_night(
 def _of_bench(asked: Asked, scene: "LabScene", description: "Description", conditions: Conditions) -> Shot:
     from labdata.sensor import Sensor
     from simulate.lab import LabBench
+    from simulate.radiance.target_mesh import as_stood
 
     if not isinstance(description, Sensor):
         raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")
     kind = asked.kind or "edge"
     _must_suit(asked.target, kind)
+    target = as_stood(kind, asked.target)
     conditions, bench = _lit(conditions, kind), LabBench(description, scene)
-    _, planned = _economical(bench.camera, bench.freed(kind, asked.target, conditions), conditions, asked)
+    _, planned = _economical(bench.camera, bench.freed(kind, target, conditions), conditions, asked)
     bench = bench.without(planned["plan"].names)
-    light = bench.photoelectrons(kind, asked.target, conditions)
-    return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=asked.target, **planned)
+    light = bench.photoelectrons(kind, target, conditions)
+    return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned)
 
 
 def _economical(camera: Any, freed: Any, conditions: Conditions, asked: Asked) -> tuple[Any, dict[str, Any]]:

@@ -5,7 +5,7 @@ meet without gap or overlap, or hide each other, and the outlines of their mater
 the picture knows where it must look closely.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,6 +18,7 @@ from simulate.radiance.scene import Holder
 
 OPEN, MASK, RING = 0, 1, 2
 BAR_LENGTH = 7.0
+BARS = 4
 EDGE_TILT_DEG, BAR_TILT_DEG = 5.0, 4.0
 CIRCLE = 256
 BEHIND_M = 1e-5
@@ -47,6 +48,16 @@ class TargetMesh:
     outlines: tuple[NDArray[np.float64], ...]
 
 
+def as_stood(kind: Kind, target: Target) -> Target:
+    """Return a target with what it leaves open as the bench has it: the number of bars, and a small tilt."""
+    if kind == "bars":
+        tilt = BAR_TILT_DEG if target.angle_deg is None else target.angle_deg
+        return replace(target, bars=BARS if target.bars is None else target.bars, angle_deg=tilt)
+    if kind == "edge":
+        return replace(target, angle_deg=EDGE_TILT_DEG if target.angle_deg is None else target.angle_deg)
+    return target
+
+
 def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float = 1500.0) -> TargetMesh:
     """Return the surfaces of a target centred on the origin.
 
@@ -55,7 +66,7 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float 
     kind
         "dark" is the plate without an opening, "flat" the open port.
     target
-        Its fields of that kind; an angle not given is a small tilt, so that all phases to the pixels occur.
+        Its fields of that kind; what is not given is as of `as_stood`, the tilt so that all phases to the pixels occur.
     holder
         Ring of a pinhole.
     px_per_metre
@@ -66,10 +77,11 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float 
     BadInput
         If the target lacks what its kind needs.
     """
+    target = as_stood(kind, target)
     if kind == "bars":
         return _bars(target)
     if kind == "edge":
-        return _edge(EDGE_TILT_DEG if target.angle_deg is None else target.angle_deg)
+        return _edge(float(target.angle_deg or 0.0))
     if kind == "point":
         return _pinhole(target, holder, px_per_metre)
     if kind in ("flat", "dark"):
@@ -79,7 +91,7 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float 
 
 
 def _bars(target: Target) -> TargetMesh:
-    count = 4 if target.bars is None else target.bars
+    count = int(target.bars or BARS)
     if target.frequency_cy_per_px is None:
         raise BadInput("bars must have a frequency_cy_per_px, got none")
     width = 0.5 / target.frequency_cy_per_px
@@ -94,7 +106,7 @@ def _bars(target: Target) -> TargetMesh:
         (_quad(right, FAR_PX, top, bottom), MASK),
     ]
     outlines = tuple(np.vstack([_quad(a, b, top, bottom), [[a, top]]]) for a, b in _pairs(edges)[::2])
-    return _joined(parts, BAR_TILT_DEG if target.angle_deg is None else target.angle_deg, outlines)
+    return _joined(parts, float(target.angle_deg or 0.0), outlines)
 
 
 def _pairs(values: NDArray[np.floating]) -> list[tuple[float, float]]:

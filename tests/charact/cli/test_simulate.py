@@ -197,6 +197,20 @@ def test_a_pinhole_on_the_bench_is_a_point_source(tmp_path, cameras):
     assert mean[20:28, 28:36].mean() > 2.0 * mean[:8, :8].mean()
 
 
+def test_bars_on_the_bench_are_measured_as_the_command_says_next(tmp_path):
+    sensor = ("--sensor", "pulnix-ag5745ef3")
+    done = charact(
+        *("simulate", "bench", tmp_path / "out", *sensor, "--kind", "bars", "--frequency", 0.1, "--frames", 4)
+    )
+    assert done.exit_code == 0, done.output
+    assert f"Next: charact measure {tmp_path / 'out'}" in done.output
+    target = open_session(tmp_path / "out").stack("bars").target
+    assert (target.bars, target.angle_deg) == (4, 4.0)
+    done = charact("measure", tmp_path / "out", "--quick")
+    assert done.exit_code == 0, done.output
+    assert "mtf at 0.1" in done.output or "mtf at 0.0999" in done.output
+
+
 def test_more_voltage_than_the_description_allows_is_told(tmp_path, cameras):
     for number, options in enumerate((("--gain", 1e9), ("--mcp-v", 5000), ("--mcp-v", 900))):
         done = charact(
