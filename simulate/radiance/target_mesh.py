@@ -81,7 +81,8 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float 
     if kind == "bars":
         return _bars(target)
     if kind == "edge":
-        return _edge(float(target.angle_deg or 0.0))
+        assert target.angle_deg is not None, "a target as it stood has a tilt"
+        return _edge(target.angle_deg)
     if kind == "point":
         return _pinhole(target, holder, px_per_metre)
     if kind in ("flat", "dark"):
@@ -91,9 +92,10 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float 
 
 
 def _bars(target: Target) -> TargetMesh:
-    count = int(target.bars or BARS)
+    assert target.bars is not None and target.angle_deg is not None, "a target as it stood has both"
     if target.frequency_cy_per_px is None:
         raise BadInput("bars must have a frequency_cy_per_px, got none")
+    count = target.bars
     width = 0.5 / target.frequency_cy_per_px
     top, bottom = -BAR_LENGTH * width / 2.0, BAR_LENGTH * width / 2.0
     edges = width * (np.arange(2 * count) - (2 * count - 1) / 2.0)
@@ -106,7 +108,7 @@ def _bars(target: Target) -> TargetMesh:
         (_quad(right, FAR_PX, top, bottom), MASK),
     ]
     outlines = tuple(np.vstack([_quad(a, b, top, bottom), [[a, top]]]) for a, b in _pairs(edges)[::2])
-    return _joined(parts, float(target.angle_deg or 0.0), outlines)
+    return _joined(parts, target.angle_deg, outlines)
 
 
 def _pairs(values: NDArray[np.floating]) -> list[tuple[float, float]]:
