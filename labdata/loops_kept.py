@@ -8,7 +8,7 @@ from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, Use
 from labdata.loops import stamp_of
 
 
-class _ByPart:
+class _BySources:
     """Loops are those of a stamp that changes with all sources that may be compiled into them."""
 
     _py_file: str
@@ -18,13 +18,13 @@ class _ByPart:
         return stamp_of(Path(self._py_file)) or super().get_source_stamp()  # pyright: ignore[reportAttributeAccessIssue]
 
 
-class Provided(_ByPart, UserProvidedCacheLocator):
+class Provided(_BySources, UserProvidedCacheLocator):
     """Kept where NUMBA_CACHE_DIR says."""
 
 
-class Beside(_ByPart, InTreeCacheLocator):
+class Beside(_BySources, InTreeCacheLocator):
     """Kept beside the sources, where they can be written to."""
 
 
-class OfTheUser(_ByPart, UserWideCacheLocator):
+class OfTheUser(_BySources, UserWideCacheLocator):
     """Kept in the user's own cache."""
