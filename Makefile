@@ -147,9 +147,8 @@ bloom-map: $(READY)
 mtf-peers: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge.peers
 
-# The tree of files, and every picture by simulation.
+# Every picture by simulation.
 docs: $(READY)
-	$(BIN)/python docs/tree.py
 	$(BIN)/python docs/pictures.py
 
 # Pictures of docs/bloom.md, from scenes whose truth is known; half a minute on one core.
