@@ -1,6 +1,11 @@
-"""The closed vocabulary of flags: each names one reason to distrust a number, with its sentence for the report."""
+"""The closed vocabulary of flags, and a finding: a flag with the size of its effect and what settles it.
+
+A flag is evidence in the data at hand that a number may be off by more than its interval. What is merely unknown widens
+the interval or is a note.
+"""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 FLAGS: dict[str, str] = {
     "correlated-noise": "Neighbouring pixels share noise, which this method takes for white.",
@@ -36,6 +41,33 @@ FLAGS: dict[str, str] = {
     "extrapolated": "The number lies beyond the levels that were measured and leans on the law fitted to them.",
     "unlike-conditions": "The stacks compared were taken under different conditions.",
 }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What a check found in the data.
+
+    Parameters
+    ----------
+    flag
+        A key of `FLAGS`.
+    effect
+        How far it may move which number, with its unit: "MTF50 may be up to 1.3 % high".
+    remedy
+        The option, frame or description that settles it, by its name: "--black-dn, or darks in the session".
+    """
+
+    flag: str
+    effect: str
+    remedy: str
+
+    def __post_init__(self) -> None:
+        checked((self.flag,))
+
+    @property
+    def note(self) -> str:
+        """The finding as one line for people."""
+        return f"{self.flag}: {self.effect}; what settles it: {self.remedy}"
 
 
 def checked(flags: Iterable[str]) -> tuple[str, ...]:

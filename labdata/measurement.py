@@ -1,5 +1,6 @@
 """Results: a number with its intervals, verdict and provenance, the curves and the posterior behind it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -151,9 +152,12 @@ class Measurement:
         if self.status != "refused" and (self.status == "ok") == bool(self.flags):
             raise ValueError(f"{self.quantity} is {self.status} with flags {self.flags}")
 
-    def with_(self, **changes: Any) -> "Measurement":
-        """Return a copy with fields changed; flags given here are added and make an ok measurement suspect."""
-        flags = vocabulary.checked((*self.flags, *changes.pop("flags", ())))
+    def with_(self, *, findings: Iterable[vocabulary.Finding] = (), **changes: Any) -> "Measurement":
+        """Return a copy with fields changed; flags and findings given here are added and make an ok one suspect."""
+        found = tuple(findings)
+        flags = vocabulary.checked((*self.flags, *(each.flag for each in found), *changes.pop("flags", ())))
+        if found:
+            changes["notes"] = (*changes.get("notes", self.notes), *(each.note for each in found))
         status = self.status if self.status == "refused" else ("suspect" if flags else "ok")
         return replace(self, flags=flags, status=status, **changes)
 

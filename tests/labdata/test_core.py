@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Result, Target
-from labdata.flags import FLAGS, checked
+from labdata.flags import FLAGS, Finding, checked
 from labdata.limits import Limits
 from labdata.measurement import from_draws, from_sd, measured, refused
 from labdata.parameter import Parameter
@@ -110,6 +110,16 @@ def test_a_number_without_flags_is_ok_and_with_flags_suspect():
     assert (suspect.status, suspect.flags) == ("suspect", ("lag", "agc"))
     assert suspect.with_(flags=("drift",)).flags == ("lag", "agc", "drift")
     assert measured("mtf50", "cy/px", 0.2, None, None, method="m").with_(flags=("drift",)).status == "suspect"
+
+
+def test_a_finding_makes_a_number_suspect_and_says_its_effect_and_remedy():
+    number = measured("mtf50", "cy/px", 0.2, None, None, method="m", notes=("first",))
+    found = Finding(flag="gamma", effect="MTF50 may be up to 1.3 % high", remedy="--black-dn 0")
+    suspect = number.with_(findings=(found,))
+    assert (suspect.status, suspect.flags) == ("suspect", ("gamma",))
+    assert suspect.notes == ("first", "gamma: MTF50 may be up to 1.3 % high; what settles it: --black-dn 0")
+    with pytest.raises(ValueError, match="must be one of"):
+        Finding(flag="odd", effect="", remedy="")
 
 
 def test_a_refusal_has_a_reason_and_no_number():
