@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import product
-from simulate.iiccd.transfer import Blur, PixelAperture
+from simulate.iiccd.transfer import Blur, PixelAperture, folded_transfer
 
 # Half-width of the compact part, pixels; what reaches farther goes by the coarse lattice.
 REACH = 5
@@ -91,9 +90,8 @@ class PulseKernel:
 @lru_cache(maxsize=8)
 def pulse_kernel(blurs: tuple[Blur, ...], grid: Grid, height: int) -> PulseKernel:
     """Return the kernel of blurs behind the gain for single pulses; arguments as for `noise_kernel`."""
-    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     divisions = FINEST, FINEST
-    transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
+    transfer = _fine_transfer(blurs, grid, height)
     whole = np.fft.ifft2(_matched(transfer, height, divisions)).real * FINEST**2 * height
     planes = _compact(whole, height, divisions)
     shares = np.array(planes, np.float32)[:, ::-1, ::-1]
@@ -123,8 +121,7 @@ def noise_kernel(
     tolerance
         Error that the third moment may have, dimensionless; the finest lattice has what it has.
     """
-    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
-    transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
+    transfer = _fine_transfer(blurs, grid, height)
     exact = _third_moment(_read(transfer, impulse, FINEST))
     kernel = None
     for divisions in DIVISIONS:
@@ -156,10 +153,12 @@ def _on_lattice(
     )
 
 
-def _fine_transfer(blurs: tuple[Blur, ...], pitch_x_mm: float, pitch_y_mm: float) -> NDArray[np.float64]:
+def _fine_transfer(blurs: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[np.float64]:
+    """Transfer of blurs and pixels from the finest lattice, shape (SIDE * FINEST, SIDE * FINEST)."""
+    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     fine = np.fft.fftfreq(SIDE * FINEST, 1.0 / FINEST)
-    fx, fy = np.broadcast_arrays(fine[None, :] / pitch_x_mm, fine[:, None] / pitch_y_mm)
-    return product(blurs, fx, fy)
+    cells = {"cell_x_mm": grid.pitch_x_mm / FINEST, "cell_y_mm": grid.pitch_y_mm / FINEST}
+    return folded_transfer(blurs, aperture, fine / grid.pitch_x_mm, fine / grid.pitch_y_mm, **cells)
 
 
 def _read(transfer: NDArray, impulse: tuple[float, ...], per_column: int) -> NDArray[np.complex128]:
