@@ -205,7 +205,7 @@ def folded_transfer(
 
 
 def _aperture_power(frequency: Array, width_mm: float, cell_mm: float) -> tuple[list[Array], list[Array]]:
-    """Frequencies of the replicas of one axis, the central first, and the aperture's power; the last hold all beyond."""
+    """Frequencies of the replicas of an axis, the central first, and the power there; the last hold all beyond."""
     cells = width_mm / cell_mm
     if abs(cells - round(cells)) > 1e-9:
         raise ValueError(f"a pixel must be a whole number of cells wide, got {cells:g}")
@@ -214,7 +214,9 @@ def _aperture_power(frequency: Array, width_mm: float, cell_mm: float) -> tuple[
     for side in (-1, 1):
         for first, last in REPLICA_GROUPS:
             replicas.append(frequency + side * 0.5 * (first + last) / cell_mm)
-            powers.append(sum(np.sinc(width_mm * (frequency + side * m / cell_mm)) ** 2 for m in range(first, last + 1)))
+            powers.append(
+                sum(np.sinc(width_mm * (frequency + side * m / cell_mm)) ** 2 for m in range(first, last + 1))
+            )
     beyond = 0.5 * np.maximum(whole - sum(powers), 0.0)
     powers[len(REPLICA_GROUPS)], powers[-1] = powers[len(REPLICA_GROUPS)] + beyond, powers[-1] + beyond
     return replicas, powers
