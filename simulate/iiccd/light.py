@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simulate.iiccd import fourier
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.transfer import Blur
+from simulate.iiccd.transfer import Blur, product
 
 Quantity = Literal["photons", "photoelectrons", "electrons", "photoelectrons at the plate", "screen photons", "DN"]
 Image = NDArray[np.float32]
@@ -95,14 +95,6 @@ def _resampling(owed: tuple[Blur, ...], fine: Grid, per_pixel: int) -> NDArray[n
     cell = np.sinc(x / fine.per_column) * np.sinc(y / fine.per_column)
     shift = np.exp(2j * np.pi * 0.5 * (x + y) / fine.per_column)
     return (whole / cell * shift).astype(np.complex64)
-
-
-def product(owed: tuple[Blur, ...], fx: NDArray[np.float64], fy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the transfer of blurs that follow each other, at frequencies of one shape."""
-    whole = np.ones(fx.shape)
-    for blur in owed:
-        whole = whole * blur.transfer(fx, fy)
-    return whole
 
 
 def _fade(frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from simulate.iiccd import fourier
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import Light, product
-from simulate.iiccd.transfer import Blur, PixelAperture
+from simulate.iiccd.light import Light
+from simulate.iiccd.transfer import Blur, PixelAperture, folded_transfer, product
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +39,7 @@ class Collection:
         if grid is None or grid.per_column != 2 or grid.per_row > 2:
             raise ValueError("pixels collect light on two cells per column and one or two per row")
         height = 2 if self.row_pairs else 1
-        aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
-        spectrum = fourier.forward(light.values) * pixel_transfer((*light.owed, aperture), grid, height)
+        spectrum = fourier.forward(light.values) * pixel_transfer(light.owed, grid, height)
         folded = folded_columns(folded_rows(spectrum) if grid.per_row == 2 else spectrum)
         pixels = fourier.inverse(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
         # So far the amount in a cell around the pixel's centre, averaged by its aperture.
@@ -56,12 +55,12 @@ class Collection:
 
 @lru_cache(maxsize=8)
 def pixel_transfer(owed: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
-    """Return the transfer of the owed blurs with the shift from cell centres to the centres of the pixels read.
+    """Return the transfer of blurs and pixels with the shift from cell centres to the centres of the pixels read.
 
     Parameters
     ----------
     owed
-        Blurs.
+        Blurs before the pixels.
     grid
         Cells.
     height
@@ -69,15 +68,16 @@ def pixel_transfer(owed: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[n
 
     Notes
     -----
-    Cells one row high are too coarse to hold the blurs' whole transfer H. For them it is sqrt(sum_m |H(f + m/row)|^2):
-    independent cells then have the very covariance, on the pixels, of pulses that fall anywhere inside the cells.
+    Cells one row high are for draws: independent cells have the very covariance, on the pixels, of pulses that fall
+    anywhere inside the cells, see `folded_transfer`.
     """
-    fx, fy = np.broadcast_arrays(*grid.frequencies())
+    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
+    fx, fy = grid.frequencies()
     if grid.per_row == 1:
-        aliases = (product(owed, fx, fy + m / grid.pitch_y_mm) ** 2 for m in (-2, -1, 0, 1, 2))
-        whole = np.sqrt(sum(aliases, start=np.zeros(fx.shape)))
+        cell_x_mm = grid.pitch_x_mm / grid.per_column
+        whole = folded_transfer(owed, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm)
     else:
-        whole = product(owed, fx, fy)
+        whole = product((*owed, aperture), *np.broadcast_arrays(fx, fy))
     right, down = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
     shift = np.exp(2j * np.pi * (right * fx * grid.pitch_x_mm + down * fy * grid.pitch_y_mm))
     return (whole * shift).astype(np.complex64)

@@ -10,6 +10,8 @@ Array = NDArray[np.floating]
 
 # Where the boost of aperture correction is stated.
 CORRECTED_MHZ = 4.5
+# Replicas of the lattice that are taken together, first and last, and the transfer below which none is looked at.
+REPLICA_GROUPS, FAINT_TRANSFER = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 16), (17, 32)), 1e-3
 
 
 class Blur(Protocol):
@@ -149,6 +151,81 @@ class PixelAperture:
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
         """Transfer of the aperture, dimensionless, negative beyond its first zero."""
         return np.sinc(fx_per_mm * self.width_mm) * np.sinc(fy_per_mm * self.height_mm)
+
+
+def product(blurs: tuple[Blur, ...], fx: Array, fy: Array) -> NDArray[np.float64]:
+    """Return the transfer of blurs that follow each other, at frequencies of one shape, cycles/mm."""
+    whole = np.ones(fx.shape)
+    for blur in blurs:
+        whole = whole * blur.transfer(fx, fy)
+    return whole
+
+
+def folded_transfer(
+    blurs: tuple[Blur, ...], aperture: PixelAperture, fx: Array, fy: Array, *, cell_x_mm: float, cell_y_mm: float
+) -> NDArray[np.float64]:
+    """Transfer from a lattice of cells to pixels whose noise is that of events which fall anywhere inside the cells.
+
+    Parameters
+    ----------
+    blurs
+        Blurs before the aperture.
+    aperture
+        Rectangle over which a pixel collects.
+    fx, fy
+        Frequencies of the lattice along a row, shape (col,), and along a column, shape (row,), cycles/mm, up to half
+        a cycle per cell.
+    cell_x_mm, cell_y_mm
+        Pitch of the cells.
+
+    Returns
+    -------
+    NDArray
+        sqrt(sum over all m, n of |H(fx + m / cell_x, fy + n / cell_y)|^2), H = blurs x aperture, with the sign of the
+        term (0, 0), shape (row, col). Independent cells then have, on the pixels, the covariance of continuous events.
+
+    Notes
+    -----
+    The aperture falls as 1/f only: without a blur, 5 % of its power lies beyond four cycles per pixel. Its part of the
+    sum is closed, sum_m sinc^2(w (f + m / c)) = (c / w)^2 sin^2(pi w f) / sin^2(pi c f) where w is a whole number of c
+    (Lighthill 1958, cotangent series). Far replicas are taken in groups, with the blur of one in the middle.
+    """
+    columns, rows = np.asarray(fx, float), np.asarray(fy, float)
+    x, along = _aperture_power(columns, aperture.width_mm, cell_x_mm)
+    y, down = _aperture_power(rows, aperture.height_mm, cell_y_mm)
+    power = np.zeros((rows.size, columns.size))
+    for shifted_y, of_rows in zip(y, down, strict=True):
+        for shifted_x, of_columns in zip(x, along, strict=True):
+            central = shifted_y is y[0] and shifted_x is x[0]
+            if central or _largest(blurs, shifted_x, shifted_y) > FAINT_TRANSFER:
+                blurred = product(blurs, *np.broadcast_arrays(shifted_x[None, :], shifted_y[:, None]))
+                power += blurred**2 * of_columns[None, :] * of_rows[:, None]
+    fx2, fy2 = np.broadcast_arrays(columns[None, :], rows[:, None])
+    return np.copysign(np.sqrt(power), product((*blurs, aperture), fx2, fy2))
+
+
+def _aperture_power(frequency: Array, width_mm: float, cell_mm: float) -> tuple[list[Array], list[Array]]:
+    """Frequencies of the replicas of an axis, the central first, and the power there; the last hold all beyond."""
+    cells = width_mm / cell_mm
+    if abs(cells - round(cells)) > 1e-9:
+        raise ValueError(f"a pixel must be a whole number of cells wide, got {cells:g}")
+    whole = (np.sinc(width_mm * frequency) / np.sinc(cell_mm * frequency)) ** 2
+    replicas, powers = [frequency], [np.sinc(width_mm * frequency) ** 2]
+    for side in (-1, 1):
+        for first, last in REPLICA_GROUPS:
+            replicas.append(frequency + side * 0.5 * (first + last) / cell_mm)
+            powers.append(
+                sum(np.sinc(width_mm * (frequency + side * m / cell_mm)) ** 2 for m in range(first, last + 1))
+            )
+    beyond = 0.5 * np.maximum(whole - sum(powers), 0.0)
+    powers[len(REPLICA_GROUPS)], powers[-1] = powers[len(REPLICA_GROUPS)] + beyond, powers[-1] + beyond
+    return replicas, powers
+
+
+def _largest(blurs: tuple[Blur, ...], fx: Array, fy: Array) -> float:
+    """Largest transfer of blurs on a few of the frequencies."""
+    few_x, few_y = (np.append(f[:: max(1, f.size // 16)], f[np.argmin(np.abs(f))]) for f in (fx, fy))
+    return float(np.abs(product(blurs, *np.broadcast_arrays(few_x[None, :], few_y[:, None]))).max())
 
 
 @dataclass(frozen=True, kw_only=True)

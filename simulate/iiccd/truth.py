@@ -15,13 +15,12 @@ from labdata.sensor import Sensor
 from simulate.iiccd import photons
 from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.light import product
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.optics import Optics
 from simulate.iiccd.phosphor import Phosphor
 from simulate.iiccd.photocathode import ProximityGap
 from simulate.iiccd.taper import Taper
-from simulate.iiccd.transfer import Blur, PixelAperture, VideoFilter
+from simulate.iiccd.transfer import Blur, PixelAperture, VideoFilter, product
 from simulate.iiccd.video import Video
 
 # Or degrees from the row direction.

@@ -24,9 +24,9 @@ from simulate.iiccd import pattern, tiers
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.exposure import freed_by_picture
 from simulate.iiccd.influence.planning import planned
-from simulate.iiccd.light import Light, product
+from simulate.iiccd.light import Light
 from simulate.iiccd.streamed.prepare import Stages
-from simulate.iiccd.transfer import PixelAperture
+from simulate.iiccd.transfer import PixelAperture, product
 from simulate.iiccd.video import Video, filtered
 from tests.simulate.random_scenes import random_scene
 

@@ -6,7 +6,8 @@ import pytest
 from labdata.conditions import Conditions
 from labdata.target import Target
 from simulate.iiccd import truth
-from simulate.iiccd.light import Light, product
+from simulate.iiccd.light import Light
+from simulate.iiccd.transfer import product
 from simulate.lab import LabBench
 
 ROWS, COLUMNS, RATIO = 160, 200, 13.0 / 11.0

@@ -141,7 +141,7 @@ def _block_variance(fields: np.ndarray, rows: int, columns: int) -> np.ndarray:
 def _captured(sensor, rows: int, columns: int) -> float:
     """Share of the covariance sum that sums over blocks hold, by the same theory in the plane of frequencies."""
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.light import product
+    from simulate.iiccd.transfer import product
 
     camera = IntensifiedCamera(sensor)
     x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in (1200, 600))

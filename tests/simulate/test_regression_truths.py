@@ -10,10 +10,9 @@ import pytest
 
 from simulate.iiccd import draws, photons, truth
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.light import product
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.phosphor import Afterglow, lingering
-from simulate.iiccd.transfer import Halo, PixelAperture, TubeShare
+from simulate.iiccd.transfer import Halo, PixelAperture, TubeShare, product
 
 FIELD_S = 1.0 / 59.94
 # Table 5.2 at a post-gain share of 1, single rows: tube, fibres of 80 lp/mm, pixel of 18.0 x 21.3 um at the cathode.

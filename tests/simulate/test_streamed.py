@@ -12,11 +12,11 @@ from labdata.sensors import load_sensor
 from simulate.iiccd import tiers, truth
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.exposure import from_photoelectrons
-from simulate.iiccd.light import Light, product
+from simulate.iiccd.light import Light
 from simulate.iiccd.phosphor import Afterglow
 from simulate.iiccd.streamed import engine, kernel, law, prepare
 from simulate.iiccd.streamed.singles import SingleLight
-from simulate.iiccd.transfer import PixelAperture
+from simulate.iiccd.transfer import PixelAperture, product
 from tests.simulate.test_noise import _block_variance, _captured
 
 

@@ -20,11 +20,11 @@ from simulate.iiccd.automatic import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chip import DRAW_MARGIN_PX, SCENE_MARGIN_PX
-from simulate.iiccd.light import Light, product
+from simulate.iiccd.light import Light
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.streamed.kernel import noise_kernel
 from simulate.iiccd.streamed.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, Stages
-from simulate.iiccd.transfer import Blur
+from simulate.iiccd.transfer import Blur, product
 from simulate.iiccd.video import Video
 
 # Chance that the largest of a pattern's random numbers lies beyond the one that bounds take.

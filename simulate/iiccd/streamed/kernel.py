@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import product
-from simulate.iiccd.transfer import Blur, PixelAperture
+from simulate.iiccd.transfer import Blur, PixelAperture, folded_transfer
 
 # Half-width of the compact part, pixels; what reaches farther goes by the coarse lattice.
 REACH = 5
+# Half-width of single pulses that are compact, pixels, and the share of their light that may lie beyond.
+NEAR, LEFT_TO_WING = 3, 0.02
 # Pixels on one side of a coarse cell.
 COARSE = 8
 # Side of the lattice on which kernels are computed, pixels, and its finest division.
@@ -78,29 +79,38 @@ class PulseKernel:
         Rows of the chip in a pixel as read.
     shares
         Share of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R and
-        column C of the chip, counted from `REACH` before the first, lights the pixels that end with row R, column C.
+        column C of the chip, counted from `reach` before the first, lights the pixels that end with row R, column C.
+    reach
+        Half-width of the shares, pixels: `NEAR` where what lies beyond is little, else `REACH`.
     wing
         What reaches farther than `REACH`, as in `Kernel`.
     """
 
     height: int
     shares: NDArray[np.float32]
+    reach: int
     wing: NDArray[np.float32]
 
 
 @lru_cache(maxsize=8)
 def pulse_kernel(blurs: tuple[Blur, ...], grid: Grid, height: int) -> PulseKernel:
     """Return the kernel of blurs behind the gain for single pulses; arguments as for `noise_kernel`."""
-    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     divisions = FINEST, FINEST
-    transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
+    transfer = _fine_transfer(blurs, grid, height)
     whole = np.fft.ifft2(_matched(transfer, height, divisions)).real * FINEST**2 * height
-    planes = _compact(whole, height, divisions)
-    shares = np.array(planes, np.float32)[:, ::-1, ::-1]
+    planes, outer = np.array(_compact(whole, height, divisions)), REACH - NEAR
+    near = planes.copy()
+    near[:, outer:-outer, outer:-outer] = 0.0
+    if np.abs(near).sum() < LEFT_TO_WING * np.abs(planes).sum():
+        planes -= near
+        shares, reach = planes[:, outer:-outer, outer:-outer], NEAR
+    else:
+        shares, reach = planes, REACH
     return PulseKernel(
         height=height,
-        shares=np.ascontiguousarray(shares).reshape(FINEST, FINEST, *shares.shape[1:]),
-        wing=_wing_of(whole, planes, height, divisions),
+        shares=np.ascontiguousarray(shares[:, ::-1, ::-1], np.float32).reshape(FINEST, FINEST, *shares.shape[1:]),
+        reach=reach,
+        wing=_wing_of(whole, list(planes), height, divisions),
     )
 
 
@@ -123,8 +133,7 @@ def noise_kernel(
     tolerance
         Error that the third moment may have, dimensionless; the finest lattice has what it has.
     """
-    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
-    transfer = _fine_transfer((*blurs, aperture), grid.pitch_x_mm, grid.pitch_y_mm)
+    transfer = _fine_transfer(blurs, grid, height)
     exact = _third_moment(_read(transfer, impulse, FINEST))
     kernel = None
     for divisions in DIVISIONS:
@@ -156,10 +165,12 @@ def _on_lattice(
     )
 
 
-def _fine_transfer(blurs: tuple[Blur, ...], pitch_x_mm: float, pitch_y_mm: float) -> NDArray[np.float64]:
+def _fine_transfer(blurs: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[np.float64]:
+    """Transfer of blurs and pixels from the finest lattice, shape (SIDE * FINEST, SIDE * FINEST)."""
+    aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     fine = np.fft.fftfreq(SIDE * FINEST, 1.0 / FINEST)
-    fx, fy = np.broadcast_arrays(fine[None, :] / pitch_x_mm, fine[:, None] / pitch_y_mm)
-    return product(blurs, fx, fy)
+    cells = {"cell_x_mm": grid.pitch_x_mm / FINEST, "cell_y_mm": grid.pitch_y_mm / FINEST}
+    return folded_transfer(blurs, aperture, fine / grid.pitch_x_mm, fine / grid.pitch_y_mm, **cells)
 
 
 def _read(transfer: NDArray, impulse: tuple[float, ...], per_column: int) -> NDArray[np.complex128]:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd.streamed.kernel import COARSE, FINEST, PulseKernel
+from simulate.iiccd.streamed.kernel import COARSE, FINEST, REACH, PulseKernel
 from simulate.iiccd.streamed.screen import Shared
 
 Array = NDArray[np.float32]
@@ -16,6 +16,8 @@ Places = NDArray[np.int32]
 PULSES = 59
 # Cells to a pixel pitch, and places to a cell, both ways.
 CELLS, PLACES = 2, FINEST // 2
+# Parts into which the search for a pulse's cell is cut.
+GUIDES = 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +73,12 @@ class SingleLight:
         return np.cumsum(self.expected, dtype=np.float64)
 
     @cached_property
+    def guide(self) -> NDArray[np.int32]:
+        """First cell beyond each of evenly spaced parts of the expected photoelectrons, shape (part,)."""
+        parts = np.arange(GUIDES) * (self.running[-1] / GUIDES)
+        return np.searchsorted(self.running, parts, side="right").astype(np.int32)
+
+    @cached_property
     def charge_e(self) -> Array:
         """Mean charge that pulses bring to cells, e-, shape (row, col)."""
         ions = np.float32(self.ions_per_field * self.ion_size / self.gain.size)
@@ -89,7 +97,17 @@ class SingleLight:
             fftconvolve(self.charge_e[i::CELLS, j::CELLS], cells[i, j]) for i in range(CELLS) for j in range(CELLS)
         ]
         rows, cols = self.size
-        return np.ascontiguousarray(np.sum(parts, axis=0)[taps - 1 :, breadth - 1 :][:rows, :cols], np.float32)
+        further = REACH - self.kernel.reach
+        whole = np.sum(parts, axis=0)[taps - 1 + further :, breadth - 1 + further :]
+        return np.ascontiguousarray(whole[:rows, :cols], np.float32)
+
+    @cached_property
+    def lines(self) -> Array:
+        """The kernel's shares with as many columns as the processor adds at once, shape as they but (..., 8 or 16)."""
+        from simulate.iiccd.streamed.pulse_rows import ADDED_AT_ONCE
+
+        shares = self.kernel.shares
+        return np.pad(shares, [(0, 0)] * 3 + [(0, -shares.shape[3] % ADDED_AT_ONCE)])
 
     @cached_property
     def coarse_e(self) -> Array:
@@ -139,18 +157,20 @@ class SingleScreen:
         for number in range(light.fields):
             pulses = self._drawn(frame * light.fields + number, factor)
             places, shown = (pulses.rows, pulses.columns, pulses.charge, pulses.later), self.shown[number, 0]
-            given = (number, light.fields), places, light.kernel.shares, (near, light.stays), light.kept
+            given = (number, light.fields, light.kernel.reach), places, light.lines, (near, light.stays), light.kept
             shared(lambda a, b, g=given, s=shown: pulse_rows(a, b, *g, self._stored, s), light.size[0], 1)
             coarse.append(self._on_coarse_cells(pulses, factor))
         return np.stack(coarse)
 
     def _drawn(self, exposure: int, factor: np.float32) -> _Pulses:
+        from simulate.iiccd.streamed.pulse_rows import cells_beyond
+
         light = self._light
         rng = np.random.default_rng([self._seed, PULSES, exposure + 2**32])
         number, ions = rng.poisson(light.running[-1]), rng.poisson(light.ions_per_field)
         # Even numbers in order, so that memory is walked through once: running sums of exponential ones, over the last.
         running = np.cumsum(rng.standard_exponential(number + 1))
-        cells = np.searchsorted(light.running, running[:-1] * (light.running[-1] / running[-1]), side="right")
+        cells = cells_beyond(running[:-1] * (light.running[-1] / running[-1]), light.running, light.guide)
         cells = np.concatenate([cells, rng.integers(light.gain.size, size=ions)])
         heights = [
             rng.standard_gamma(light.shape, size=number),
@@ -169,17 +189,14 @@ class SingleScreen:
 
     def _on_coarse_cells(self, pulses: _Pulses, factor: np.float32) -> Array:
         """What an exposure shows beyond the mean, summed over coarse cells."""
+        from simulate.iiccd.streamed.pulse_rows import coarse_sums
+
         light, stored = self._light, self._coarse_stored
-        shape = light.coarse_e.shape
-        where = pulses.rows // (FINEST * COARSE) * shape[1] + pulses.columns // (FINEST * COARSE)
-
-        def summed(charge: Array) -> Array:
-            return np.bincount(where, charge, light.coarse_e.size).reshape(shape).astype(np.float32)
-
-        now = pulses.charge - pulses.later.sum(axis=0)
-        shown = summed(now) - factor * (np.float32(1.0) - light.stays.sum()) * light.coarse_e
-        for one, stays, kept, later in zip(stored, light.stays, light.kept, pulses.later, strict=True):
+        side = FINEST * COARSE
+        sums = coarse_sums(pulses.rows, pulses.columns, pulses.charge, pulses.later, side, *light.coarse_e.shape)
+        shown = sums[0] - factor * (np.float32(1.0) - light.stays.sum()) * light.coarse_e
+        for one, stays, kept, later in zip(stored, light.stays, light.kept, sums[1:], strict=True):
             shown += (np.float32(1.0) - kept) * one
             one *= kept
-            one += summed(later) - factor * stays * light.coarse_e
+            one += later - factor * stays * light.coarse_e
         return shown
