@@ -214,9 +214,8 @@ def _aperture_power(frequency: Array, width_mm: float, cell_mm: float) -> tuple[
     for side in (-1, 1):
         for first, last in REPLICA_GROUPS:
             replicas.append(frequency + side * 0.5 * (first + last) / cell_mm)
-            powers.append(
-                sum(np.sinc(width_mm * (frequency + side * m / cell_mm)) ** 2 for m in range(first, last + 1))
-            )
+            group = frequency + side * np.arange(first, last + 1)[:, None] / cell_mm
+            powers.append(np.sum(np.sinc(width_mm * group) ** 2, axis=0))
     beyond = 0.5 * np.maximum(whole - sum(powers), 0.0)
     powers[len(REPLICA_GROUPS)], powers[-1] = powers[len(REPLICA_GROUPS)] + beyond, powers[-1] + beyond
     return replicas, powers
