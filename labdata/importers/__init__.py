@@ -84,7 +84,7 @@ def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, na
     """Return the frames of what a reader found."""
     if isinstance(found, FrameStack):
         if plane not in (None, "mono"):
-            raise BadInput(f"a plane can only be taken of a colour picture, got plane {plane!r} of {name}")
+            raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
         return found
     data = found.data.astype(found.data.dtype.newbyteorder("="), copy=False)
     stack = frames_of(data, found.names, plane=plane, axis=axis, name=name, pattern=found.pattern)

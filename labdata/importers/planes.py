@@ -33,7 +33,7 @@ def mono(data: NDArray, plane: str | None, name: str, pattern: str | None = None
             "file does not say",
         ))  # fmt: skip
     if plane not in (None, "mono"):
-        raise BadInput(f"a plane can only be taken of a colour picture, got plane {plane!r} of {name}")
+        raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
     notes = () if greens is None else (
         "the pixels alternate in a 2x2 pattern like a colour mosaic that was taken for grey: --plane r, g1, g2 or b "
         "measures one colour, in pixels twice as wide",

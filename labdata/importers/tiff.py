@@ -43,13 +43,6 @@ def _recorded(file, path: Path) -> Recorded:
     page = series.keyframe
     notes += _check_meaning(page, path)
     packing = getattr(page.compression, "name", str(page.compression))
-    if packing not in ("NONE", "LZW", "ADOBE_DEFLATE", "DEFLATE", "PACKBITS", "ZSTD", "LZMA") or page.bitspersample % 8:
-        try:
-            import imagecodecs  # noqa: F401
-        except ImportError:
-            raise BadInput(
-                f"a TIFF file of {packing} and {page.bitspersample} bits needs imagecodecs, got {path}"
-            ) from None
     if any(word in packing for word in LOSSY):
         notes += (lossy_note(packing),)
     names = _names(file, series)
@@ -127,13 +120,18 @@ def _check_meaning(page, path: Path) -> tuple[str, ...]:
     photometric = getattr(page.photometric, "name", "")
     if photometric == "PALETTE":
         table = np.asarray(page.colormap, np.int64)
-        if (table == table[:1]).all() and (np.diff(table[0]) >= 0).all() and table[0, -1] > table[0, 0]:
-            return ("the look-up table of the file is grey and was left aside: the stored values are measured",)
-        raise BadInput(f"the pixels of a TIFF file must rise with light, got colours of a look-up table in {path}: "
-                       "save it as a grey picture (ImageJ: Image > Type > 8-bit)")  # fmt: skip
+        # A scale of grey, or of one colour as ImageJ has them, orders the stored values as a display shows them.
+        if (np.diff(table) >= 0).all() and (table[:, -1] > table[:, 0]).any():
+            return ("the look-up table of the file rises with the stored values, which are measured as they are",)
+        raise BadInput(
+            f"the pixels of a TIFF file must rise with light, got a look-up table of colours that fall in {path}: "
+            "choose a grey look-up table before saving (ImageJ: Image > Lookup Tables > Grays)"
+        )
     if photometric == "MINISWHITE":
-        raise BadInput(f"the pixels of a TIFF file must rise with light, got the type MINISWHITE in {path}: "
-                       "invert it (ImageJ: Edit > Invert)")  # fmt: skip
+        raise BadInput(
+            f"the pixels of a TIFF file must rise with light, got the type MINISWHITE in {path}: invert it before "
+            "saving (ImageJ: Edit > Invert)"
+        )
     return ()
 
 
