@@ -100,9 +100,7 @@ class StackEntry:
         from labdata.importers import read_frames
 
         unknown = self.bit_depth is None
-        parts = [
-            read_frames(path, plane or self.plane, axis=self.axis, find_full_scale=unknown) for path in self.paths
-        ]
+        parts = [read_frames(path, plane or self.plane, axis=self.axis, find_full_scale=unknown) for path in self.paths]
         stack = _joined(parts, self.label)
         if stack.origin != (0, 0) and self.target.region is not None:
             raise BadInput(

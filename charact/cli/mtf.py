@@ -122,6 +122,8 @@ def point(
 @app.command()
 def flats(
     file: Annotated[Path, typer.Argument(help="Folder of a session with flats and darks, or one stack of flats.")],
+    plane: options.Plane = None,
+    axis: options.Axis = None,
     method: options.MethodName = "auto",
     within: options.Within = 2.0,
     quick: options.Quick = False,
@@ -142,7 +144,7 @@ def flats(
         from charact import mtf
         from charact.measuring import context_of
 
-        session = _flats_of(file, _sensor(sensor))
+        session = _flats_of(file, _sensor(sensor), plane, axis)
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, session.sensor, rows=rows)
         with progress_bar(events=events) as progress:
@@ -158,7 +160,7 @@ def flats(
         )
 
 
-def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
+def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None) -> "Session":
     """The session in a folder, or one made of a single stack of flats."""
     from labdata.conditions import Conditions
     from labdata.session import MANIFEST, Session, StackEntry, open_session
@@ -168,7 +170,10 @@ def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
         return session if sensor is None else replace(session, sensor=sensor)
     if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
         raise BadInput(f"flats must be a session's folder, with a {MANIFEST}, or a file of frames, got {file}")
-    entry = StackEntry(label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent)
+    entry = StackEntry(
+        label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent, axis=axis,
+        plane=plane,
+    )  # fmt: skip
     return Session(folder=file.parent, name=file.name, stacks=(entry,), sensor=sensor)
 
 

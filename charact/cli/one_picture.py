@@ -1,5 +1,6 @@
 """A bare picture given where a session is expected: read for what one frame can tell, or refused in one sentence."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,7 +83,7 @@ def opened(path: Path) -> "Session":
 
 
 def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool,
-                     as_json: bool, events: bool) -> None:  # fmt: skip
+                     plane: str | None, axis: str | None, as_json: bool, events: bool) -> None:  # fmt: skip
     """Extents of a point source in a bare picture, by what one frame tells or by the method asked for."""
     with bad_input_ends(str(path), as_json=as_json, events=events):
         from charact import bloom
@@ -98,6 +99,7 @@ def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, see
                 f"charact import frames {path} OUT --kind point makes a session of it"
             )
         session = bare_session(path)
+        session = replace(session, stacks=(replace(session.stacks[0], plane=plane, axis=axis),))
         with progress_bar(events=events) as progress:
             context = context_of(session, quick=quick, seed=seed, progress=progress)
             if method == "auto":

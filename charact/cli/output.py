@@ -60,7 +60,7 @@ def bad_input_ends(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(1) from None
     except MemoryError as error:
-        reason = f"the frames must fit into memory: {error or 'there is too little'}; measure a part (--roi) or fewer frames"
+        reason = f"the frames must fit into memory, got: {error or 'too little of it'}; give fewer or smaller frames"
         fail(reason, given=given, as_json=as_json, events=events)
     except OSError as error:
         named = f" ({error.filename})" if error.filename else ""

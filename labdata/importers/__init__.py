@@ -94,7 +94,7 @@ def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, na
         stack,
         black_level_dn=stack.black_level_dn if black_dn is None else black_dn,
         full_scale_dn=found.full_scale_dn if stack.full_scale_dn is None else stack.full_scale_dn,
-        notes=(*found.notes, *stack.notes, *swapped),
+        notes=(*found.notes, *(() if axis else found.doubts), *stack.notes, *swapped),
     )
 
 

@@ -7,7 +7,6 @@ An axis counts frames where the file says so or where the documented layout of i
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
@@ -36,6 +35,16 @@ MEANINGS = {
 def meaning(word: str) -> str:
     """Return what an axis counts, from its letter or name in a file."""
     return MEANINGS.get(word.strip().lower(), word.strip().lower())
+
+
+def named(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[str, ...]:
+    """Return what the axes of a labelled array count; rows and columns are the last two where no label says else."""
+    if not any(labels):
+        return names_of_shape(shape)
+    names = [meaning(label or "") for label in labels]
+    if ROW not in names and COL not in names and len(names) > 1:
+        names[-2:] = ROW, COL
+    return tuple(names)
 
 
 def names_of_shape(shape: Sequence[int]) -> tuple[str, ...]:
@@ -151,4 +160,8 @@ def _picked(shape: Sequence[int], names: list[str], others: list[int], plane: st
 
 def _listed(names: Sequence[str], shape: Sequence[int]) -> str:
     """Return the axes in words: (0 unnamed 16, 1 row 512, 2 col 640)."""
-    return "(" + ", ".join(f"{at} {what} of {size}" for at, (what, size) in enumerate(zip(names, shape, strict=True))) + ")"
+    return (
+        "("
+        + ", ".join(f"{at} {what} of {size}" for at, (what, size) in enumerate(zip(names, shape, strict=True)))
+        + ")"
+    )

@@ -61,7 +61,9 @@ def _ser(path: Path) -> Recorded:
     colour, little, columns, rows, bits, frames = struct.unpack_from("<6I", header, 18)
     samples = 1 if colour in SER_MOSAICS else SER_COLOURS.get(colour)
     if samples is None or not 1 <= bits <= 16:
-        raise BadInput(f"a SER file must be grey, a Bayer mosaic or RGB of 1 to 16 bits, got ColorID {colour} in {path}")
+        raise BadInput(
+            f"a SER file must be grey, a Bayer mosaic or RGB of up to 16 bits, got ColorID {colour} in {path}"
+        )
     # Most writers set the flag of the byte order the wrong way round: 0 is little-endian (Siril, FireCapture, PIPP).
     kind = np.dtype("u1" if bits <= 8 else ">u2" if little else "<u2")
     shape = (frames, rows, columns, samples)

@@ -51,13 +51,13 @@ def _image_of(file, path: Path) -> Recorded:
             data=np.asarray(unit.data),
             names=_names(unit.header, axes),
             pattern=pattern if len(pattern) == 4 and set(pattern) <= set("rgb") else None,
-            notes=(lossy_note(f"{packed} of real pixels"),) if lossy else (),
+            notes=(lossy_note(packed),) if lossy else (),
         )
     raise BadInput(f"a FITS file must hold an image, got none in {path}")
 
 
 def _names(header, axes: int) -> tuple[str, ...]:
-    """Return what the axes count, slowest first: beyond columns and rows as CTYPE says, or a card that counts frames."""
+    """Return what the axes count, slowest first; beyond columns and rows by CTYPE or a card that counts frames."""
     names = [COL, ROW]
     for axis in range(3, axes + 1):
         stated = str(header.get(f"CTYPE{axis}", "")).split("-")[0]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import meaning, names_of_shape
+from labdata.importers.axes import named
 from labdata.importers.expansion import require_possible
 from labdata.importers.recorded import Recorded
 
@@ -25,7 +25,7 @@ def read(path: Path) -> Recorded:
             largest = max(arrays, key=lambda array: array.size)
             require_possible(largest.nbytes, path.stat().st_size, path.name)
             labels = [dimension.label for dimension in largest.dims]
-            names = tuple(meaning(label) for label in labels) if any(labels) else names_of_shape(largest.shape)
+            names = named(labels, largest.shape)
             others = [array.name for array in arrays if array.name != largest.name]
             notes = (f"the largest of {len(arrays)} arrays was read, {largest.name}",) if others else ()
             return Recorded(data=np.asarray(largest[()]), names=names, notes=notes)

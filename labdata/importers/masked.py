@@ -67,7 +67,7 @@ def _joined_to_border(gaps: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _inside(gaps: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """Return first and last row and column of what remains when border lines with gaps are taken off, the worst first."""
+    """Return the rows and columns that remain when border lines with gaps are taken off, the worst first."""
     top, left = 0, 0
     bottom, right = gaps.shape
     while top < bottom and left < right and (inner := gaps[top:bottom, left:right]).any():

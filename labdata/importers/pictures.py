@@ -44,13 +44,15 @@ def _decoded(content: bytes, kind: str, path: Path) -> NDArray | None:
     from PIL import Image
 
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(content), formats=[kind]) as picture:
+        Image.init()
+        # Its own bound on sizes, which Image.open holds to, is below that of large cameras.
+        with warnings.catch_warnings(action="ignore"), Image.OPEN[kind][0](io.BytesIO(content), "") as picture:
             columns, rows = picture.size
             require_possible(2 * rows * columns * len(picture.getbands()), len(content), path.name)
             if kind in ("JPEG", "BMP"):
                 grey = picture.mode in ("1", "L")
                 return np.asarray(picture.convert("L" if grey else "RGB"))
-    except BadInput:
+    except (BadInput, MemoryError):
         raise
     except Exception:
         return None

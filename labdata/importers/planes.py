@@ -36,7 +36,7 @@ def mono(data: NDArray, plane: str | None, name: str, pattern: str | None = None
         raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
     notes = () if greens is None else (
         "the pixels alternate in a 2x2 pattern like a colour mosaic that was taken for grey: --plane r, g1, g2 or b "
-        "measures one colour, in pixels twice as wide",
+        "measures one colour; its frequencies count its own pixels, which are twice as wide",
     )  # fmt: skip
     return FrameStack(data=data, notes=notes)
 

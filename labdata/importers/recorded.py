@@ -24,6 +24,8 @@ class Recorded:
         Highest code, DN; None: not stated.
     notes
         What a reader should know of how the pixels were stored.
+    doubts
+        What a reader should know of the axes, unless the one of frames is chosen.
     """
 
     data: NDArray
@@ -32,8 +34,9 @@ class Recorded:
     black_dn: tuple[float, ...] = ()
     full_scale_dn: float | None = None
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 def lossy_note(how: str) -> str:
     """Return the note of a lossy compression."""
-    return f"{how} compression is lossy: it alters fine detail and noise, so that MTF, noise and their intervals may be off"
+    return f"{how} compression is lossy: it alters fine detail and noise, so MTF, noise and their intervals may be off"

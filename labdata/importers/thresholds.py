@@ -21,11 +21,8 @@ LEAST_PIXELS = 4
 LEAST_BITS = 9
 """Fewest bits of a digitiser in a wider type; 8 bits have a type of their own."""
 
-BYTES_SWAPPED = 3.0
-"""Ratio of changes between neighbours, high byte to low, above which bytes are swapped: 9 bits shifted left reach 2."""
-
 MOSAIC_LEVEL = 0.01
-"""Least checkerboard amplitude over the mean level of a mosaic; sensors without filters repeat to 0.1 % (PRNU, EMVA 1288)."""
+"""Least checkerboard amplitude over the mean level of a mosaic; the PRNU of sensors averages out below it."""
 
 MOSAIC_SIGNIFICANCE = 8.0
 """Least checkerboard amplitude in its standard errors; 1e-15 by chance."""

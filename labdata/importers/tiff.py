@@ -46,8 +46,7 @@ def _recorded(file, path: Path) -> Recorded:
     if any(word in packing for word in LOSSY):
         notes += (lossy_note(packing),)
     names = _names(file, series)
-    if COLOUR in names and names[-1] != COLOUR and FRAME not in names:
-        notes += ("three planes that the writer of the file marked as colours; if they are three frames: --axis 0",)
+    planar = COLOUR in names and names[-1] != COLOUR and FRAME not in names
     bits = int(page.bitspersample)
     data = series.asarray()
     return Recorded(
@@ -56,6 +55,7 @@ def _recorded(file, path: Path) -> Recorded:
         pattern=_pattern(page),
         full_scale_dn=float(2**bits - 1) if data.dtype.kind == "u" and 8 < bits < 8 * data.itemsize else None,
         notes=notes,
+        doubts=("its writer marked the three planes of the file as colours; if they are frames: --axis 0",) * planar,
     )
 
 

@@ -8,7 +8,7 @@ from labdata.errors import BadInput
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW
 from labdata.importers.recorded import Recorded, lossy_note
 
-LOSSLESS = ("", "DIB ", "RGB ", "RAW ", "Y800", "GREY", "Y8  ", "FFV1", "HFYU", "FFVH", "MPNG", "BGR0")
+LOSSLESS = ("", "DIB ", "RGB ", "RAW ", "Y800", "GREY", "Y8  ", "FFV1", "HFYU", "FFVH", "MPNG")
 """FourCC codes of pixels stored as they are or packed without loss."""
 
 
@@ -16,7 +16,9 @@ def read(path: Path) -> Recorded:
     """Read all frames of a video; see `labdata.importers.read_frames`."""
     import cv2
 
-    if path.read_bytes()[:4] != b"RIFF":
+    with path.open("rb") as file:
+        start = file.read(4)
+    if start != b"RIFF":
         raise BadInput(f"a .avi file must be an AVI video, got something else in {path}")
     video = cv2.VideoCapture(str(path))
     try:
@@ -26,15 +28,16 @@ def read(path: Path) -> Recorded:
             read, frame = video.read()
             if not read:
                 break
-            grey = frame.ndim == 2 or (frame[..., 0] == frame[..., 1]).all() and (frame[..., 1] == frame[..., 2]).all()
-            frames.append(frame[..., 0] if grey and frame.ndim == 3 else frame)
+            frames.append(frame)
     finally:
         video.release()
     if not frames or len({frame.shape for frame in frames}) > 1:
-        raise BadInput(f"an AVI file must be whole and of a known codec, grey or colour throughout, got {path}")
-    packing = code.to_bytes(4, "little").decode("latin-1").strip("\0")
+        raise BadInput(f"an AVI file must be whole and of a known codec, got {path}")
+    packing = code.to_bytes(4, "little").decode("latin-1").strip("\0").upper()
     notes = () if packing in LOSSLESS else (lossy_note(f"the video's {packing}"),)
     data = np.stack(frames)
-    if data.ndim == 4:
-        return Recorded(data=data[..., ::-1], names=(FRAME, ROW, COL, COLOUR), notes=notes)
-    return Recorded(data=data, names=(FRAME, ROW, COL), notes=notes)
+    if data.ndim == 4 and (data == data[..., :1]).all():  # OpenCV hands grey over three times
+        data = data[..., 0]
+    if data.ndim == 3:
+        return Recorded(data=data, names=(FRAME, ROW, COL), notes=notes)
+    return Recorded(data=data[..., ::-1], names=(FRAME, ROW, COL, COLOUR), notes=notes)

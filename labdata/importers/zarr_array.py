@@ -6,7 +6,7 @@ import numpy as np
 
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.importers.axes import meaning, names_of_shape
+from labdata.importers.axes import named
 from labdata.importers.expansion import require_possible
 from labdata.importers.recorded import Recorded
 
@@ -22,9 +22,8 @@ def read(path: Path) -> Recorded | FrameStack:
     try:
         array = zarr.open_array(path, mode="r")
         require_possible(array.nbytes, sum(part.stat().st_size for part in path.rglob("*")), path.name)
-        labels = getattr(array.metadata, "dimension_names", None)
-        names = tuple(meaning(label or "") for label in labels) if labels else names_of_shape(array.shape)
-        return Recorded(data=np.asarray(array[...]), names=names)
+        labels = getattr(array.metadata, "dimension_names", None) or ()
+        return Recorded(data=np.asarray(array[...]), names=named(labels, array.shape))
     except (BadInput, MemoryError):
         raise
     except Exception:
