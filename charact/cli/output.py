@@ -5,7 +5,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import groupby
 from typing import TYPE_CHECKING, NoReturn
 
@@ -35,7 +35,8 @@ def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> N
     """End with exit code 1 and one sentence."""
     one_line = " ".join(sentence.split())
     if as_json:
-        print(json.dumps({"charact": __version__, "input": given, "error": one_line}))
+        with suppress(OSError):  # where stdout itself takes nothing more, the sentence below is what is left to say
+            print(json.dumps({"charact": __version__, "input": given, "error": one_line}))
     say(one_line if events else f"charact: {one_line}", events=events)
     raise typer.Exit(1)
 

@@ -3,12 +3,25 @@
 import struct
 import warnings
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
 from labdata.errors import BadInput
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW
 from labdata.importers.recorded import Recorded
+
+SPE_HEADER_BYTES = 4100
+SPE_FIELDS = {
+    "cols": (42, "<H"),
+    "type": (108, "<h"),
+    "rows": (656, "<H"),
+    "footer": (678, "<Q"),
+    "frames": (1446, "<i"),
+    "version": (1992, "<f"),
+}
+"""Byte and form of what the header states (Princeton Instruments, SPE 3.0 File Format Specification, appendix A)."""
+SPE_TYPES = {0: "<f4", 1: "<i4", 2: "<i2", 3: "<u2", 5: "<f8", 6: "u1", 8: "<u4"}
 
 SER_MAGIC = b"LUCAM-RECORDER"
 SER_HEADER_BYTES = 178
@@ -31,15 +44,27 @@ def read(path: Path) -> Recorded:
 
 
 def _spe(path: Path) -> Recorded:
-    """SPE 2.x (WinView, WinSpec) and 3.0 (LightField) by imageio's plugin."""
-    from imageio.v3 import imopen
-
-    with imopen(path, "r", plugin="SPE") as file:
-        frames, *picture = file.properties(index=...).shape
-        stated = frames * int(np.prod(picture)) * file.properties(index=...).dtype.itemsize
-        if stated > path.stat().st_size:
-            raise BadInput(f"an SPE file must be whole, got {path} of fewer bytes than the {stated} of its frames")
-        return Recorded(data=np.asarray(file.read(index=...)), names=(FRAME, ROW, COL))
+    """SPE 2.x (WinView, WinSpec) by its header, 3.0 (LightField) by the XML at its end."""
+    content = np.memmap(path, np.uint8, "r")
+    header = content[:SPE_HEADER_BYTES].tobytes()
+    field = {name: struct.unpack_from(form, header, at)[0] for name, (at, form) in SPE_FIELDS.items()}
+    kind = np.dtype(SPE_TYPES[field["type"]])
+    frames, rows, cols = field["frames"], field["rows"], field["cols"]
+    stride = rows * cols * kind.itemsize
+    if field["version"] >= 3.0:
+        blocks = [block.attrib for block in ElementTree.fromstring(content[field["footer"] :].tobytes()).iter()
+                  if block.tag.endswith("}DataBlock")]  # fmt: skip
+        frame, regions = blocks[0], blocks[1:]
+        if len(regions) != 1:
+            raise BadInput(f"an SPE file must hold one region a frame, got {len(regions)} in {path}")
+        # Between two frames lie their time stamps, where they are recorded.
+        frames, stride = int(frame["count"]), int(frame["stride"])
+        rows, cols = int(regions[0]["height"]), int(regions[0]["width"])
+    if SPE_HEADER_BYTES + (frames - 1) * stride + rows * cols * kind.itemsize > content.size:
+        raise BadInput(f"an SPE file must be whole, got {path} of fewer bytes than its {frames} frames")
+    strides = (stride, cols * kind.itemsize, kind.itemsize)
+    data = np.ndarray((frames, rows, cols), kind, content, SPE_HEADER_BYTES, strides)
+    return Recorded(data=data, names=(FRAME, ROW, COL))
 
 
 def _sif(path: Path) -> Recorded:

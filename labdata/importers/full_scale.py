@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.frames import FrameStack, blocks
-from labdata.importers.thresholds import LEAST_BITS, LEAST_PIXELS
+from labdata.importers.thresholds import LEAST_BITS, LEAST_PIXELS, MOST_BITS
 
 FOUND = "full scale found from the data"
 
@@ -26,10 +26,12 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
     if stack.data.dtype == np.uint8:
         return replace(stack, full_scale_dn=255.0)
     highest, held = _highest(stack.data)
-    step = step_of(stack.data) if held >= LEAST_PIXELS and highest > 0 else None
-    if step is None or not ends_at(round(highest / step), held):
+    if held < LEAST_PIXELS or highest <= 0:
         return stack
-    bits = round(highest / step).bit_length()
+    bits = _bits_of(stack.data, highest)
+    if bits is None:
+        return stack
+    step = highest / (2**bits - 1)
     steps = "" if step == 1 else f" in steps of {step:.6g} DN"
     note = f"{FOUND}: {held} pixels hold the highest code, {highest:g} DN, which is that of {bits} bits{steps}"
     return replace(stack, full_scale_dn=float(highest), notes=(*stack.notes, note))
@@ -40,32 +42,27 @@ def ends_at(highest: int, held: int) -> bool:
     return highest.bit_length() >= LEAST_BITS and highest == 2 ** highest.bit_length() - 1 and held >= LEAST_PIXELS
 
 
-def step_of(data: NDArray) -> float | None:
-    """Return the step of the digitiser that all values are multiples of, in the data's unit; None: there is none.
+def _bits_of(data: NDArray, highest: float) -> int | None:
+    """Return the bits of the digitiser whose last code the highest value is; None if no digitiser ends there.
 
     Notes
     -----
-    Of whole numbers it is the largest power of 2 that divides them all. Of real numbers it is the least distance of
-    two values of the first frame, if every distance is a multiple of it within their rounding; values without a
-    digitiser have distances down to that rounding.
+    Whole numbers are divided by the largest power of 2 that divides them all. Real numbers must all be multiples of the
+    highest one over 2^n - 1 within their rounding; those of the first frame are looked at.
     """
     if data.dtype.kind in "ui":
         used = 0
         for block in blocks(data):
             used |= int(np.bitwise_or.reduce(block, axis=None))
-        return float(used & -used) if used else None
-    values = np.unique(np.asarray(data[0], np.float64))
-    if values.size < 2 or not np.isfinite(values).all():
-        return None
-    rounding = float(np.finfo(data.dtype).eps * np.abs(values).max())
-    distances = np.diff(values)
-    distances = distances[distances > 4.0 * rounding]
-    if not distances.size or (least := float(distances.min())) < 64.0 * rounding:
-        return None
-    # The least distance carries the rounding of two values; the whole range, in steps, does so once.
-    step = float(np.ptp(values)) / round(float(np.ptp(values)) / least)
-    off = np.abs(values - values[0] - step * np.rint((values - values[0]) / step))
-    return step if off.max() <= 4.0 * rounding else None
+        top = int(highest) // (used & -used)
+        return top.bit_length() if ends_at(top, LEAST_PIXELS) else None
+    values = np.unique(np.asarray(data[0], np.float64)) / highest
+    rounding = 4.0 * float(np.finfo(data.dtype).eps)
+    for bits in range(LEAST_BITS - 1, MOST_BITS + 1):
+        codes = values * (2**bits - 1)
+        if values.size > 2 and np.abs(codes - np.rint(codes)).max() <= rounding * 2**bits:
+            return bits
+    return None
 
 
 def _highest(data: NDArray) -> tuple[float | int, int]:

@@ -21,6 +21,9 @@ LEAST_PIXELS = 4
 LEAST_BITS = 9
 """Fewest bits of a digitiser in a wider type; 8 bits have a type of their own."""
 
+MOST_BITS = 16
+"""Most bits of a digitiser of pictures."""
+
 MOSAIC_LEVEL = 0.01
 """Least checkerboard amplitude over the mean level of a mosaic; the PRNU of sensors averages out below it."""
 
