@@ -69,7 +69,7 @@ def _spe(path: Path) -> Recorded:
 
 def _sif(path: Path) -> Recorded:
     try:
-        import sif_parser
+        import sif_parser  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise BadInput(f"Andor SIF files need sif_parser, got {path.name}: pip install 'charact[sif]'") from None
     with path.open("rb") as file:

@@ -45,13 +45,13 @@ def _image_of(file, path: Path) -> Recorded:
         require_possible(int(np.prod(sizes, dtype=object)) * bits // 8, path.stat().st_size, path.name)
         packed = getattr(unit, "compression_type", None)
         # Integers are packed as they are; reals are first rounded to a fraction of their noise.
-        lossy = packed is not None and unit.header["BITPIX"] < 0
+        lossy = (lossy_note(packed),) if packed is not None and unit.header["BITPIX"] < 0 else ()
         pattern = str(unit.header.get("BAYERPAT", "")).strip().lower()
         return Recorded(
             data=np.asarray(unit.data),
             names=_names(unit.header, axes),
             pattern=pattern if len(pattern) == 4 and set(pattern) <= set("rgb") else None,
-            notes=(lossy_note(packed),) if lossy else (),
+            notes=lossy,
         )
     raise BadInput(f"a FITS file must hold an image, got none in {path}")
 

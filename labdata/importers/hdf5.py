@@ -13,7 +13,7 @@ from labdata.importers.recorded import Recorded
 def read(path: Path) -> Recorded:
     """Read an array of two axes or more; see `labdata.importers.read_frames`."""
     try:
-        import h5py
+        import h5py  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise BadInput(f"HDF5 files need h5py, got {path.name}: pip install 'charact[hdf5]'") from None
     try:

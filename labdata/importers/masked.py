@@ -34,7 +34,7 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
     if not gaps.any():
         return data, (0, 0), ()
     top, bottom, left, right = _inside(_joined_to_border(gaps))
-    rows, cols = gaps.shape
+    rows, cols = data.shape[1:3]
     notes = []
     if bottom - top < rows or right - left < cols:
         notes.append(
@@ -59,11 +59,11 @@ def _joined_to_border(gaps: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return those gaps that hang together with one at the picture's border along more than a single pixel."""
     from scipy.ndimage import label
 
-    numbers, _ = label(gaps, np.ones((3, 3), int))
+    numbers = np.empty(gaps.shape, np.int32)
+    label(gaps, np.ones((3, 3), int), numbers)
     outer = np.unique(np.concatenate([numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]]))
     sizes = np.bincount(numbers.ravel())
-    outer = outer[(outer > 0) & (sizes[outer] > 1)]
-    return np.isin(numbers, outer)
+    return np.isin(numbers, outer[(outer > 0) & (sizes[outer] > 1)])
 
 
 def _inside(gaps: NDArray[np.bool_]) -> tuple[int, int, int, int]:
