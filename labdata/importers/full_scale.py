@@ -57,10 +57,12 @@ def _bits_of(data: NDArray, highest: float) -> int | None:
         top = int(highest) // (used & -used)
         return top.bit_length() if ends_at(top, LEAST_PIXELS) else None
     values = np.unique(np.asarray(data[0], np.float64)) / highest
+    if values.size <= MOST_BITS:  # a few round numbers are multiples of many steps
+        return None
     rounding = 4.0 * float(np.finfo(data.dtype).eps)
     for bits in range(LEAST_BITS - 1, MOST_BITS + 1):
         codes = values * (2**bits - 1)
-        if values.size > 2 and np.abs(codes - np.rint(codes)).max() <= rounding * 2**bits:
+        if np.abs(codes - np.rint(codes)).max() <= rounding * 2**bits:
             return bits
     return None
 
