@@ -94,7 +94,12 @@ def frames_of(
         raise BadInput(f"an array of frames must hold pixels, got the shape {data.shape} in {name}")
     if data.ndim < 2:
         raise BadInput(f"an array of frames must have rows and columns, got the shape {data.shape} in {name}")
-    names = _renamed(list(names), data.shape, axis, name)
+    names = [UNNAMED if what in KNOWN and what in names[:at] else what for at, what in enumerate(names)]
+    names = _renamed(names, data.shape, axis, name)
+    if ROW not in names or COL not in names:
+        raise BadInput(
+            f"an array of frames must have rows and columns, got the axes {_listed(names, data.shape)} in {name}"
+        )
     others = [at for at, what in enumerate(names) if data.shape[at] > 1 and what not in KNOWN]
     if len(others) == 1 and data.shape[others[0]] in (3, 4) and plane in ("r", "g", "b", "luminance"):
         names[others[0]], others = COLOUR, []

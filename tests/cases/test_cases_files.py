@@ -137,6 +137,16 @@ def test_frames_of_several_channels_and_focus_positions_are_cut_by_plane_numbers
     assert np.array_equal(read_frames(tmp_path / "a.ome.tif", "2,1").data, data[:, 2, 1])
 
 
+@pytest.mark.parametrize(("labels", "rule"), [("ttyx", "0 frame of 2, 1 unnamed of 3"), ("tzcx", "rows and columns")])
+def test_labels_that_name_no_picture_are_refused_by_name(tmp_path, labels, rule):
+    import zarr
+
+    data = edge(frames=6, size=16).reshape(2, 3, 16, 16)
+    zarr.create_array(str(tmp_path / "a.zarr"), data=data, dimension_names=list(labels))
+    with pytest.raises(BadInput, match=rule):
+        read_frames(tmp_path / "a.zarr")
+
+
 def test_a_fits_image_of_axes_of_length_one_is_one_picture(tmp_path):
     fits = pytest.importorskip("astropy.io.fits")
     fits.writeto(tmp_path / "a.fits", edge()[None])
