@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from labdata import BadInput
-from labdata.importers import read_frames
+from labdata.importers import import_frames, read_frames
 
 TYPES = ["u1", "u2", "u4", "i2", "i4", "f4", "f8"]
 
@@ -356,3 +356,12 @@ def test_a_full_scale_that_does_not_show_is_unknown(tmp_path, top):
 def test_whole_numbers_of_8_bits_end_at_255(tmp_path):
     np.save(tmp_path / "a.npy", pixels("u1"))
     assert read_frames(tmp_path / "a.npy").full_scale_dn == 255
+
+
+def test_a_session_of_raw_files_keeps_their_plane(tmp_path):
+    data = np.arange(40 * 60, dtype=np.uint16).reshape(40, 60)
+    dng_module().write(tmp_path / "a.dng", data)
+    with pytest.raises(BadInput, match=r"must be one of b, g1, g2, r, got None for a\.dng"):
+        import_frames([tmp_path / "a.dng"], tmp_path / "S")
+    session = import_frames([tmp_path / "a.dng"], tmp_path / "S", plane="g1", kind="flat")
+    assert np.array_equal(session.stack("a").read().data, read_frames(tmp_path / "a.dng", "g1").data)
