@@ -23,6 +23,10 @@ def write_durably(path: str | Path, data: bytes | bytearray | memoryview) -> Non
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        # Who asked for the file knows its name, not the other one.
+        raise OSError(error.errno, error.strerror, str(path)) from None
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

@@ -40,6 +40,10 @@ class StackForm(Conditions):
         What it shows.
     frames
         File or files of the frames, or a Zarr array, relative to the session's folder.
+    axis
+        Number (from 0) or name of the axis of the files that counts frames; by default the first.
+    plane
+        Plane to read of colour pictures, mosaics and files of more axes.
     asked
         Conditions asked of the instruments, where they differ from those in force.
     target
@@ -59,6 +63,8 @@ class StackForm(Conditions):
     label: str
     kind: Kind
     frames: str | tuple[str, ...]
+    axis: str | None = None
+    plane: str | None = None
     asked: Conditions | None = None
     target: Target = field(default_factory=Target)
     finished: bool | None = None

@@ -1,5 +1,6 @@
 """Frames as they were recorded: a read-only stack (frame, row, col) with its time stamps and gaps."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -7,12 +8,23 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 
+BLOCK_BYTES = 2**26
+"""Bytes of frames that are looked at in one piece."""
+
 
 def read_only(array: NDArray) -> NDArray:
     """Return a view of the array that cannot be written through."""
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def blocks(data: NDArray) -> Iterator[NDArray]:
+    """Yield runs of frames of some tens of megabytes, so that an array on the disk passes through memory in parts."""
+    frame_bytes = max(1, data[:1].nbytes)
+    run = max(1, BLOCK_BYTES // frame_bytes)
+    for first in range(0, len(data), run):
+        yield data[first : first + run]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +51,8 @@ class FrameStack:
         Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB picture ("r", "g", "b", "luminance"), or "mono".
     notes
         What a reader should know of how the frames were read.
+    origin
+        Row and column of the file where the frames begin: a border that is not finite is cut off.
 
     Raises
     ------
@@ -55,6 +69,7 @@ class FrameStack:
     full_scale_dn: float | None = None
     plane: str = "mono"
     notes: tuple[str, ...] = ()
+    origin: tuple[int, int] = (0, 0)
 
     def __post_init__(self) -> None:
         data = np.asarray(self.data)
@@ -62,8 +77,7 @@ class FrameStack:
             raise BadInput(f"a frame stack must have the axes (frame, row, col), got shape {data.shape}")
         if data.size == 0:
             raise BadInput(f"a frame stack must hold at least one pixel, got shape {data.shape}")
-        if data.dtype.kind == "f" and not np.isfinite(data).all():
-            bad = int(np.size(data) - np.count_nonzero(np.isfinite(data)))
+        if data.dtype.kind == "f" and (bad := sum(int(np.count_nonzero(~np.isfinite(b))) for b in blocks(data))):
             raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite of {data.size}")
         if data.dtype.kind not in "uif":
             raise BadInput(f"pixels must be whole or real numbers, got the type {data.dtype}")
@@ -101,4 +115,5 @@ class FrameStack:
                 f"a region ROW,COL,HEIGHT,WIDTH must lie inside the image of {rows} rows and {cols} columns, "
                 f"got {row},{col},{height},{width}"
             )
-        return replace(self, data=self.data[:, row : row + height, col : col + width])
+        first = self.origin[0] + row, self.origin[1] + col
+        return replace(self, data=self.data[:, row : row + height, col : col + width], origin=first)

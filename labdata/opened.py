@@ -73,11 +73,18 @@ def open_stack(entry: StackEntry) -> OpenStack:
     BadInput
         As `StackEntry.read`.
     """
+    from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
+
     path = entry.paths[0] if isinstance(entry.frames, str) else None
     if path is not None and is_ours(path):
         return _of_store(entry, path)
-    array = None if path is None else _mapped(path)
-    if array is not None and array.ndim == 3 and array.dtype.kind in "uif" and array.size and array.dtype.isnative:
+    array = None if path is None or entry.plane or entry.axis not in (None, FRAME) else _mapped(path)
+    if (
+        array is not None
+        and array.ndim == 3
+        and names_of_shape(array.shape)[0] in (FRAME, UNNAMED)
+        and (array.dtype.kind in "uif" and array.size and array.dtype.isnative)
+    ):
         return _opened(entry, array, lambda first, last: np.asarray(array[first:last]))
     stack = entry.read()
     return OpenStack(label=entry.label, shape=stack.shape, dtype=stack.data.dtype, time_s=stack.time_s,

@@ -57,6 +57,8 @@ class StackEntry:
         Remarks of the manifest.
     bit_depth
         Bits of the digitiser; None if unknown.
+    axis, plane
+        The axis of the files that counts frames, and the plane to read; see `labdata.importers.read_frames`.
     folder
         The session's folder.
     """
@@ -72,6 +74,8 @@ class StackEntry:
     losses: tuple[LostFrames, ...] = ()
     notes: tuple[str, ...] = ()
     bit_depth: int | None = None
+    axis: str | None = None
+    plane: str | None = None
     folder: Path
 
     @property
@@ -94,20 +98,21 @@ class StackEntry:
             If a file is missing or damaged, or the frames break a rule; one sentence.
         """
         from labdata.importers import read_frames
-        from labdata.importers.full_scale import FOUND
 
-        stack = _joined([read_frames(path, plane) for path in self.paths], self.label)
-        stated = self.bit_depth is not None
+        unknown = self.bit_depth is None
+        parts = [read_frames(path, plane or self.plane, axis=self.axis, find_full_scale=unknown) for path in self.paths]
+        stack = _joined(parts, self.label)
+        if stack.origin != (0, 0) and self.target.region is not None:
+            raise BadInput(
+                f"a region must count from the first pixel that is read, got frames whose border is not finite up to "
+                f"{stack.origin} in stack {self.label!r}: cut the border off in the files"
+            )
         broken_off = () if self.finished else (f"the stack was broken off after {len(stack)} frames",)
         return replace(
             stack,
             lost_frames=stack.lost_frames + self.lost_frames,
             full_scale_dn=self._full_scale_dn(stack),
-            notes=(
-                *(note for note in stack.notes if not (stated and note.startswith(FOUND))),
-                *self.notes,
-                *broken_off,
-            ),
+            notes=(*stack.notes, *self.notes, *broken_off),
         )
 
     def _full_scale_dn(self, stack: FrameStack) -> float | None:
@@ -290,5 +295,8 @@ def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
         losses=stack.lost,
         notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
         bit_depth=form.bit_depth,
+        # Who writes a manifest says that its stacks are frames.
+        axis=stack.axis or "frame",
+        plane=stack.plane,
         folder=folder,
     )

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from charact.cli.captions import Box, placed
 from charact.cli.output import Frequency, in_cycles_per_pixel
+from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
 from labdata.frames import FrameStack
@@ -23,7 +24,7 @@ INK, PAPER = (255, 255, 255), (25, 25, 25)
 
 
 def annotated(stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel) -> None:
-    """Write the mean frame as PNG with the regions of a result drawn in.
+    """Write the mean frame as PNG with the regions of a result drawn in, whole or not at all.
 
     Parameters
     ----------
@@ -33,16 +34,20 @@ def annotated(stack: FrameStack, result: Result, path: Path, frequency: Frequenc
     Raises
     ------
     BadInput
-        If the file is not named .png.
+        If the picture cannot be encoded.
     """
     import cv2
 
-    if path.suffix.lower() != ".png":
-        raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
     ok, encoded = cv2.imencode(".png", drawn(stack, result, frequency))
     if not ok:
         raise BadInput(f"the annotated picture could not be encoded for {path}")
-    path.write_bytes(encoded.tobytes())
+    write_durably(path, encoded.tobytes())
+
+
+def must_be_png(path: Path) -> None:
+    """Refuse a file that is not named .png."""
+    if path.suffix.lower() != ".png":
+        raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
 
 
 def drawn(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Picture:

@@ -1,5 +1,6 @@
 """The command `charact`: its verbs, and nothing heavy imported before one runs."""
 
+import os
 import signal
 import sys
 from typing import Annotated
@@ -72,8 +73,25 @@ for verbs in (
 def run() -> None:
     """Run the command; an interrupt ends with exit code 130 and one sentence."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if sys.stdout is None:  # closed by the caller: the next file to be opened would take its number
+        print("charact: stdout must be open to take the numbers, got it closed", file=sys.stderr or None)
+        sys.exit(1)
     try:
         app()
     except KeyboardInterrupt:
         print("charact: interrupted", file=sys.stderr)
         sys.exit(130)
+    finally:
+        _flush()
+
+
+def _flush() -> None:
+    """Write out what was printed; where stdout cannot take it, that is a sentence and exit code 1."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        # Nothing more may be written, not even when Python tidies up.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            print(f"charact: stdout must take the numbers, got: {error.strerror}", file=sys.stderr)
+        sys.exit(1)

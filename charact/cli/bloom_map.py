@@ -1,10 +1,12 @@
 """The bloom map as a file: a picture for people, or arrays for who fuses it with another picture."""
 
+import io
 from pathlib import Path
 
 import numpy as np
 
 from charact.method import Context
+from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
@@ -35,14 +37,17 @@ def mapped(session: Session, result: Result, context: Context, *, label: str | N
     from charact.bloom.mapping import evidence_of, map_of
 
     found, signal = map_of(session, result, label=label, context=context)
+    content = io.BytesIO()
     if path.suffix.lower() == ".npz":
         np.savez_compressed(
-            path, signal_dn=signal.astype(np.float32), fraction=found.fraction, sd=found.sd,
+            content, signal_dn=signal.astype(np.float32), fraction=found.fraction, sd=found.sd,
             blooming_dn=found.blooming_dn, clipped=found.clipped, near_border=found.near_border, near_px=found.near_px,
         )  # fmt: skip
+        write_durably(path, content.getbuffer())
         return
     from charact.report.bloom_pictures import bloom_map
     from charact.report.style import on_paper
 
     with on_paper():
-        bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(path, dpi=130)
+        bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(content, dpi=130)
+    write_durably(path, content.getbuffer())

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from charact.cli.options import parsed_kind
+from charact.cli.options import Axis, Plane, parsed_kind
 from charact.cli.output import bad_input_ends
 
 app = typer.Typer(no_args_is_help=True, help="Make a session of frames made elsewhere.")
@@ -34,6 +34,8 @@ def frames(
     name: Annotated[
         str | None, typer.Option(help="Conditions in the file names, such as '{mcp_v}V_{gate_ns}ns_*'.")
     ] = None,
+    axis: Axis = None,
+    plane: Plane = None,
 ) -> None:
     """Frames in files of known kinds, one stack a file.
 
@@ -46,7 +48,7 @@ def frames(
 
         if not sources:
             raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
-        session = import_frames(sources, out, kind=parsed_kind(kind), name_pattern=name)
+        session = import_frames(sources, out, kind=parsed_kind(kind), name_pattern=name, axis=axis, plane=plane)
         _summarise(session, out, UNSAID.format(out) if kind == "scene" else f"charact measure {out}")
 
 

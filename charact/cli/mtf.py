@@ -25,7 +25,7 @@ app = typer.Typer(
     help="MTF of one image or stack: a slanted edge, a bar target, a point source, the noise of flats.",
 )
 
-File = Annotated[Path, typer.Argument(help="Image or stack: .tif .npy .fits .png .dng")]
+File = Annotated[Path, typer.Argument(help="Image or stack: .tif .npy .fits .png .jpg .dng .h5 ... (docs/formats.md)")]
 
 
 @app.command()
@@ -37,6 +37,7 @@ def edge(
     quick: options.Quick = False,
     seed: options.Seed = 0,
     plane: options.Plane = None,
+    axis: options.Axis = None,
     black_dn: options.BlackDn = None,
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
@@ -69,6 +70,7 @@ def bars(
     quick: options.Quick = False,
     seed: options.Seed = 0,
     plane: options.Plane = None,
+    axis: options.Axis = None,
     black_dn: options.BlackDn = None,
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
@@ -99,6 +101,7 @@ def point(
     quick: options.Quick = False,
     seed: options.Seed = 0,
     plane: options.Plane = None,
+    axis: options.Axis = None,
     sensor: options.SensorName = None,
     units: options.Units = "cy/px",
     pitch_um: options.PitchUm = None,
@@ -119,6 +122,8 @@ def point(
 @app.command()
 def flats(
     file: Annotated[Path, typer.Argument(help="Folder of a session with flats and darks, or one stack of flats.")],
+    plane: options.Plane = None,
+    axis: options.Axis = None,
     method: options.MethodName = "auto",
     within: options.Within = 2.0,
     quick: options.Quick = False,
@@ -139,7 +144,7 @@ def flats(
         from charact import mtf
         from charact.measuring import context_of
 
-        session = _flats_of(file, _sensor(sensor))
+        session = _flats_of(file, _sensor(sensor), plane, axis)
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, session.sensor, rows=rows)
         with progress_bar(events=events) as progress:
@@ -155,7 +160,7 @@ def flats(
         )
 
 
-def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
+def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None) -> "Session":
     """The session in a folder, or one made of a single stack of flats."""
     from labdata.conditions import Conditions
     from labdata.session import MANIFEST, Session, StackEntry, open_session
@@ -165,7 +170,10 @@ def _flats_of(file: Path, sensor: "Sensor | None") -> "Session":
         return session if sensor is None else replace(session, sensor=sensor)
     if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
         raise BadInput(f"flats must be a session's folder, with a {MANIFEST}, or a file of frames, got {file}")
-    entry = StackEntry(label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent)
+    entry = StackEntry(
+        label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent, axis=axis,
+        plane=plane,
+    )  # fmt: skip
     return Session(folder=file.parent, name=file.name, stacks=(entry,), sensor=sensor)
 
 
@@ -174,6 +182,7 @@ def _measure(
     *,
     file: Path,
     plane: str | None,
+    axis: str | None,
     sensor: str | None,
     units: str,
     pitch_um: float | None,
@@ -186,26 +195,28 @@ def _measure(
     **asked: Any,
 ) -> None:
     with bad_input_ends(str(file), as_json=as_json, events=events):
+        from charact.cli.one_picture import as_of_file, region_in
         from labdata.importers import read_frames
 
         _must_be_frames(file, kind)
+        if annotate is not None:
+            from charact.cli.annotate import annotated, must_be_png
+
+            must_be_png(annotate)
         known = _sensor(sensor)
         region = options.parsed_region(asked.pop("roi"))
-        stack = _with_black(read_frames(file, plane=plane), black_dn)
+        stack = _with_black(read_frames(file, plane=plane, axis=axis), black_dn)
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, known, rows=stack.shape[1])
         with progress_bar(events=events) as progress:
-            result = _result(kind, stack, region, known, progress, **asked)
-        if annotate is not None:
-            from charact.cli.annotate import annotated
-
-            annotated(stack, result, annotate, frequency)
+            result = _result(kind, stack, region_in(stack, region), known, progress, **asked)
         show(
-            result,
+            as_of_file(result, stack),
             given=str(file),
             as_json=as_json,
             events=events,
             frequency=frequency,
             next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine",
+            then=None if annotate is None else lambda: annotated(stack, result, annotate, frequency),
         )
 
 

@@ -1,5 +1,6 @@
 """A bare picture given where a session is expected: read for what one frame can tell, or refused in one sentence."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,15 +8,53 @@ from charact.cli.output import bad_input_ends, show
 from charact.cli.progress import progress_bar
 
 if TYPE_CHECKING:
+    from charact.mtf.region import Region
+    from labdata.frames import FrameStack
+    from labdata.measurement import Result
     from labdata.session import Session
 
 
 def is_picture(path: Path) -> bool:
     """Whether a path is a file of frames rather than a session."""
-    from labdata.importers import KINDS
+    from labdata.importers import module_of
     from labdata.session import MANIFEST
 
-    return path.suffix.lower() in KINDS and not (path / MANIFEST).is_file()
+    return module_of(path) is not None and not (path / MANIFEST).is_file()
+
+
+def region_in(stack: "FrameStack", region: "Region | None") -> "Region | None":
+    """Return a region of the file as one of the frames, whose border may have been cut off."""
+    return None if region is None else (region[0] - stack.origin[0], region[1] - stack.origin[1], *region[2:])
+
+
+def as_of_file(result: "Result", stack: "FrameStack") -> "Result":
+    """Return a result with its regions counted from the file's first pixel and the notes of how it was read."""
+    from charact.mtf.several import REGION_NAME
+    from labdata.measurement import Result
+
+    def moved(region: "Region") -> "Region":
+        return region[0] + stack.origin[0], region[1] + stack.origin[1], region[2], region[3]
+
+    measurements = tuple(
+        m.with_(
+            region=None if m.region is None else moved(m.region),
+            notes=tuple(dict.fromkeys((*m.notes, *stack.notes))),
+        )
+        for m in result.measurements
+    )
+    names = {
+        REGION_NAME.format(*m.region): REGION_NAME.format(*moved(m.region)) for m in result.measurements if m.region
+    }
+
+    def renamed(name: str) -> str:
+        here = next((suffix for suffix in names if name.endswith(suffix)), None)
+        return name if here is None else name.removesuffix(here) + names[here]
+
+    return Result(
+        measurements=measurements,
+        curves={renamed(name): curve for name, curve in result.curves.items()},
+        evidence={renamed(name): shown for name, shown in result.evidence.items()},
+    )
 
 
 def must_be_a_session(path: Path) -> None:
@@ -44,7 +83,7 @@ def opened(path: Path) -> "Session":
 
 
 def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool,
-                     as_json: bool, events: bool) -> None:  # fmt: skip
+                     plane: str | None, axis: str | None, as_json: bool, events: bool) -> None:  # fmt: skip
     """Extents of a point source in a bare picture, by what one frame tells or by the method asked for."""
     with bad_input_ends(str(path), as_json=as_json, events=events):
         from charact import bloom
@@ -60,11 +99,13 @@ def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, see
                 f"charact import frames {path} OUT --kind point makes a session of it"
             )
         session = bare_session(path)
+        session = replace(session, stacks=(replace(session.stacks[0], plane=plane, axis=axis),))
         with progress_bar(events=events) as progress:
             context = context_of(session, quick=quick, seed=seed, progress=progress)
             if method == "auto":
                 result = measure_frame(session, context=context)
             else:
                 result = bloom.measure(session, method=method, within_percent=within, context=context)
+        result = as_of_file(result, session.stacks[0].read())
         further = f"charact import frames {path} mine --kind point, then charact measure mine"
         show(result, given=str(path), as_json=as_json, events=events, next_verb=further)

@@ -20,8 +20,12 @@ Roi = Annotated[str | None, typer.Option("--roi", help="Region ROW,COL,HEIGHT,WI
 Plane = Annotated[
     str | None,
     typer.Option(
-        help="Colour channel: r, g, b or luminance of an RGB picture (else its luminance); r, g1, g2 or b of raw."
+        help="r, g, b or luminance of a colour picture (else its luminance); r, g1, g2 or b of a mosaic; or a number "
+        "from 0 along an axis that counts no frames."
     ),
+]
+Axis = Annotated[
+    str | None, typer.Option(help="Axis that counts frames, its number from 0 or its name, if the file does not say.")
 ]
 BlackDn = Annotated[
     float | None,

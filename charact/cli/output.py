@@ -5,7 +5,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import groupby
 from typing import TYPE_CHECKING, NoReturn
 
@@ -35,7 +35,8 @@ def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> N
     """End with exit code 1 and one sentence."""
     one_line = " ".join(sentence.split())
     if as_json:
-        print(json.dumps({"charact": __version__, "input": given, "error": one_line}))
+        with suppress(OSError):  # where stdout itself takes nothing more, the sentence below is what is left to say
+            print(json.dumps({"charact": __version__, "input": given, "error": one_line}))
     say(one_line if events else f"charact: {one_line}", events=events)
     raise typer.Exit(1)
 
@@ -59,6 +60,9 @@ def bad_input_ends(
         # Who reads has read enough (`| head`): nothing more may be written, not even when Python tidies up.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(1) from None
+    except MemoryError as error:
+        reason = f"the frames must fit into memory, got: {error or 'too little of it'}; give fewer or smaller frames"
+        fail(reason, given=given, as_json=as_json, events=events)
     except OSError as error:
         named = f" ({error.filename})" if error.filename else ""
         fail(f"the file system refused: {error.strerror or error}{named}", given=given, as_json=as_json, events=events)
@@ -72,6 +76,7 @@ def show(
     events: bool = False,
     frequency: Frequency = in_cycles_per_pixel,
     next_verb: str | None = None,
+    then: Callable[[], object] | None = None,
 ) -> None:
     """Print a result; exit with 1 and a sentence if no measurement carries a number.
 
@@ -81,6 +86,9 @@ def show(
         Converts a frequency in cy/px to the unit people asked for. JSON stays in cy/px.
     next_verb
         The next sensible command, named on a terminal.
+    then
+        Writes what was asked for besides, once the numbers are printed; where it cannot, that is a sentence on stderr
+        and exit code 1.
     """
     if as_json:
         from labdata.document import to_json
@@ -92,6 +100,11 @@ def show(
         several = len({m.region for m in result.measurements}) > 1
         lines = lines_of_regions if several and of_one_picture else lines_of
         print("\n".join(lines(result.measurements, frequency)))
+    if then is not None:
+        sys.stdout.flush()
+        # The one JSON object is printed already.
+        with bad_input_ends("", events=events):
+            then()
     if all(m.value is None for m in result.measurements):
         reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
         say(f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events)

@@ -62,6 +62,8 @@ def bloom(
     events: options.Events = False,
     map_to: options.BloomMap = None,
     map_of: options.BloomMapOf = None,
+    plane: options.Plane = None,
+    axis: options.Axis = None,
 ) -> None:
     """Halo and blooming extent from point sources; a map of the share of each pixel that is blooming.
 
@@ -73,8 +75,8 @@ def bloom(
         raise typer.BadParameter("names the stack of a map: give --map too", param_hint="'--map-of'")
     if is_picture(session):
         bloom_of_picture(
-            session, method=method, within=within, quick=quick, seed=seed, mapped=map_to is not None, as_json=as_json,
-            events=events,
+            session, method=method, within=within, quick=quick, seed=seed, mapped=map_to is not None, plane=plane,
+            axis=axis, as_json=as_json, events=events,
         )  # fmt: skip
         return
     drawn = None
@@ -102,9 +104,14 @@ def _analyse(
         with spread_over(scheduler) as spread:
             context = context_of(given, quick=quick, seed=seed, progress=progress, spread=spread)
             result = analysis.measure(given, method=method, within_percent=within, context=context)
-        if drawn is not None:
-            drawn(given, result, context)
-        show(result, given=str(folder), as_json=as_json, events=events, next_verb=f"charact measure {folder}")
+        show(
+            result,
+            given=str(folder),
+            as_json=as_json,
+            events=events,
+            next_verb=f"charact measure {folder}",
+            then=None if drawn is None else lambda: drawn(given, result, context),
+        )
 
 
 def measure(
@@ -121,19 +128,36 @@ def measure(
     Example: charact measure day1 --quick
     """
     with bad_input_ends(str(session), as_json=as_json, events=events):
-        result = measured_and_kept(session, quick=quick, seed=seed, within=within, events=events, scheduler=scheduler)
-        show(result, given=str(session), as_json=as_json, events=events, next_verb=f"charact report {session}")
+        from labdata import document
+
+        result = measured(session, quick=quick, seed=seed, within=within, events=events, scheduler=scheduler)
+        show(
+            result,
+            given=str(session),
+            as_json=as_json,
+            events=events,
+            next_verb=f"charact report {session}",
+            then=lambda: document.save(result, opened(session).folder),
+        )
 
 
-def measured_and_kept(
+def measured_and_kept(folder: Path, *, quick: bool = False, seed: int = 0, events: bool = False) -> "Result":
+    """Measure a session and keep the result in it."""
+    from labdata import document
+
+    result = measured(folder, quick=quick, seed=seed, events=events)
+    document.save(result, opened(folder).folder)
+    return result
+
+
+def measured(
     folder: Path, *, quick: bool = False, seed: int = 0, within: float = 2.0, events: bool = False,
     scheduler: str | None = None,
-):  # fmt: skip
-    """Measure a session and keep the result in it."""
+) -> "Result":  # fmt: skip
+    """Measure a session."""
     from charact.measuring import measure as measure_session
     from charact.measuring import with_inputs
     from charact.method.cluster import spread_over
-    from labdata import document
     from labdata.session import UNUSED
 
     session = opened(folder)
@@ -144,9 +168,7 @@ def measured_and_kept(
         result = measure_session(
             session, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread
         )
-    result = with_inputs(result, session)
-    document.save(result, session.folder)
-    return result
+    return with_inputs(result, session)
 
 
 def kept_or_measured(folder: Path, *, seed: int, events: bool):

@@ -11,6 +11,7 @@ from charact.report.emva import emva_summary
 from charact.report.extents import completed
 from charact.report.pictures import aspect_of, representative
 from charact.report.truth import Truth, beside_truth
+from labdata.durable import write_durably
 from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
@@ -61,7 +62,7 @@ def write(
     out = Path(out)
     html = page(session, result, validation=validation, truth=truth)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(html, encoding="utf-8")
+    write_durably(out, html.encode())
     if pdf:
         write_pdf(html, out.with_suffix(".pdf"))
     return out

@@ -1,46 +1,46 @@
-"""Frames made elsewhere: one module per format, chosen by what the file is called and checked by what it holds."""
+"""Frames made elsewhere: one module per family of formats, chosen by the file's name and checked by its content."""
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
+from labdata.importers.axes import frames_of
+from labdata.importers.byte_order import swapped_note
 from labdata.importers.emva1288 import import_emva1288
 from labdata.importers.full_scale import with_full_scale
 from labdata.importers.loose import import_frames
+from labdata.importers.recorded import Recorded
 
-__all__ = ["KINDS", "import_emva1288", "import_frames", "known_kinds", "read_frames"]
+__all__ = ["KINDS", "import_emva1288", "import_frames", "known_kinds", "module_of", "read_frames"]
 
-# Ending -> module of this package whose function `read(path, plane)` reads it.
-KINDS: dict[str, str] = {
-    ".tif": "tiff",
-    ".tiff": "tiff",
-    ".npy": "npy",
-    ".fits": "fits",
-    ".fit": "fits",
-    ".fts": "fits",
-    ".png": "png",
-    ".dng": "raw",
-    ".nef": "raw",
-    ".cr2": "raw",
-    ".cr3": "raw",
-    ".arw": "raw",
-    ".orf": "raw",
-    ".raf": "raw",
-    ".rw2": "raw",
-    ".pef": "raw",
-    ".zarr": "zarr_array",
+# Module of this package whose function `read(path)` reads a file -> the endings of its files.
+KINDS: dict[str, tuple[str, ...]] = {
+    "tiff": (".tif", ".tiff"),
+    "npy": (".npy",),
+    "fits": (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz", ".fits.fz", ".fz"),
+    "pictures": (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".pnm"),
+    "raw": (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".raf", ".rw2", ".pef"),
+    "hdf5": (".h5", ".hdf5", ".hdf", ".nxs"),
+    "cameras": (".spe", ".sif", ".ser"),
+    "video": (".avi",),
+    "zarr_array": (".zarr",),
 }
 
 
 def known_kinds() -> str:
     """The kinds of file that can be read, in words."""
-    return ", ".join(KINDS) + " or a Zarr array"
+    return ", ".join(ending for endings in KINDS.values() for ending in endings) + " or a Zarr array"
 
 
-def read_frames(path: str | Path, plane: str | None = None) -> FrameStack:
+def read_frames(
+    path: str | Path, plane: str | None = None, *, axis: str | None = None, find_full_scale: bool = True
+) -> FrameStack:
     """Read the frames of a file or of a Zarr array.
 
     Parameters
@@ -49,37 +49,80 @@ def read_frames(path: str | Path, plane: str | None = None) -> FrameStack:
         The file; its ending says what kind it is.
     plane
         Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB picture, "r", "g1",
-        "g2" or "b" of a mosaic. None: the luminance of an RGB picture (noted); a mosaic must be told.
+        "g2" or "b" of a mosaic. None: the luminance of an RGB picture (noted); a mosaic must be told. A number, from
+        0, is the plane along an axis that counts no frames.
+    axis
+        Number or name of the axis that counts frames, where the file does not say or says otherwise; "frame": the
+        first axis, if the file leaves it unnamed.
+    find_full_scale
+        Whether to look for the full scale in the data where the file does not state it.
 
     Returns
     -------
     FrameStack
-        Pixels as they are in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced.
+        Pixels as they are in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A border
+        that is not finite is cut off.
 
     Raises
     ------
     BadInput
-        If the file is missing, of no known kind, damaged, or holds no frames.
+        If the file is missing, of no known kind, damaged, holds no frames, or does not say which axis counts them.
     """
     path = Path(path)
     if not os.path.exists(path):  # Path.exists raises on names that no disk takes
         raise BadInput(f"a file of frames must exist to be read, got {path}")
     try:
-        return with_full_scale(reader_of(path)(path, plane))
+        stack = _stack(reader_of(path)(path), plane, axis, path.name)
+        return with_full_scale(stack) if find_full_scale else stack
     except BadInput as error:
         if path.name in str(error):
             raise
         raise BadInput(f"{error}, in {path}") from None
 
 
-def reader_of(path: Path) -> Callable[[Path, str | None], FrameStack]:
+def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str) -> FrameStack:
+    """Return the frames of what a reader found."""
+    if isinstance(found, FrameStack):
+        if plane not in (None, "mono"):
+            raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
+        return found
+    data = found.data.astype(found.data.dtype.newbyteorder("="), copy=False)
+    stack = frames_of(data, found.names, plane=plane, axis=axis, name=name, pattern=found.pattern)
+    black_dn = _black_dn(found, stack.plane)
+    swapped = swapped_note(stack.data)
+    return replace(
+        stack,
+        black_level_dn=stack.black_level_dn if black_dn is None else black_dn,
+        full_scale_dn=found.full_scale_dn if stack.full_scale_dn is None else stack.full_scale_dn,
+        notes=(*found.notes, *(() if axis else found.doubts), *stack.notes, *swapped),
+    )
+
+
+def _black_dn(found: Recorded, plane: str) -> float | None:
+    """Return the black level of the plane that was taken."""
+    if len(found.black_dn) < 2 or found.pattern is None:
+        return found.black_dn[0] if found.black_dn else None
+    from labdata.importers.planes import planes_of
+
+    row, col = planes_of(np.arange(4).reshape(2, 2), found.pattern)[plane]
+    return found.black_dn[2 * row + col]
+
+
+def module_of(path: Path) -> str | None:
+    """Return the module of this package that reads a file of such a name; None of an unknown ending."""
+    name = path.name.lower()
+    return next((module for module, endings in KINDS.items() if name.endswith(endings)), None)
+
+
+def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
     """Return the function that reads a file or folder; one of no known kind is a BadInput."""
     if (path / "zarr.json").is_file():
-        name = "zarr_array"
-    elif path.is_dir():
+        module = "zarr_array"
+    elif path.is_dir() and module_of(path) != "zarr_array":
         raise BadInput(f"frames must be a file or a Zarr array, got the folder {path}")
-    elif path.suffix.lower() not in KINDS:
-        raise BadInput(f"a file of frames must be one of {known_kinds()}, got {path.name!r}")
-    else:
-        name = KINDS[path.suffix.lower()]
-    return import_module(f"labdata.importers.{name}").read
+    elif (module := module_of(path)) is None:
+        raise BadInput(
+            f"a file of frames must be one of {known_kinds()}, got {path.name!r}: save it as TIFF or FITS with the "
+            f"camera's own software or ImageJ (File > Save As > Tiff), video with ffmpeg -i {path.name} -c:v ffv1 x.avi"
+        )
+    return import_module(f"labdata.importers.{module}").read

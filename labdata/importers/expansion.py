@@ -1,9 +1,7 @@
 """How large a packed picture may be: what its header states beyond that, its bytes cannot hold."""
 
 from labdata.errors import BadInput
-
-MOST_EXPANSION = 5000
-"""Bytes of pixels that a byte of a packed file may stand for: deflate reaches 1032, LZW some 2700."""
+from labdata.importers.thresholds import MOST_EXPANSION
 
 
 def require_possible(stated_bytes: int, file_bytes: int, what: str) -> None:

@@ -1,14 +1,14 @@
-"""The highest code of the digitiser, found from the data where nobody states it: the code at which pixels pile up."""
+"""Full scale of the digitiser, found from the data where it is not stated: the last code, where pixels pile up."""
 
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from labdata.frames import FrameStack
+from labdata.frames import FrameStack, blocks
+from labdata.importers.thresholds import LEAST_BITS, LEAST_PIXELS, MOST_BITS
 
 FOUND = "full scale found from the data"
-LEAST_PIXELS = 4
-LEAST_BITS = 9
 
 
 def with_full_scale(stack: FrameStack) -> FrameStack:
@@ -16,24 +16,63 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
 
     Notes
     -----
-    Whole numbers of 8 bits end at 255. In wider types full scale shows only where pixels sit on it: the highest code
-    is then 2^n - 1, and not by the chance of a noise's single highest pixel, so several must hold it. Frames that
-    stay below full scale do not show it, and need it least.
+    Whole numbers of 8 bits end at 255. In wider types full scale shows only where pixels sit on it: the highest value
+    is then 2^n - 1 steps of the digitiser, and not by the chance of a noise's single highest pixel, so several must be
+    there. The step is 1 in plain whole numbers, a power of 2 where n bits fill the upper ones of a wider type, and
+    1 / (2^n - 1) in real numbers from 0 to 1. Frames that stay below full scale do not show it, and need it least.
     """
-    data = stack.data
-    if stack.full_scale_dn is not None or data.dtype.kind not in "ui":
+    if stack.full_scale_dn is not None:
         return stack
-    if data.dtype == np.uint8:
+    if stack.data.dtype == np.uint8:
         return replace(stack, full_scale_dn=255.0)
-    highest = int(data.max())
-    held = int(np.count_nonzero(data == highest))
-    if not ends_at(highest, held):
+    highest, held = _highest(stack.data)
+    if held < LEAST_PIXELS or highest <= 0:
         return stack
-    bits = highest.bit_length()
-    note = f"{FOUND}: {held} pixels hold the highest code, {highest} DN, which is that of {bits} bits"
+    bits = _bits_of(stack.data, highest)
+    if bits is None:
+        return stack
+    step = highest / (2**bits - 1)
+    steps = "" if step == 1 else f" in steps of {step:.6g} DN"
+    note = f"{FOUND}: {held} pixels hold the highest code, {highest:g} DN, which is that of {bits} bits{steps}"
     return replace(stack, full_scale_dn=float(highest), notes=(*stack.notes, note))
 
 
 def ends_at(highest: int, held: int) -> bool:
-    """Whether the highest code in the data, held by so many pixels, is the last one of a digitiser."""
+    """Whether the highest code in the data, in so many pixels, is the last one of a digitiser."""
     return highest.bit_length() >= LEAST_BITS and highest == 2 ** highest.bit_length() - 1 and held >= LEAST_PIXELS
+
+
+def _bits_of(data: NDArray, highest: float) -> int | None:
+    """Return the bits of the digitiser whose last code the highest value is; None if no digitiser ends there.
+
+    Notes
+    -----
+    Whole numbers are divided by the largest power of 2 that divides them all. Real numbers must all be multiples of the
+    highest one over 2^n - 1 within their rounding; those of the first frame are looked at.
+    """
+    if data.dtype.kind in "ui":
+        used = 0
+        for block in blocks(data):
+            used |= int(np.bitwise_or.reduce(block, axis=None))
+        top = int(highest) // (used & -used)
+        return top.bit_length() if ends_at(top, LEAST_PIXELS) else None
+    values = np.unique(np.asarray(data[0], np.float64)) / highest
+    if values.size <= MOST_BITS:  # a few round numbers are multiples of many steps
+        return None
+    rounding = 4.0 * float(np.finfo(data.dtype).eps)
+    for bits in range(LEAST_BITS - 1, MOST_BITS + 1):
+        codes = values * (2**bits - 1)
+        if np.abs(codes - np.rint(codes)).max() <= rounding * 2**bits:
+            return bits
+    return None
+
+
+def _highest(data: NDArray) -> tuple[float | int, int]:
+    """Return the highest value and how many pixels hold it, in one pass."""
+    highest, held = None, 0
+    for block in blocks(data):
+        top = block.max()
+        if highest is None or top > highest:
+            highest, held = top, 0
+        held += int(np.count_nonzero(block == top)) if top == highest else 0
+    return (0 if highest is None else highest.item()), held

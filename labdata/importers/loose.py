@@ -16,7 +16,13 @@ NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 def import_frames(
-    files: Iterable[str | Path], out: str | Path, *, kind: Kind = "scene", name_pattern: str | None = None
+    files: Iterable[str | Path],
+    out: str | Path,
+    *,
+    kind: Kind = "scene",
+    name_pattern: str | None = None,
+    axis: str | None = None,
+    plane: str | None = None,
 ) -> Session:
     """Make a session of files of frames; they stay where they are.
 
@@ -31,6 +37,8 @@ def import_frames(
     name_pattern
         How conditions stand in the names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a number,
         * anything. Files under the same conditions become one stack. None: a stack for each file.
+    axis, plane
+        The axis of the files that counts frames and the plane to read, kept in the session.
 
     Raises
     ------
@@ -45,7 +53,8 @@ def import_frames(
         _check(path)
     out = Path(out)
     stacks = _single(paths, out, kind) if name_pattern is None else _grouped(paths, out, kind, name_pattern)
-    return write_session(SessionForm(name=out.resolve().name, stack=stacks, notes=_sizes(stacks, out)), out)
+    stacks = tuple(replace(stack, axis=axis, plane=plane) for stack in stacks)
+    return write_session(SessionForm(name=out.resolve().name, stack=stacks, notes=_findings(stacks, out)), out)
 
 
 def _check(path: Path) -> None:
@@ -56,31 +65,38 @@ def _check(path: Path) -> None:
     reader_of(path)
 
 
-def _sizes(stacks: tuple[StackForm, ...], out: Path) -> tuple[str, ...]:
-    """Read every file once and say where stacks differ in size; within a stack they must not."""
+def _findings(stacks: tuple[StackForm, ...], out: Path) -> tuple[str, ...]:
+    """Read every file once; return what readers note of them and where stacks differ in size.
+
+    Raises
+    ------
+    BadInput
+        If a file cannot be read as frames, or the files of a stack differ in size.
+    """
+    from labdata.importers import read_frames
+
     found: dict[tuple[int, int], str] = {}
+    notes: dict[str, list[str]] = {}
     for stack in stacks:
-        sizes = {_size((out / name).resolve()): name for name in _names(stack)}
-        sizes.pop(None, None)
+        sizes: dict[tuple[int, int], str] = {}
+        for name in _names(stack):
+            frames = read_frames((out / name).resolve(), stack.plane, axis=stack.axis, find_full_scale=False)
+            sizes[frames.shape[1:]] = name
+            for note in frames.notes:
+                notes.setdefault(note, []).append(Path(name).name)
         if len(sizes) > 1:
-            shown = " and ".join(f"{size[0]} x {size[1]} in {Path(name).name}" for size, name in sizes.items() if size)
+            shown = " and ".join(f"{size[0]} x {size[1]} in {Path(name).name}" for size, name in sizes.items())
             raise BadInput(f"all files of a stack must have one picture size, got {shown} for {stack.label!r}")
-        found |= {size: stack.label for size in sizes if size and size not in found}
-    if len(found) < 2:
-        return ()
-    shown = ", ".join(f"{rows} x {cols} ({label})" for (rows, cols), label in found.items())
-    return (f"pictures of several sizes, rows x columns: {shown}",)
+        found |= {size: stack.label for size in sizes if size not in found}
+    said = [f"{files[0]}{f' and {len(files) - 1} more' if files[1:] else ''}: {note}" for note, files in notes.items()]
+    if len(found) > 1:
+        shown = ", ".join(f"{rows} x {cols} ({label})" for (rows, cols), label in found.items())
+        said.append(f"pictures of several sizes, rows x columns: {shown}")
+    return tuple(said)
 
 
 def _names(stack: StackForm) -> tuple[str, ...]:
     return (stack.frames,) if isinstance(stack.frames, str) else stack.frames
-
-
-def _size(path: Path) -> tuple[int, int] | None:
-    """Return the rows and columns of a file of frames; None of camera raw, of which a plane must be told."""
-    from labdata.importers import KINDS, read_frames
-
-    return None if KINDS.get(path.suffix.lower()) == "raw" else read_frames(path).shape[1:]
 
 
 def _single(paths: list[Path], out: Path, kind: Kind) -> tuple[StackForm, ...]:

@@ -1,4 +1,4 @@
-"""NumPy arrays in .npy files: (row, col) or (frame, row, col)."""
+"""NumPy arrays in .npy files: (row, col), (frame, row, col) or (row, col, colour)."""
 
 import warnings
 from pathlib import Path
@@ -6,20 +6,20 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.importers import planes
+from labdata.importers.axes import names_of_shape
+from labdata.importers.recorded import Recorded
 
 
-def read(path: Path, plane: str | None = None) -> FrameStack:
-    """Read an array as frames; see `labdata.importers.read_frames`."""
+def read(path: Path) -> Recorded:
+    """Map an array into memory, its pixels read as they are needed; see `labdata.importers.read_frames`."""
     try:
         with warnings.catch_warnings(action="ignore"):
-            data = np.load(path, allow_pickle=False)
+            # A file without pixels cannot be mapped.
+            data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
+    except MemoryError:
+        raise
     except Exception:  # a damaged header is read as Python, and fails in as many ways
-        raise BadInput(f"a .npy file must hold one whole array of numbers, got {path}") from None
+        data = None
     if not isinstance(data, np.ndarray):
-        raise BadInput(f"a .npy file must hold one array, got an archive in {path}")
-    if data.ndim not in (2, 3):
-        raise BadInput(f"an array of frames must have 2 or 3 axes, got the shape {data.shape} in {path}")
-    data = data.astype(data.dtype.newbyteorder("="), copy=False)
-    return planes.mono(planes.frames_of(data, path.name), plane, path.name)
+        raise BadInput(f"a .npy file must hold one whole array of numbers, got something else in {path}")
+    return Recorded(data=data, names=names_of_shape(data.shape))

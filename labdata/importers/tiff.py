@@ -1,49 +1,32 @@
-"""TIFF: whole and real pixels of 8 to 64 bits, both byte orders, many pages, colour planes kept apart."""
+"""TIFF: whole and real pixels of 1 to 64 bits, packed or not, many pages, their axes by the file's own description."""
 
 import logging
 import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
-from labdata.importers import planes
+from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, meaning, names_of_shape
 from labdata.importers.expansion import require_possible
+from labdata.importers.recorded import Recorded, lossy_note
+from labdata.importers.thresholds import THUMBNAIL
+
+LOSSY = ("JPEG", "WEBP", "JETRAW")
+CFA_PATTERN = 33422
+"""Tag of the colours of a mosaic's sites, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)."""
 
 
-def read(path: Path, plane: str | None = None) -> FrameStack:
-    """Read all pages of a TIFF file as frames; see `labdata.importers.read_frames`."""
-    data, axes = _pixels(path)
-    if not data.size:
-        raise BadInput(f"a TIFF file must hold pixels, got the shape {data.shape} in {path}")
-    if axes.endswith("S"):
-        frames = data.reshape((-1, *data.shape[-3:]))
-        if frames.shape[-1] >= 3:
-            return planes.chosen(frames, plane, path.name)
-        return planes.mono(frames[..., 0], plane, path.name)
-    return planes.mono(data.reshape((-1, *data.shape[-2:])), plane, path.name)
-
-
-def _pixels(path: Path) -> tuple[NDArray, str]:
-    """Return the pixels with the colour samples, if any, on the last axis, and the names of the axes."""
+def read(path: Path) -> Recorded:
+    """Read the pictures of a TIFF file; see `labdata.importers.read_frames`."""
     import tifffile
 
     logger = logging.getLogger("tifffile")
     silent, logger.disabled = logger.disabled, True  # it logs what we turn into a sentence
     try:
         with tifffile.TiffFile(path) as file:
-            _check_whole(file, path)
-            _check_meaning(file, path)
-            _check_possible(file, path)
-            series = file.series[0]
-            if len(file.series) > 1:
-                shapes = {one.shape for one in file.series}
-                raise BadInput(f"the pages of a TIFF file must have one shape, got {sorted(shapes)} in {path}")
-            data = _unpacked(path, series)
-            axes = series.axes
-    except BadInput:
+            return _recorded(file, path)
+    except (BadInput, MemoryError):
         raise
     except tifffile.TiffFileError:
         raise BadInput(f"a .tif file must be a TIFF picture, got something else in {path}") from None
@@ -51,33 +34,63 @@ def _pixels(path: Path) -> tuple[NDArray, str]:
         raise BadInput(f"a TIFF file must be whole and readable, got {path}: {_one_line(error)}") from None
     finally:
         logger.disabled = silent
-    if "S" in axes and not axes.endswith("S"):
-        place = axes.index("S")
-        data, axes = np.moveaxis(data, place, -1), axes.replace("S", "") + "S"
-    if data.ndim < 2:
-        raise BadInput(f"a TIFF file must hold pictures of rows and columns, got the shape {data.shape} in {path}")
-    return data.astype(data.dtype.newbyteorder("="), copy=False), axes
 
 
-def _unpacked(path: Path, series) -> NDArray:
-    """Return the pixels of a series; OpenCV unpacks LZW, which it writes by default, where no codec is here."""
-    try:
-        return series.asarray()
-    except ValueError as error:
-        if "imagecodecs" not in str(error):
-            raise
-    import cv2
+def _recorded(file, path: Path) -> Recorded:
+    _check_whole(file, path)
+    _check_possible(file, path)
+    series, notes = _largest(file, path)
+    page = series.keyframe
+    notes += _check_meaning(page, path)
+    packing = getattr(page.compression, "name", str(page.compression))
+    if any(word in packing for word in LOSSY):
+        notes += (lossy_note(packing),)
+    names = _names(file, series)
+    planar = COLOUR in names and names[-1] != COLOUR and FRAME not in names
+    bits = int(page.bitspersample)
+    data = series.asarray()
+    return Recorded(
+        data=data,
+        names=names,
+        pattern=_pattern(page),
+        full_scale_dn=float(2**bits - 1) if data.dtype.kind == "u" and 8 < bits < 8 * data.itemsize else None,
+        notes=notes,
+        doubts=("its writer marked the three planes of the file as colours; if they are frames: --axis 0",) * planar,
+    )
 
-    packing = series.keyframe.compression
-    lzw = getattr(packing, "name", packing) == "LZW" and series.axes.endswith(("YX", "YXS"))
-    read, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED) if lzw else (False, ())
-    data = np.array(pages)
-    if not read or data.size != series.size or data.dtype != series.dtype:
-        raise BadInput(f"a TIFF file must be plain, deflated or packed by LZW, got {packing!s} in {path}")
-    if series.axes.endswith("S"):
-        # OpenCV hands over blue first.
-        data = np.concatenate([data[..., 2::-1], data[..., 3:]], axis=-1)
-    return data.reshape(series.shape)
+
+def _largest(file, path: Path) -> tuple:
+    """Return the series of the largest pictures, and a note where reduced copies lie beside it."""
+    sizes = [math.prod(one.keyframe.shape[:2]) for one in file.series]
+    series = file.series[int(np.argmax(sizes))]
+    others = [size for one, size in zip(file.series, sizes, strict=True) if one is not series]
+    if any(size > THUMBNAIL * max(sizes) for size in others):
+        shapes = sorted({one.shape for one in file.series})
+        raise BadInput(f"the pages of a TIFF file must have one shape, got {shapes} in {path}")
+    return series, (f"the largest of {len(sizes)} pictures in the file was read",) if others else ()
+
+
+def _names(file, series) -> tuple[str, ...]:
+    """Return what the axes count, by the letters of the series.
+
+    Pages without a description follow one another as frames, if their shape does not speak against it. ImageJ calls
+    every stack slices; only a hyperstack's are focus positions.
+    """
+    names = [meaning(letter) for letter in series.axes]
+    plain = (file.imagej_metadata or {}).get("hyperstack") is None and series.kind == "imagej"
+    names = [UNNAMED if plain and name == "focus" else name for name in names]
+    if len(names) == 3 and names[1:] == [ROW, COL] and series.axes[0] in "QI":
+        guessed = names_of_shape(series.shape)
+        names = list(guessed) if guessed[0] == ROW else [FRAME, ROW, COL]
+    return tuple(names)
+
+
+def _pattern(page) -> str | None:
+    """Return the colours of a mosaic's sites where the file states them."""
+    tag = page.tags.get(CFA_PATTERN)
+    if tag is None or len(sites := bytes(tag.value)) != 4 or not set(sites) <= {0, 1, 2}:
+        return None
+    return "".join("rgb"[site] for site in sites)
 
 
 def _check_whole(file, path: Path) -> None:
@@ -102,11 +115,24 @@ def _check_possible(file, path: Path) -> None:
     require_possible(stated, path.stat().st_size, path.name)
 
 
-def _check_meaning(file, path: Path) -> None:
-    """Refuse pixels that are no measure of light: indices of a palette, or counts that fall with light."""
-    photometric = getattr(file.pages[0].photometric, "name", "")
-    if photometric in ("PALETTE", "MINISWHITE"):
-        raise BadInput(f"the pixels of a TIFF file must rise with light, got the type {photometric} in {path}")
+def _check_meaning(page, path: Path) -> tuple[str, ...]:
+    """Refuse pixels that are no measure of light: indices of colours, or counts that fall with light."""
+    photometric = getattr(page.photometric, "name", "")
+    if photometric == "PALETTE":
+        table = np.asarray(page.colormap, np.int64)
+        # A scale of grey, or of one colour as ImageJ has them, orders the stored values as a display shows them.
+        if (np.diff(table) >= 0).all() and (table[:, -1] > table[:, 0]).any():
+            return ("the look-up table of the file rises with the stored values, which are measured as they are",)
+        raise BadInput(
+            f"the pixels of a TIFF file must rise with light, got a look-up table of colours that fall in {path}: "
+            "choose a grey look-up table before saving (ImageJ: Image > Lookup Tables > Grays)"
+        )
+    if photometric == "MINISWHITE":
+        raise BadInput(
+            f"the pixels of a TIFF file must rise with light, got the type MINISWHITE in {path}: invert it before "
+            "saving (ImageJ: Edit > Invert)"
+        )
+    return ()
 
 
 def _one_line(error: Exception) -> str:

@@ -7,6 +7,7 @@ of its own. Only BadInput may come of it, and no picture of other pixels than it
 import json
 import random
 import shutil
+import struct
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,8 +45,37 @@ def _tiff(**options) -> Callable[[Path], object]:
     return lambda path: tifffile.imwrite(path, _frames(), **{"photometric": "minisblack", **options})
 
 
-def _png(kind: type, *shape: int) -> Callable[[Path], object]:
-    return lambda path: path.write_bytes(cv2.imencode(".png", _frames(kind, *shape))[1].tobytes())
+def _picture(kind: type, *shape: int) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(cv2.imencode(path.suffix, _frames(kind, *shape))[1].tobytes())
+
+
+def _fpack(path: Path) -> None:
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(_frames(np.int16, ROWS, COLUMNS))]).writeto(path)
+
+
+def _ser(path: Path) -> None:
+    header = struct.pack("<14s7I", b"LUCAM-RECORDER", 0, 0, 0, COLUMNS, ROWS, 12, 3) + bytes(136)
+    path.write_bytes(header + _frames().tobytes())
+
+
+def _spe(path: Path) -> None:
+    header = bytearray(4100)
+    for offset, form, value in (
+        (42, "<H", COLUMNS),
+        (656, "<H", ROWS),
+        (108, "<h", 3),
+        (1446, "<i", 3),
+        (1992, "<f", 2.5),
+    ):
+        struct.pack_into(form, header, offset, value)
+    path.write_bytes(bytes(header) + _frames().tobytes())
+
+
+def _avi(path: Path) -> None:
+    video = cv2.VideoWriter(str(path), 0, 25, (COLUMNS, ROWS), isColor=False)
+    for frame in _frames(np.uint8):
+        video.write(frame)
+    video.release()
 
 
 def _store(path: Path) -> None:
@@ -65,13 +95,23 @@ FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
     "tiff": ("a.tif", _tiff()),
     "tiff, big and in tiles": ("a.tif", _tiff(bigtiff=True, tile=(16, 16), byteorder=">")),
     "tiff, packed": ("a.tif", _tiff(compression="zlib", predictor=True)),
-    "tiff of ImageJ": ("a.tif", _tiff(imagej=True)),
-    "png": ("a.png", _png(np.uint16, ROWS, COLUMNS)),
-    "png in colour": ("a.png", _png(np.uint8, ROWS, COLUMNS, 3)),
+    "tiff of ImageJ": ("a.tif", _tiff(imagej=True, metadata={"axes": "TYX"})),
+    "tiff, 12 bits": ("a.tif", _tiff(bitspersample=12)),
+    "tiff, Zstandard": ("a.tif", _tiff(compression="zstd")),
+    "png": ("a.png", _picture(np.uint16, ROWS, COLUMNS)),
+    "png in colour": ("a.png", _picture(np.uint8, ROWS, COLUMNS, 3)),
+    "jpeg": ("a.jpg", _picture(np.uint8, ROWS, COLUMNS)),
+    "bmp": ("a.bmp", _picture(np.uint8, ROWS, COLUMNS)),
+    "pgm": ("a.pgm", _picture(np.uint16, ROWS, COLUMNS)),
+    "ser": ("a.ser", _ser),
+    "spe": ("a.spe", _spe),
+    "avi": ("a.avi", _avi),
     "npy": ("a.npy", lambda path: np.save(path, _frames())),
     "npy of reals": ("a.npy", lambda path: np.save(path, _frames(np.float64))),
     "fits": ("a.fits", lambda path: fits.writeto(path, _frames(np.int16))),
     "fits, scaled": ("a.fits", lambda path: fits.writeto(path, _frames(np.uint16))),
+    "fits, gzip": ("a.fits.gz", lambda path: fits.writeto(path, _frames(np.int16))),
+    "fits, fpack": ("a.fits.fz", _fpack),
     "dng": ("a.dng", lambda path: dng.write(path, _frames(np.uint16, 40, 60))),
     "store": ("a.zarr", _store),
     "zarr": ("b.zarr", _zarr),
@@ -121,7 +161,7 @@ def _read(name: str, path: Path, plane: str | None) -> None:
     if name.startswith("mesh"):
         built(scene_of(path))
         return
-    stack = read_frames(path, plane)
+    stack = read_frames(path, plane, axis="frame")
     assert stack.data.ndim == 3 and stack.data.size, "frames are pictures of rows and columns"
 
 

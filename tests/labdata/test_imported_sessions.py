@@ -138,11 +138,11 @@ def test_a_pattern_that_does_not_fit_is_refused(tmp_path, pattern, rule):
 
 
 def test_loose_files_that_are_missing_or_of_no_known_kind_are_refused(tmp_path):
-    (tmp_path / "a.jpg").write_bytes(b"x")
+    (tmp_path / "a.xyz").write_bytes(b"x")
     for files, rule in (
         ([], "at least one file"),
         ([tmp_path / "none.tif"], "must exist"),
-        ([tmp_path / "a.jpg"], r"or a Zarr array, got 'a\.jpg'"),
+        ([tmp_path / "a.xyz"], r"or a Zarr array, got 'a\.xyz'"),
     ):
         with pytest.raises(BadInput, match=rule):
             import_frames(files, tmp_path / "S")

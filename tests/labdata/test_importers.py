@@ -10,12 +10,12 @@ import pytest
 import tifffile
 
 from labdata import BadInput
-from labdata.importers import read_frames
+from labdata.importers import import_frames, read_frames
 
 TYPES = ["u1", "u2", "u4", "i2", "i4", "f4", "f8"]
 
 
-def pixels(kind: str, shape: tuple[int, ...] = (3, 5, 7)) -> np.ndarray:
+def pixels(kind: str, shape: tuple[int, ...] = (4, 5, 7)) -> np.ndarray:
     values = np.random.default_rng(1).integers(0, 200, shape)
     return (values / (3.0 if np.dtype(kind).kind == "f" else 1)).astype(kind)
 
@@ -78,18 +78,6 @@ def test_a_packed_file_cut_anywhere_is_refused_or_whole(tmp_path):
     assert refused > 0.9 * (len(sizes) - 12)
 
 
-def test_a_packing_that_is_not_read_is_named(tmp_path):
-    """The number of LZMA in the place of no packing: another file, but that is what its reader sees first."""
-    tifffile.imwrite(tmp_path / "a.tif", pixels("u2", (40, 48)), byteorder="<")
-    content = bytearray((tmp_path / "a.tif").read_bytes())
-    with tifffile.TiffFile(tmp_path / "a.tif") as file:
-        place = file.pages[0].tags["Compression"].valueoffset
-    content[place : place + 2] = (34887).to_bytes(2, "little")
-    (tmp_path / "a.tif").write_bytes(bytes(content))
-    with pytest.raises(BadInput, match=r"plain, deflated or packed by LZW, got 34887 in"):
-        read_frames(tmp_path / "a.tif")
-
-
 def test_pages_written_one_by_one_are_frames_too(tmp_path):
     data = pixels("u2")
     with tifffile.TiffWriter(tmp_path / "a.tif") as file:
@@ -131,7 +119,8 @@ def test_colour_planes_are_kept_apart_and_the_luminance_is_said(tmp_path, planar
         assert plane.plane == name
     luminance = read_frames(tmp_path / "a.tif")
     assert luminance.data[0] == pytest.approx(data @ np.array([0.2125, 0.7154, 0.0721]))
-    assert "0.2125 R + 0.7154 G + 0.0721 B" in luminance.notes[0]
+    assert "0.2125 R + 0.7154 G + 0.0721 B" in luminance.notes[-1]
+    assert ("if they are frames: --axis 0" in luminance.notes[0]) == (planar == "separate")
     assert luminance.full_scale_dn == 255
     assert luminance.plane == "luminance"
     assert np.array_equal(read_frames(tmp_path / "a.tif", plane="luminance").data, luminance.data)
@@ -146,17 +135,17 @@ def test_npy_and_fits_and_png_come_in_unchanged(tmp_path):
     fits.PrimaryHDU(data).writeto(tmp_path / "a.fits")
     cv2.imwrite(str(tmp_path / "a.png"), data[0])
     assert np.array_equal(read_frames(tmp_path / "a.npy").data, data)
-    assert np.array_equal(read_frames(tmp_path / "a.fits").data, data)
+    assert np.array_equal(read_frames(tmp_path / "a.fits", axis="frame").data, data)
     assert np.array_equal(read_frames(tmp_path / "a.png").data, data[:1])
     assert read_frames(tmp_path / "a.png").data.dtype == np.uint16
-    assert read_frames(tmp_path / "a.fits").data.dtype.isnative
+    assert read_frames(tmp_path / "a.fits", axis="0").data.dtype.isnative
 
 
 def test_a_fits_image_behind_an_empty_header_is_found(tmp_path):
     fits = pytest.importorskip("astropy.io.fits")
     data = pixels("i2")
     fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(data)]).writeto(tmp_path / "a.fits")
-    assert np.array_equal(read_frames(tmp_path / "a.fits").data, data)
+    assert np.array_equal(read_frames(tmp_path / "a.fits", axis="frame").data, data)
 
 
 def test_the_colours_of_a_png_are_in_their_places(tmp_path):
@@ -258,7 +247,7 @@ def test_a_picture_that_is_not_finite_is_refused_with_its_name(tmp_path, bad):
     data[1, 2, 3] = bad
     tifffile.imwrite(tmp_path / "a.tif", data, photometric="minisblack")
     with pytest.raises(
-        BadInput, match=r"every pixel must be finite, got 1 that are NaN or infinite of 105, in .*a\.tif"
+        BadInput, match=r"every pixel must be finite, .*, got 1 that are NaN or infinite of 140, in .*a\.tif"
     ):
         read_frames(tmp_path / "a.tif")
 
@@ -270,9 +259,10 @@ def test_a_picture_that_falls_with_light_is_refused(tmp_path):
 
 
 def test_an_unknown_kind_is_answered_with_the_known_ones(tmp_path):
-    (tmp_path / "a.jpg").write_bytes(b"x")
-    with pytest.raises(BadInput, match=r"one of \.tif, .*\.fits.*\.png.*\.dng.* or a Zarr array, got 'a\.jpg'"):
-        read_frames(tmp_path / "a.jpg")
+    (tmp_path / "a.xyz").write_bytes(b"x")
+    rule = r"one of \.tif, .*\.fits.*\.png.* or a Zarr array, got 'a\.xyz': save it as TIFF or FITS .* ffmpeg"
+    with pytest.raises(BadInput, match=rule):
+        read_frames(tmp_path / "a.xyz")
 
 
 def test_what_is_not_there_is_refused(tmp_path):
@@ -319,7 +309,7 @@ def test_fits_without_astropy_names_the_way_to_it(tmp_path, monkeypatch):
 
 
 def test_a_colour_plane_of_a_grey_picture_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="can only be taken of a colour picture, got plane 'r' of a"):
+    with pytest.raises(BadInput, match="of a colour picture or a mosaic, got plane 'r' of a"):
         read_frames(written(tmp_path, "a.tif"), plane="r")
 
 
@@ -342,7 +332,7 @@ def test_the_real_edge_and_its_rotation_hold_the_same_pixels(shared_data):
 @pytest.mark.parametrize(("bits", "kind"), [(10, "u2"), (12, "u2"), (14, "i4"), (16, "u2")])
 def test_the_full_scale_shows_where_pixels_pile_up(tmp_path, bits, kind):
     top = 2**bits - 1
-    data = pixels(kind, (3, 20, 20))
+    data = pixels(kind, (4, 20, 20))
     data[0, 0, :5] = top
     np.save(tmp_path / "a.npy", data)
     stack = read_frames(tmp_path / "a.npy")
@@ -354,7 +344,7 @@ def test_the_full_scale_shows_where_pixels_pile_up(tmp_path, bits, kind):
 
 @pytest.mark.parametrize("top", [4094, 3000])
 def test_a_full_scale_that_does_not_show_is_unknown(tmp_path, top):
-    data = pixels("u2", (3, 20, 20))
+    data = pixels("u2", (4, 20, 20))
     data[0, 0, :5] = top
     np.save(tmp_path / "a.npy", data)
     np.save(tmp_path / "b.npy", np.where(np.arange(9).reshape(1, 3, 3) == 4, 4095, 7).astype("u2"))
@@ -366,3 +356,12 @@ def test_a_full_scale_that_does_not_show_is_unknown(tmp_path, top):
 def test_whole_numbers_of_8_bits_end_at_255(tmp_path):
     np.save(tmp_path / "a.npy", pixels("u1"))
     assert read_frames(tmp_path / "a.npy").full_scale_dn == 255
+
+
+def test_a_session_of_raw_files_keeps_their_plane(tmp_path):
+    data = np.arange(40 * 60, dtype=np.uint16).reshape(40, 60)
+    dng_module().write(tmp_path / "a.dng", data)
+    with pytest.raises(BadInput, match=r"must be one of b, g1, g2, r, got None for a\.dng"):
+        import_frames([tmp_path / "a.dng"], tmp_path / "S")
+    session = import_frames([tmp_path / "a.dng"], tmp_path / "S", plane="g1", kind="flat")
+    assert np.array_equal(session.stack("a").read().data, read_frames(tmp_path / "a.dng", "g1").data)

@@ -68,9 +68,9 @@ def test_a_truncated_tiff_is_not_measured(tmp_path: Path) -> None:
 
 def test_a_pixel_that_is_not_a_number_is_counted(tmp_path: Path) -> None:
     image = np.ones((32, 32), np.float32)
-    image[3, 4] = np.nan
+    image[3:6, 4:6] = np.nan
     tifffile.imwrite(tmp_path / "nan.tif", image)
-    assert_one_sentence(charact("mtf", "edge", tmp_path / "nan.tif"), "finite", "1 ")
+    assert_one_sentence(charact("mtf", "edge", tmp_path / "nan.tif"), "finite", "6 ")
 
 
 def test_an_unknown_kind_of_file_gets_the_list_of_known_ones(tmp_path: Path) -> None:

@@ -1,0 +1,172 @@
+"""Axes of an array of pictures: which count frames, rows and columns, and which count something else.
+
+An axis counts frames where the file says so or where the documented layout of its kind does. Any other axis longer than
+1 is cut by a plane, renamed by the caller, or refused in a sentence that lists the axes.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.importers import planes
+from labdata.importers.masked import without_gaps
+from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_OBLONG
+
+FRAME, ROW, COL, COLOUR, UNNAMED = "frame", "row", "col", "colour", "unnamed"
+KNOWN = (FRAME, ROW, COL, COLOUR)
+
+MEANINGS = {
+    **dict.fromkeys(("t", "i", "time", "frame", "frames", "page"), FRAME),
+    **dict.fromkeys(("y", "row", "rows", "height"), ROW),
+    **dict.fromkeys(("x", "col", "cols", "column", "columns", "width"), COL),
+    **dict.fromkeys(("s", "colour", "color", "rgb"), COLOUR),
+    **dict.fromkeys(("c", "channel", "channels"), "channel"),
+    **dict.fromkeys(("z", "focus", "slice", "depth"), "focus"),
+    **dict.fromkeys(("w", "wave", "awav", "freq", "velo", "wavelength"), "wavelength"),
+    **dict.fromkeys(("p", "position", "scene", "tile"), "position"),
+    **dict.fromkeys(("q", "", "unnamed"), UNNAMED),
+}
+"""What the letters of tifffile, the words of others and the words of --axis stand for; any other word stays."""
+
+
+def meaning(word: str) -> str:
+    """Return what an axis counts, from its letter or name in a file."""
+    return MEANINGS.get(word.strip().lower(), word.strip().lower())
+
+
+def named(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[str, ...]:
+    """Return what the axes of a labelled array count; rows and columns are the last two where no label says else."""
+    if not any(labels):
+        return names_of_shape(shape)
+    names = [meaning(label or "") for label in labels]
+    if ROW not in names and COL not in names and len(names) > 1:
+        names[-2:] = ROW, COL
+    return tuple(names)
+
+
+def names_of_shape(shape: Sequence[int]) -> tuple[str, ...]:
+    """Return what the axes of an array without labels count: (row, col), (frame, row, col), colours last.
+
+    Three planes may be colours as well as frames and stay unnamed, as does a last axis so short that the array reads
+    as (row, col, frame).
+    """
+    leading = len(shape) - 2
+    if leading > 0 and shape[-1] in (3, 4) and min(shape[-3:-1]) >= LEAST_COLOUR_SIDE_PX:
+        outer = names_of_shape((*shape[:-3], *shape[-3:-1]))
+        return (*outer, COLOUR)
+    if leading == 1 and MOST_OBLONG * shape[2] <= min(shape[:2]):
+        return ROW, COL, UNNAMED
+    if leading == 1 and shape[0] != 3:
+        return FRAME, ROW, COL
+    return (UNNAMED,) * leading + (ROW, COL)
+
+
+def frames_of(
+    data: NDArray, names: Sequence[str], *, plane: str | None, axis: str | None, name: str, pattern: str | None = None
+) -> FrameStack:
+    """Return an array of pictures as a stack.
+
+    Parameters
+    ----------
+    data
+        Pixels, any number of axes.
+    names
+        What each axis counts: "frame", "row", "col", "colour", "unnamed", or another word.
+    plane
+        Colour plane, or the index of a plane along every axis that counts no frames, as in "2" or "2,0".
+    axis
+        Index or name of the axis that counts frames; "frame": the first, where the file leaves it unnamed. None: the
+        file must say.
+    name
+        The file, for sentences.
+    pattern
+        Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic is known.
+
+    Raises
+    ------
+    BadInput
+        If an axis longer than 1 counts neither frames nor colours and no plane was chosen, or the choice is none.
+    """
+    if not data.size:
+        raise BadInput(f"an array of frames must hold pixels, got the shape {data.shape} in {name}")
+    if data.ndim < 2:
+        raise BadInput(f"an array of frames must have rows and columns, got the shape {data.shape} in {name}")
+    names = [UNNAMED if what in KNOWN and what in names[:at] else what for at, what in enumerate(names)]
+    names = _renamed(names, data.shape, axis, name)
+    if ROW not in names or COL not in names:
+        raise BadInput(
+            f"an array of frames must have rows and columns, got the axes {_listed(names, data.shape)} in {name}"
+        )
+    others = [at for at, what in enumerate(names) if data.shape[at] > 1 and what not in KNOWN]
+    if len(others) == 1 and data.shape[others[0]] in (3, 4) and plane in ("r", "g", "b", "luminance"):
+        names[others[0]], others = COLOUR, []
+    index: list[int | slice] = [
+        slice(None) if size > 1 or what in (ROW, COL) else 0 for size, what in zip(data.shape, names, strict=True)
+    ]
+    for at, number in zip(others, _picked(data.shape, names, others, plane, name), strict=True):
+        index[at] = number
+    left = [what for what, at in zip(names, index, strict=True) if isinstance(at, slice)]
+    data = data[tuple(index)].transpose([left.index(what) for what in KNOWN if what in left])
+    data = data if FRAME in left else data[None]
+    data, origin, notes = without_gaps(data, name)
+    if COLOUR in left and data.shape[-1] >= 3:
+        stack = planes.chosen(data, plane, name)
+    else:
+        data = data[..., 0] if COLOUR in left else data
+        stack = FrameStack(data=data, plane=f"plane {plane}") if others else planes.mono(data, plane, name, pattern)
+    return replace(stack, origin=origin, notes=(*notes, *stack.notes))
+
+
+def _renamed(names: list[str], shape: Sequence[int], axis: str | None, name: str) -> list[str]:
+    """Return the names with the axis asked for as the one of frames."""
+    if axis is None:
+        return names
+    if axis == FRAME:
+        return [FRAME, *names[1:]] if names[0] == UNNAMED and FRAME not in names else names
+    at = _index(names, axis)
+    if at is None or len(names) < 3:
+        raise BadInput(f"--axis must be one of the axes of {name}, {_listed(names, shape)}, got {axis!r}")
+    names = [UNNAMED if what == FRAME else what for what in names]
+    names[at] = FRAME
+    rest = [where for where, what in enumerate(names) if what not in (FRAME, COLOUR)]
+    if len(rest) == 2:
+        names[rest[0]], names[rest[1]] = ROW, COL
+    return names
+
+
+def _index(names: list[str], axis: str) -> int | None:
+    """Return the place of an axis given by its number or its name."""
+    if axis.isdecimal():
+        return int(axis) if int(axis) < len(names) else None
+    return names.index(meaning(axis)) if meaning(axis) in names else None
+
+
+def _picked(shape: Sequence[int], names: list[str], others: list[int], plane: str | None, name: str) -> list[int]:
+    """Return the index of the plane on every axis that counts no frames; refuse where none was chosen."""
+    chosen = [] if plane is None else plane.split(",")
+    if not others:
+        return []
+    if len(chosen) == len(others) and all(
+        word.isdecimal() and int(word) < shape[at] for word, at in zip(chosen, others, strict=True)
+    ):
+        return [int(word) for word in chosen]
+    first = others[0]
+    colours = " (or r, g, b, luminance if they are colours)" if shape[first] in (3, 4) and len(others) == 1 else ""
+    frames = "" if FRAME in names else f"--axis {first} takes axis {first} for frames, "
+    raise BadInput(
+        f"an axis must be known to count frames, got the axes {_listed(names, shape)} in {name}: "
+        f"{frames}--plane {','.join('0' for _ in others)} takes one plane, counted from 0{colours}"
+        + ("" if plane is None else f"; got --plane {plane}")
+    )
+
+
+def _listed(names: Sequence[str], shape: Sequence[int]) -> str:
+    """Return the axes in words: (0 unnamed 16, 1 row 512, 2 col 640)."""
+    return (
+        "("
+        + ", ".join(f"{at} {what} of {size}" for at, (what, size) in enumerate(zip(names, shape, strict=True)))
+        + ")"
+    )
