@@ -95,6 +95,7 @@ def _through_air(stage: Stage, parts: Parts, range_m: Array, towards: Array, met
     change = stage.air.through(range_m)
     change -= np.float32(1.0)
     change *= parts.total()[met]
-    if stage.air.added is not None:
-        change += stage.air.added(range_m, towards)
+    added = stage.air.added(range_m, towards)
+    if added is not None:
+        change += added
     parts.add("air", met, change)

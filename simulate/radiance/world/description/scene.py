@@ -21,8 +21,8 @@ class Scene:
     name
         Its name.
     camera, place, weather, sky
-        Where one looks from, where and when it is, what the air is like and what shines in it; without a place there is
-        no sky, only lamps.
+        Where one looks from, where and when it is, what the air is like and what shines in it. Without a place there is
+        no sky, only lamps; and no air unless a weather is given, which takes their light and scatters none back.
     material, object, lamp
         Tables of materials, objects and lamps.
     folder
@@ -32,7 +32,7 @@ class Scene:
     name: str
     camera: Camera
     place: Where | None = None
-    weather: Weather = field(default_factory=Weather)
+    weather: Weather | None = None
     sky: Sky = field(default_factory=Sky)
     material: tuple[Surface, ...] = ()
     object: tuple[Object, ...] = ()
