@@ -48,8 +48,8 @@ def detected_per_radiance(
     Notes
     -----
     int hat_b(l) QE(l) l/(h c) dl, hat_b linear from 1 at band b to 0 at its neighbours: exact for any spacing of the
-    bands, where a sum over bands alone misses what the efficiency does between them. Of averages QE(b) b/(h c) int hat_b
-    dl: the bands of a rendering stand where the efficiency bends, and a line's light keeps the efficiency of its own.
+    bands, where a sum over bands alone misses what the efficiency does between them. Of averages QE(b) b/(h c) times
+    int hat_b dl: bands of a rendering stand where the efficiency bends, and a line's light keeps that of its own.
     """
     bands, nm, share = np.asarray(wavelength_nm, float), np.asarray(table_nm, float), np.asarray(efficiency, float)
     if bands.size < 2:
