@@ -20,9 +20,15 @@ class Scene:
     ----------
     name
         Its name.
-    camera, place, weather, sky
-        Where one looks from, where and when it is, what the air is like and what shines in it. Without a place there is
-        no sky, only lamps; and no air unless a weather is given, which takes their light and scatters none back.
+    camera
+        Where one looks from.
+    place
+        Where and when it is; without a place there is no sky, only lamps.
+    weather
+        What the air is like. Without a place there is no air unless a weather is given: that takes light of lamps and
+        scatters none back.
+    sky
+        What shines in the sky of a place.
     material, object, lamp
         Tables of materials, objects and lamps.
     folder
