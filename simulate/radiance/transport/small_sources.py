@@ -175,7 +175,7 @@ class _Plane:
 
 
 def _planes(panes: Panes) -> list[_Plane]:
-    normal = panes.tracer.normal
+    normal = panes.tracer.planes[1]
     offset = np.einsum("ij,ij->i", normal, panes.tracer.corner_m)
     first = np.argmax(np.abs(normal) > 10.0**-SAME, axis=1)
     sign = np.sign(normal[np.arange(len(normal)), first])

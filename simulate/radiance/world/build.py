@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.radiance.embree import Copied
 from simulate.radiance.world.description.objects import METRE, Object, Pose
 from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.material_map import mapped
@@ -16,6 +17,8 @@ from simulate.radiance.world.surfaces import Surfaces, surfaces
 
 # Fewest triangles of a mesh with gaps: of fewer, gaps would be holes in walls.
 FINE = 400
+# Copies of a mesh that have more triangles together share it: each triangle by itself takes some 700 bytes.
+SHARED_FROM = 500_000
 KINDS = (".obj", ".ply", ".stl", ".glb")
 
 
@@ -30,7 +33,7 @@ def built(scene: Scene) -> Surfaces:
     """
     glass = frozenset(surface.label for surface in scene.material if surface.pane_transmittance is not None)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
-    parts = []
+    parts, copied = [], []
     for thing in scene.object:
         poses = thing.instances or (thing,)
         mesh = _mesh(scene, thing)
@@ -45,8 +48,20 @@ def built(scene: Scene) -> Surfaces:
             )
         if thing.gaps > 0.0:
             mesh = pierced(mesh, thing.gaps, thing.label)
-        parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in poses]
-    return surfaces(parts, glass)
+        # What glows or is glass is looked for triangle by triangle.
+        shared = thing.material not in glowing | glass and len(poses) * len(mesh.faces) > SHARED_FROM and len(poses) > 1
+        if shared:
+            copied.append((thing.label, thing.material, _copies(mesh, poses[1:])))
+        parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in (poses[:1] if shared else poses)]
+    return surfaces(parts, glass, tuple(copied))
+
+
+def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
+    """Return a mesh about its middle, for single precision, and where its copies stand."""
+    middle = 0.5 * (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0))
+    turn = np.array([pose.scale * _rotation(pose) for pose in poses])
+    shift = np.array([pose.position_m for pose in poses]) + turn @ middle
+    return Copied(vertices_m=mesh.vertices_m - middle, faces=mesh.faces, turn=turn, shift_m=shift)
 
 
 def pierced(mesh: Mesh, gaps: float, label: str) -> Mesh:

@@ -225,20 +225,14 @@ def _frame(axis: NDArray[np.float64], heading_deg: float) -> NDArray[np.float64]
 
 def _refuse_touching(post: LampPost, surfaces: Surfaces) -> None:
     """Refuse a lamp whose ball touches a surface: what shines inside a wall lights nothing as it should."""
-    corners = surfaces.mesh.corners_m
     place = np.asarray(post.position_m, float)
-    near = (corners.min(axis=1) <= place + post.radius_m).all(axis=1)
-    near &= (corners.max(axis=1) >= place - post.radius_m).all(axis=1)
-    if not near.any():
-        return
-    import trimesh
+    for corners, name in surfaces.near(place, post.radius_m):
+        import trimesh
 
-    which = np.flatnonzero(near)
-    closest = trimesh.triangles.closest_point(corners[which], np.broadcast_to(place, (len(which), 3)))
-    distance = np.linalg.norm(closest - place, axis=1)
-    if distance.min() < post.radius_m:
-        name = surfaces.objects[surfaces.object_of[which[np.argmin(distance)]]]
-        raise BadInput(
-            f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got {post.label!r} "
-            f"{distance.min():.3g} m from {name!r}"
-        )
+        closest = trimesh.triangles.closest_point(corners, np.broadcast_to(place, (len(corners), 3)))
+        distance = np.linalg.norm(closest - place, axis=1).min()
+        if distance < post.radius_m:
+            raise BadInput(
+                f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got {post.label!r} "
+                f"{distance:.3g} m from {name!r}"
+            )

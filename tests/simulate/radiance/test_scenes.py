@@ -158,7 +158,7 @@ def test_a_map_lays_materials_on_a_plane_as_its_picture_shows_them(tmp_path):
     above = np.column_stack([2.0 * (col + 0.45) - 9.0, 3.0 - (row + 0.55), np.full(row.size, 2.0)])
     face = laid.tracer.hits(above, np.broadcast_to([0.0, 0.0, -1.0], above.shape)).face
     assert [laid.materials[number] for number in laid.material_of[face]] == ["abc"[n] for n in picture_of.ravel()]
-    assert (laid.tracer.normal[:, 2] > 0.99).all()
+    assert (laid.tracer.planes[1][:, 2] > 0.99).all()
     with pytest.raises(BadInput, match=r"whole numbers from 0 to 1, got 2 in signs\.npy"):
         built(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b"]\n'))
 
