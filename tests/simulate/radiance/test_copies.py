@@ -73,7 +73,7 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
     monkeypatch.setattr(build, "SHARED_FROM", 10**9)
     own = site().surfaces
     here, there = (of.tracer.hits(origin, towards) for of in (one, own))
-    assert np.count_nonzero(here.face >> COPY_BITS > 0) > 1000 and (there.face >> COPY_BITS <= 0).all()
+    assert np.count_nonzero(here.face >> COPY_BITS > 0) > 500 and (there.face >> COPY_BITS <= 0).all()
     met = np.flatnonzero((here.face >= 0) & (there.face >= 0))
     assert len(met) > 0.999 * max(len(here.met), len(there.met))
     same = np.abs(here.range_m[met] - there.range_m[met]) < 1e-6
