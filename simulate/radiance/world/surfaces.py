@@ -29,6 +29,8 @@ class Surfaces:
         Meshes that stand in many places, and are kept once.
     panes
         Panes of glass among the objects, which are traced by themselves; None without any.
+    notes
+        What files say that is not used, in sentences.
     """
 
     mesh: Mesh
@@ -39,6 +41,7 @@ class Surfaces:
     materials: tuple[str, ...]
     copied: tuple[Copied, ...] = ()
     panes: "Surfaces | None" = None
+    notes: tuple[str, ...] = ()
 
     @property
     def area_m2(self) -> NDArray[np.float64]:

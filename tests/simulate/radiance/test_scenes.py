@@ -94,6 +94,24 @@ def test_a_mesh_file_is_read_in_its_unit_and_one_that_glows_must_be_closed(tmp_p
         built(scene_of(tmp_path, CAMERA + GREY + mesh + '"letter.obj"\n'))
 
 
+def test_a_mesh_files_own_materials_are_named_as_left_out(tmp_path):
+    import trimesh
+
+    painted, sprayed, bare = (trimesh.creation.box() for _ in range(3))
+    paint = trimesh.visual.material.PBRMaterial(name="red paint", baseColorFactor=[200, 30, 30, 255])
+    painted.visual = trimesh.visual.TextureVisuals(material=paint)
+    sprayed.visual = trimesh.visual.ColorVisuals(sprayed, vertex_colors=[10, 200, 10, 255])
+    trimesh.Scene({"a": painted, "b": sprayed, "c": bare}).export(tmp_path / "house.glb")
+    bare.export(tmp_path / "bare.glb")
+    mesh = '[[object]]\nlabel = "a"\nunit = "m"\nmaterial = "grey"\nfile = '
+    surfaces = built(scene_of(tmp_path, CAMERA + GREY + mesh + '"house.glb"\n'))
+    assert len(surfaces.mesh.faces) == 36
+    assert surfaces.notes == (
+        "house.glb has materials (red paint) and colours of its own, left out: all of 'a' is 'grey'",
+    )
+    assert built(scene_of(tmp_path, CAMERA + GREY + mesh + '"bare.glb"\n')).notes == ()
+
+
 def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
     polar, azimuth = np.linspace(0.0, 90.0, 10), np.linspace(0.0, 180.0, 7)
     table = np.broadcast_to(np.array([0.2, 0.6]).reshape(2, 1, 1, 1) / np.pi, (2, 10, 10, 7))
