@@ -8,6 +8,7 @@ from labdata.errors import BadInput
 from simulate.radiance.photometry import planck
 from simulate.radiance.spectrum import Spectrum
 from simulate.radiance.tables import table
+from simulate.radiance.world.description.lamp_post import NARROW
 
 PACKAGE = "simulate.radiance.lamps"
 FIRST_NM, LAST_NM = 300.0, 1200.0
@@ -33,7 +34,6 @@ NEAR_INFRARED_LINES = {
 }
 # Default power beyond 780 nm over that before: the published 10 to 30 % of high-pressure sodium is uncertain.
 NEAR_INFRARED_SHARE = {"high-pressure-sodium": 0.2}
-NARROW = "narrow-band"
 KINDS = ("incandescent", "low-pressure-sodium", *COLUMNS)
 COLDEST_K, HOTTEST_K = 1000.0, 20000.0
 # Exitance of a black body over T^4, W m-2 K-4.
@@ -80,15 +80,15 @@ def spectrum(
     -----
     Spectra of discharge lamps and LEDs are NIST's, measured to 780 nm; with mercury's lines put where they belong.
     """
-    if (kind == NARROW) != (wavelength_nm is not None):
-        raise BadInput(f"wavelength_nm must be given for a {NARROW} lamp and for no other, got {wavelength_nm}")
+    if kind == NARROW and wavelength_nm is None:
+        raise BadInput(f"wavelength_nm must be given for a {NARROW} lamp, got none")
     if kind == "incandescent":
         if near_infrared_share is not None:
             raise BadInput(f"an incandescent lamp has no near_infrared_share, got {near_infrared_share:g}")
         whole = _incandescent(temperature_k)
         total = STEFAN_BOLTZMANN * temperature_k**4 / np.pi
         return scaled_to(whole, lumens, watts, kind, total)
-    if wavelength_nm is not None:
+    if kind == NARROW and wavelength_nm is not None:
         return scaled_to(_narrow(wavelength_nm, width_nm), lumens, watts, f"{wavelength_nm:g} nm")
     if kind not in KINDS:
         raise BadInput(f"a lamp must be of one of the kinds {', '.join((*KINDS, NARROW))}, got {kind!r}")

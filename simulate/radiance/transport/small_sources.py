@@ -57,6 +57,9 @@ def _add_disc(
     from_m = eye if plane is None else eye - 2.0 * plane.height(eye) * plane.normal
     if plane is not None and isinstance(source, LampLight) and plane.height(source.position_m) * plane.height(eye) <= 0:
         return
+    # A camera within a lamp, as within a ring of diodes, does not see it.
+    if isinstance(source, LampLight) and np.linalg.norm(source.position_m - from_m) <= source.radius_m:
+        return
     swollen = 2.0 * np.pi / CORNERS / np.sin(2.0 * np.pi / CORNERS)
     turn = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
     rim = _turned(_places(source, from_m, np.full(CORNERS, swollen), turn), plane)

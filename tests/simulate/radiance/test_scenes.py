@@ -63,6 +63,7 @@ def test_shipped_scenes_are_built_and_a_bench_is_another_kind(name):
         (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "gold"\n', "must be one of .*got 'gold'"),
         (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "window-glass"\n', "light goes through panes alone"),
         (CAMERA + "[place]\nlatitude_deg = 43\nlongitude_deg = -77\ntime = 1998-06-24T02:00:00\n", "offset from UTC"),
+        (CAMERA + "[sky]\nmoon = false\n", r"a sky must have a place and a time, got \[sky\] without \[place\]"),
         (CAMERA.replace("[0, 0, 1]", "[0, -10, 2]"), "must look at another place"),
         (CAMERA + GREY + BALL + 'map = "a.png"\nmap_materials = ["grey"]\n', "either a material or a map"),
         (CAMERA + GREY + BALL + "gaps = 1.0\n", r"gaps must lie in \[0, 1\), got 1"),

@@ -86,6 +86,11 @@ def test_a_scanners_pixels_are_as_high_as_they_are_wide():
     assert view.solid_angle_sr(*middle)[0] == pytest.approx(1.0 / 500.0**2, rel=1e-3)
 
 
+def test_a_camera_within_a_lamp_does_not_see_it():
+    view = looking_north((8, 10), 100.0)
+    assert not seen(view, lamps=(lamp((0.0, 0.0, 0.0), 1.0, 0.05), lamp((0.0, 0.01, 0.0), 1.0, 0.05))).any()
+
+
 def test_coverage_is_the_area_of_a_polygon_in_each_pixel():
     """A triangle of corners (row, col) with an area of 6 px; a square within a pixel; one around all."""
     share = coverage(np.array([1.0, 5.0, 1.0]), np.array([1.0, 1.0, 4.0]), (6, 6))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from labdata.errors import BadInput
 
 BEAMS = ("isotropic", "cosine", "spot")
+NARROW = "narrow-band"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +69,8 @@ class LampPost:
             )
         if not all(power >= 0.0 for power in given):
             raise BadInput(f"lumens and watts must not be negative, got {given[0]:g} of {self.label!r}")
+        if self.kind != NARROW and (self.wavelength_nm is not None or self.width_nm):
+            raise BadInput(f"wavelength_nm and width_nm belong to a {NARROW} lamp, got {self.kind} for {self.label!r}")
         if not self.radius_m > 0.0:
             raise BadInput(f"radius_m must be positive, got {self.radius_m:g} of {self.label!r}")
         if self.aim_m == self.position_m:

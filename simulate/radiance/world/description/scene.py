@@ -59,6 +59,8 @@ class Scene:
                         f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
                         f"got {name!r} of {thing.label!r}"
                     )
+        if self.place is None and self.sky != Sky():
+            raise BadInput(f"a sky must have a place and a time, got [sky] without [place] in {self.name!r}")
         numbers = [*self.camera.position_m, *(x for thing in self.object for x in thing.position_m)]
         if not all(math.isfinite(number) for number in numbers):
             raise BadInput("places in a scene must be finite")
