@@ -41,6 +41,7 @@ class Air:
 
     def through(self, range_m: Array) -> NDArray[np.float32]:
         """Return what ways of some lengths (ray,), m, let through, shape (ray, band): exp(-extinction length)."""
+        assert self.scattered_per_m is not None
         depth = self._absorbed(range_m)
         depth += self.scattered_per_m
         depth *= -np.asarray(range_m, np.float32)[:, None]

@@ -19,10 +19,10 @@ RISING = CAMERA.replace(" }", ", scan = { line_time_s = 0.01, velocity_m_per_s =
 MOON = "place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-07-01T23:00:00-04:00 }\n"
 GREY = '[[material]]\nlabel = "grey"\nreflectance = [0.5]\n'
 GROUND = '[[object]]\nlabel = "ground"\nshape = "ground"\nsize_m = [400]\nmaterial = "grey"\n'
-LAMP = '[[lamp]]\nlabel = "lamp"\nkind = "mercury"\nlumens = 10\nposition_m = [0.3, 0, 1.2]\n'
-HEADLAMP = LAMP.replace("[0.3, 0, 1.2]", "[0, -9, 1.5]")
+LAMP = '[[lamp]]\nlabel = "lamp"\nkind = "mercury"\nlumens = 10\nposition_m = [0, -1, 1.0556]\n'
+HEADLAMP = LAMP.replace("[0, -1, 1.0556]", "[0, -9, 1.5]")
 UNSEEN = LAMP.replace('kind = "mercury"\nlumens = 10', 'kind = "narrow-band"\nwavelength_nm = 1150\nwatts = 10')
-TO_THE_MOON = SCANNER.replace("look_at_m = [0, 0, 1]", "look_at_m = [0.61, -0.44, 4.3]")
+TO_THE_MOON = SCANNER.replace("look_at_m = [0, 0, 1]", "look_at_m = [-7.258, -12.968, 5.046]")
 
 
 @pytest.mark.parametrize(
