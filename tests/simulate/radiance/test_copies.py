@@ -114,7 +114,6 @@ def test_truth_and_refusals_know_shared_copies(shared):
 
 
 PEAK = """
-import resource
 from simulate.radiance.world.build import built
 from simulate.radiance.world.description.camera import Camera
 from simulate.radiance.world.description.material import Surface
@@ -126,7 +125,7 @@ ball = Object(label="balls", material="grey", shape="sphere", size_m=(1.0,), ins
 camera = Camera(position_m=(0, -5, 2), look_at_m=(0, 0, 2))
 found = built(Scene(name="balls", camera=camera, material=(Surface(label="grey", reflectance=(0.5,)),), object=(ball,)))
 assert len(found.tracer.planes[3]) == 20_000
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
 """
 
 
