@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from simulate.radiance.atmosphere.air import Atmosphere
 
 Array = NDArray[np.floating]
-# Gases take less per metre the longer a way is: their extinction is kept at ranges of 2^(n / NODES) m, from 1 m on.
-NODES, OCTAVES = 8, 20
+# What gases leave is kept at ranges of 2^(n / NODES) m, from 1 m on; shorter ways lose nothing to them.
+NODES, OCTAVES = 16, 20
 
 
 @dataclass(frozen=True)
@@ -24,14 +24,14 @@ class Air:
     ----------
     scattered_per_m
         Extinction by haze and molecules, shape (band,), m-1; None: no air.
-    absorbed_per_m
-        Mean extinction by gases over ways of 2^(n / `NODES`) m, shape (length, band), m-1.
+    unabsorbed
+        What gases leave over ways of 2^(n / `NODES`) m, shape (length, band).
     endless
         Radiance of endless ways by direction; None where nothing lights the air.
     """
 
     scattered_per_m: NDArray[np.float32] | None = None
-    absorbed_per_m: NDArray[np.float32] | None = None
+    unabsorbed: NDArray[np.float32] | None = None
     endless: dome.Dome | None = None
 
     @property
@@ -40,33 +40,35 @@ class Air:
         return self.scattered_per_m is not None
 
     def through(self, range_m: Array) -> NDArray[np.float32]:
-        """Return what ways of some lengths (ray,), m, let through, shape (ray, band): exp(-extinction length)."""
-        assert self.scattered_per_m is not None
-        depth = self._absorbed(range_m)
-        depth += self.scattered_per_m
-        depth *= -np.asarray(range_m, np.float32)[:, None]
-        return np.exp(depth, out=depth)
+        """Return what ways of some lengths (ray,), m, let through, shape (ray, band)."""
+        return self._unscattered(range_m) * self._unabsorbed(range_m)
 
-    def added(self, range_m: Array, direction: Array) -> NDArray[np.float32] | None:
-        """Return the radiance that ways along unit directions (ray, 3) add, shape (ray, band); None: nothing.
+    def changed(self, light: NDArray[np.float32], range_m: Array, direction: Array) -> NDArray[np.float32]:
+        """Return what ways of some lengths along unit directions (ray, 3) add to light (ray, band), and take from it.
 
         Notes
         -----
-        J (1 - T of haze and molecules) T of gases over half the way, see `Atmosphere.path_radiance`.
+        Added is J (1 - T of haze and molecules) T of gases over half the way, see `Atmosphere.path_radiance`.
         """
-        if self.endless is None or self.scattered_per_m is None:
-            return None
-        length = np.asarray(range_m, np.float32)[:, None]
-        found = self.endless.irradiance(direction)
-        found *= -np.expm1(-self.scattered_per_m * length)
-        half = self._absorbed(0.5 * np.asarray(range_m))
-        half *= -0.5 * length
-        found *= np.exp(half, out=half)
-        return found
+        left = self._unscattered(range_m)
+        change = left * self._unabsorbed(range_m)
+        change -= np.float32(1.0)
+        change *= light
+        if self.endless is not None:
+            np.subtract(np.float32(1.0), left, out=left)
+            left *= self.endless.irradiance(direction)
+            left *= self._unabsorbed(0.5 * range_m)
+            change += left
+        return change
 
-    def _absorbed(self, range_m: Array) -> NDArray[np.float32]:
-        """Extinction per m by gases over lengths, interpolated in their logarithm, shape (ray, band)."""
-        table = self.absorbed_per_m
+    def _unscattered(self, range_m: Array) -> NDArray[np.float32]:
+        assert self.scattered_per_m is not None
+        depth = np.asarray(-range_m, np.float32)[:, None] * self.scattered_per_m
+        return np.exp(depth, out=depth)
+
+    def _unabsorbed(self, range_m: Array) -> NDArray[np.float32]:
+        """What gases leave, interpolated in the logarithm of the length, shape (ray, band)."""
+        table = self.unabsorbed
         assert table is not None
         place = np.clip(NODES * np.log2(np.maximum(range_m, 1.0)), 0.0, len(table) - 1.0)
         below = np.minimum(place.astype(np.int64), len(table) - 2)
@@ -79,12 +81,9 @@ class Air:
 def air(lit: "Atmosphere", wavelength_nm: NDArray[np.float64]) -> Air:
     """Return an atmosphere on bands (band,), nm."""
     lengths = 2.0 ** (np.arange(NODES * OCTAVES + 1) / NODES)
-    endless = None
-    if lit.light is not None:
-        light = lit.light
-        endless = dome.sphere(lambda way: light.air_radiance(way, wavelength_nm))
+    light = lit.light
     return Air(
         lit.scattered_per_m(wavelength_nm).astype(np.float32),
-        np.ascontiguousarray((-np.log(lit.unabsorbed(lengths, wavelength_nm)) / lengths).T, np.float32),
-        endless,
+        np.ascontiguousarray(lit.unabsorbed(lengths, wavelength_nm).T, np.float32),
+        None if light is None else dome.sphere(lambda way: light.air_radiance(way, wavelength_nm)),
     )
