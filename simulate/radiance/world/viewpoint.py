@@ -173,11 +173,6 @@ class Viewpoint:
         col = x * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[0] + 0.5 * self.shape[1]
         return row, col, front
 
-    def places(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return picture coordinates (row, col) of directions and whether they lie in the picture, shape (ray,)."""
-        row, col, front = self.projected(direction)
-        return row, col, front & (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
-
     def solid_angle_sr(self, row: Array, col: Array) -> Array:
         """Return the solid angle of a pixel at picture coordinates, shape (place,), sr.
 

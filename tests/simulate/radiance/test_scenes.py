@@ -210,7 +210,7 @@ def test_a_ray_goes_where_its_direction_is_seen(seed, distortion):
     rng = np.random.default_rng(seed)
     row, col = 24 * rng.random(200), 32 * rng.random(200)
     _, towards = view.rays(row, col)
-    back_row, back_col, inside = view.places(towards)
+    back_row, back_col, inside = view.projected(towards)
     assert inside.all()
     assert np.abs(back_row - row).max() < 1e-4 and np.abs(back_col - col).max() < 1e-4
     assert np.sum(view.solid_angle_sr(np.array([12.0]), np.array([16.0]))) == pytest.approx(1.0 / 1600.0, rel=0.02)
@@ -265,7 +265,7 @@ def test_choosing_where_to_look_closely_does_not_bend_the_picture(seed):
 def _of_lamp(stage, found) -> float:
     """Mean over the picture of the lamp itself, which single rays never meet."""
     place = np.array(VIEW.position_m) - stage.lighting.lamps[0].position_m
-    row, col, inside = VIEW.places(-place[None])
+    row, col, inside = VIEW.projected(-place[None])
     assert inside.all()
     size = float(VIEW.solid_angle_sr(row, col)[0])
     return float(2.0 * 3.0 / (place @ place) / size / found.signal.size)
