@@ -130,14 +130,14 @@ def json_schema(type_: type) -> dict[str, Any]:
     )
 
 
-def file_schema(kind: str) -> dict[str, Any]:
-    """Return the JSON Schema of a kind of file: "session", "sensor", "solid-state" or "plan"."""
+def file_schema(kind: str, more: Mapping[str, type] | None = None) -> dict[str, Any]:
+    """Return the JSON Schema of a kind of file: "session", "sensor", "solid-state", "plan", or one of more kinds."""
     from labdata.form import SessionForm
     from labdata.plan import Plan
     from labdata.sensor import Sensor
     from labdata.solid_state import SolidStateCamera
 
-    kinds = {"session": SessionForm, "sensor": Sensor, "solid-state": SolidStateCamera, "plan": Plan}
+    kinds = {"session": SessionForm, "sensor": Sensor, "solid-state": SolidStateCamera, "plan": Plan, **(more or {})}
     if kind not in kinds:
         raise BadInput(f"a schema must be of one of {', '.join(kinds)}, got {kind!r}")
     return json_schema(kinds[kind])

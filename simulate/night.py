@@ -43,12 +43,15 @@ class Seen:
         The sensor as it was planned for.
     title
         What it shows, where and when.
+    left_out
+        What files of the scene say that is not used, in sentences.
     """
 
     picture: Picture
     plan: LightPlan
     eye: Eye
     title: str
+    left_out: tuple[str, ...] = ()
 
     @property
     def chance(self) -> float:
@@ -71,6 +74,7 @@ class Seen:
             *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
             f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of their noise (or "
             f"{100.0 * KNOWN * self.chance:.2g} % of the signal where that is more), root mean square",
+            *self.left_out,
             *((f"that is more than the {100.0 * self.plan.chance:.2g} % of the plan: {SPENT}",) if self.short else ()),
         )
 
@@ -172,7 +176,7 @@ class Night:
                 progress=progress,
                 announce=lambda seconds: announce(seconds / count),
             )
-        return Seen(picture=found, plan=plan, eye=eye, title=self._title())
+        return Seen(picture=found, plan=plan, eye=eye, title=self._title(), left_out=self.site.surfaces.notes)
 
     def _title(self) -> str:
         where, sky = self.scene.place, self.site.sky

@@ -46,7 +46,7 @@ def methods(as_json: options.Json = False) -> None:
 
 
 def schema(
-    kind: Annotated[str, typer.Argument(help="session, sensor, solid-state or plan.")],
+    kind: Annotated[str, typer.Argument(help="session, sensor, solid-state, plan, scene (out of doors) or bench.")],
 ) -> None:
     """JSON Schema of a file format, for completion and checking in editors.
 
@@ -54,5 +54,11 @@ def schema(
     """
     with bad_input_ends(kind):
         from labdata.border import file_schema
+        from simulate.radiance.scene import LabScene
+        from simulate.radiance.world.description.scene import Scene
 
-        print(json.dumps(file_schema(kind), indent=2))
+        found = file_schema(kind, {"scene": Scene, "bench": LabScene})
+        if kind == "scene":
+            # Where the file lies is no part of it.
+            del found["properties"]["folder"]
+        print(json.dumps(found, indent=2))

@@ -16,12 +16,15 @@ if TYPE_CHECKING:
     from simulate.night import Seen
 
 
-def preview_into(out: Path, asked: Asked, description: "Description", conditions: Conditions, *, explain: bool) -> None:
-    """Keep what a scene out of doors shows in seconds, and print its plan if it is asked for."""
+def preview_into(
+    out: Path, asked: Asked, description: "Description", conditions: Conditions, *, explain: bool
+) -> tuple[str, ...]:
+    """Keep what a scene out of doors shows in seconds, print its plan if asked for, and return what it leaves out."""
     view = night_of(asked, description, conditions).seen(tolerance=asked.tolerance, seed=asked.seed, preview=True)
     if explain:
         print(view.plan.text())
     _save_view(view, out)
+    return view.left_out
 
 
 def save_frames(

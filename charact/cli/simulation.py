@@ -116,10 +116,13 @@ def simulate(
         if preview:
             if stage_images is not None:
                 raise BadInput("a preview has no stages, got --stage-images")
-            preview_into(out, asked, camera, conditions, explain=explain)
+            for sentence in preview_into(out, asked, camera, conditions, explain=explain):
+                say(sentence, events=events)
             print(f"{out}/radiance.png: a preview\nNext: charact simulate {source} {out} --sensor {sensor}")
             return
         shot = shot_of(asked, camera, conditions, progress)
+        for sentence in () if shot.view is None else shot.view.left_out:
+            say(sentence, events=events)
         if explain:
             print(shot.explanation)
         notes = (*_not_asked(camera.name, gain, temperature_c), *beyond)

@@ -154,7 +154,7 @@ class RadiometricLens:
             If the cube has a radiance that is not a number, infinite or negative, or fewer than two bands.
         """
         refuse_impossible(light)
-        weight = self._photons_per_radiance(light.wavelength_nm)
+        weight = self._photons_per_radiance(light)
         frequency = np.linspace(0.0, self._highest_frequency(), FREQUENCIES)
         transfers = np.stack([self.transfer(nm, frequency) for nm in light.wavelength_nm])
         shares, shapes = few_transfers(transfers, weight)
@@ -173,9 +173,9 @@ class RadiometricLens:
         """Return the mean: light has no noise of its own before it is detected."""
         return self.mean(light)
 
-    def _photons_per_radiance(self, wavelength_nm: NDArray[np.floating]) -> NDArray[np.float64]:
+    def _photons_per_radiance(self, light: RadianceCube) -> NDArray[np.float64]:
         relative = np.asarray(self.detector_efficiency) / max(self.detector_efficiency)
-        per_m2 = photons.detected_per_radiance(wavelength_nm, self.detector_nm, relative)
+        per_m2 = photons.detected_per_radiance(light.wavelength_nm, self.detector_nm, relative, averaged=light.averaged)
         return per_m2 * self.gathering_sr * self.grid.cell_area_cm2 * 1e-4
 
     def _highest_frequency(self) -> float:

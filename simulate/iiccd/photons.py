@@ -9,12 +9,11 @@ from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.radiance.cube import band_widths
 from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance.spectrum import hat_integrals
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 JOULE_METRE = 6.62607015e-34 * 2.99792458e8
 LAMP_K = 2856.0
-# Steps of spectral integrals between bands.
-SPECTRAL_STEP_NM = 1.0
 # A control word beyond this many factors of ten is a mistake.
 MOST_DECADES = 30
 
@@ -32,7 +31,9 @@ def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.f
     return np.interp(np.asarray(wavelength_nm, float), cathode.wavelength_nm, table, left=0.0, right=0.0)
 
 
-def detected_per_radiance(wavelength_nm: ArrayLike, table_nm: ArrayLike, efficiency: ArrayLike) -> NDArray[np.float64]:
+def detected_per_radiance(
+    wavelength_nm: ArrayLike, table_nm: ArrayLike, efficiency: ArrayLike, *, averaged: bool = False
+) -> NDArray[np.float64]:
     """Return what turns spectral irradiance at bands into detected photons, per m2, s and W m-2 nm-1, shape (band,).
 
     Parameters
@@ -41,24 +42,21 @@ def detected_per_radiance(wavelength_nm: ArrayLike, table_nm: ArrayLike, efficie
         Bands, ascending, shape (band,), nm; between them irradiance is taken as linear, outside them as zero.
     table_nm, efficiency
         Quantum efficiency at wavelengths, linear between them and zero outside.
+    averaged
+        Whether irradiance is an average over each band (`RadianceCube.averaged`).
 
     Notes
     -----
     int hat_b(l) QE(l) l/(h c) dl, hat_b linear from 1 at band b to 0 at its neighbours: exact for any spacing of the
-    bands, where a sum over bands alone misses what the efficiency does between them.
+    bands, where a sum over bands alone misses what the efficiency does between them. Of averages QE(b) b/(h c) times
+    int hat_b dl: bands of a rendering stand where the efficiency bends, and a line's light keeps that of its own.
     """
-    bands = np.asarray(wavelength_nm, float)
+    bands, nm, share = np.asarray(wavelength_nm, float), np.asarray(table_nm, float), np.asarray(efficiency, float)
     if bands.size < 2:
         raise BadInput(f"a spectrum must have at least two bands to be integrated, got {bands.size}")
-    fine = np.linspace(bands[0], bands[-1], int(np.ceil((bands[-1] - bands[0]) / SPECTRAL_STEP_NM)) + 1)
-    detected = np.interp(fine, np.asarray(table_nm, float), np.asarray(efficiency, float), left=0.0, right=0.0)
-    detected = detected * band_widths(fine) * fine * 1e-9 / JOULE_METRE
-    below = np.clip(np.searchsorted(bands, fine, side="right") - 1, 0, bands.size - 2)
-    share = (fine - bands[below]) / (bands[below + 1] - bands[below])
-    weight = np.zeros(bands.size)
-    np.add.at(weight, below, (1.0 - share) * detected)
-    np.add.at(weight, below + 1, share * detected)
-    return weight
+    if averaged:
+        return band_widths(bands) * np.interp(bands, nm, share, left=0.0, right=0.0) * bands * 1e-9 / JOULE_METRE
+    return hat_integrals(bands, (nm, share), (nm[[0, -1]], nm[[0, -1]])) * 1e-9 / JOULE_METRE
 
 
 def luminous_sensitivity(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike) -> float:
@@ -68,9 +66,9 @@ def luminous_sensitivity(wavelength_nm: ArrayLike, quantum_efficiency: ArrayLike
     -----
     S = int R P dl / (683 int V P dl) with R = QE e l/(h c) and P Planck's law at 2856 K.
     """
-    fine = np.arange(360.0, 1100.0, 1.0)
-    power = planck(fine, LAMP_K)
     table = np.asarray(wavelength_nm, float), np.asarray(quantum_efficiency, float)
+    fine = np.union1d(np.arange(360.0, 1100.0), table[0][(table[0] > 360.0) & (table[0] < 1099.0)])
+    power = planck(fine, LAMP_K) * np.gradient(fine)
     efficiency = np.interp(fine, *table, left=0.0, right=0.0)
     responsivity = efficiency * ELEMENTARY_CHARGE_C * fine * 1e-9 / JOULE_METRE
     lumens = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * power)

@@ -19,10 +19,14 @@ class RadianceCube:
         Wavelengths, ascending, shape (band,), nm. Between them radiance is taken as linear.
     radiance
         Spectral radiance, shape (band, row, col), W m-2 sr-1 nm-1. Made read-only.
+    averaged
+        Whether values are averages over the bands (`spectrum.Spectrum.on`), so that the sum of value, width
+        (`band_widths`) and response at the band is the integral; else they are those at the bands themselves.
     """
 
     wavelength_nm: NDArray[np.floating]
     radiance: NDArray[np.floating]
+    averaged: bool = False
 
     def __post_init__(self) -> None:
         wavelength = np.asarray(self.wavelength_nm, float)

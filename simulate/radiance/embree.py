@@ -4,6 +4,7 @@ Through embreex's own calls threads wait for each other; compiled loops over the
 """
 
 import ctypes
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, files
 from typing import Any
@@ -19,18 +20,22 @@ from labdata.errors import BadInput
 from simulate.radiance.uncounted import uncounted
 
 # Numbers of Embree 4's C interface: kinds of geometry and of buffers, and formats.
-TRIANGLES, INDEX, VERTEX, UINT3, FLOAT3 = 0, 0, 1, 0x5003, 0x9003
+TRIANGLES, INSTANCE, INDEX, VERTEX, UINT3, FLOAT3, ROWS_3X4 = 0, 121, 0, 1, 0x5003, 0x9003, 0x9134
 # Rays go in packets of 16, seven times as fast as one by one. A packet starts at a multiple of 64 bytes; its rows, of
 # numbers of 4 bytes, are first those of rays, then those of hits, and last our own of which rays count.
 BITS, ALIGNED = 4, 64
 PACKET = 1 << BITS
-ORIGIN, DIRECTION, REACH, MASK, TRIANGLE, GEOMETRY, VALID, ROWS = 0, 4, 8, 9, 17, 18, 22, 23
+ORIGIN, DIRECTION, REACH, MASK, TRIANGLE, GEOMETRY, COPY, VALID, ROWS = 0, 4, 8, 9, 17, 18, 19, 22, 23
 NONE = -1
 COMPILED = {"nogil": True, "cache": True, "error_model": "numpy"}
 # What is called for each ray: a call would push all its arrays and count references, which costs more than the work.
 INLINED = {**COMPILED, "forceinline": True}
-# A corner and the unit normal of each triangle, each of shape (face, 3).
-Planes = tuple[NDArray[np.float64], NDArray[np.float64]]
+# A face's number is that of its row among triangles that are kept, and above these bits that of the copy it belongs to.
+COPY_BITS = 32
+ROW = (1 << COPY_BITS) - 1
+# A corner and the unit normal of each triangle, each of shape (row, 3). Of copies, number 0 of which stands for what is
+# there once, the row of the first triangle, the turn times size (copy, 3, 3), the shift (copy, 3) and the size.
+Planes = tuple[NDArray[np.float64], ...]
 
 
 @cache
@@ -54,6 +59,8 @@ def _library() -> ctypes.CDLL:
             handle,
             [handle, ctypes.c_int, number, ctypes.c_int, ctypes.c_size_t, ctypes.c_size_t],
         ),
+        ("rtcSetGeometryInstancedScene", None, [handle, handle]),
+        ("rtcSetGeometryTransform", None, [handle, number, ctypes.c_int, handle]),
         ("rtcCommitGeometry", None, [handle]),
         ("rtcAttachGeometry", number, [handle, handle]),
         ("rtcReleaseGeometry", None, [handle]),
@@ -71,6 +78,24 @@ def _device() -> int:
     return _library().rtcNewDevice(None)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Copied:
+    """A mesh that stands in many places and is kept once.
+
+    Parameters
+    ----------
+    vertices_m, faces
+        The mesh, shapes (vertex, 3), m, and (face, 3).
+    turn, shift_m
+        Where copies stand: turn times size, shape (copy, 3, 3), and then shift, shape (copy, 3), m.
+    """
+
+    vertices_m: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    turn: NDArray[np.float64]
+    shift_m: NDArray[np.float64]
+
+
 class EmbreeScene:
     """Triangles in Embree's tree.
 
@@ -82,22 +107,31 @@ class EmbreeScene:
         Shape (face, 3).
     centre_m
         Place that is Embree's origin, shape (3,), m: it computes in single precision.
+    copied
+        Meshes that stand in many places: each is one tree, which its copies share.
     """
 
     def __init__(
-        self, vertices_m: NDArray[np.floating], faces: NDArray[np.integer], centre_m: NDArray[np.float64]
+        self,
+        vertices_m: NDArray[np.floating],
+        faces: NDArray[np.integer],
+        centre_m: NDArray[np.float64],
+        copied: tuple[Copied, ...] = (),
     ) -> None:
         library, device = _library(), _device()
-        scene, mesh = library.rtcNewScene(device), library.rtcNewGeometry(device, TRIANGLES)
-        for kind, shape, values in (
-            (VERTEX, FLOAT3, np.ascontiguousarray(vertices_m - centre_m, np.float32)),
-            (INDEX, UINT3, np.ascontiguousarray(faces, np.uint32)),
-        ):
-            buffer = library.rtcSetNewGeometryBuffer(mesh, kind, 0, shape, 12, len(values))
-            ctypes.memmove(buffer, values.ctypes.data, values.nbytes)
-        library.rtcCommitGeometry(mesh)
-        library.rtcAttachGeometry(scene, mesh)
-        library.rtcReleaseGeometry(mesh)
+        scene = library.rtcNewScene(device)
+        _attach(scene, _triangles(vertices_m - centre_m, faces))
+        for mesh in copied:
+            shared = library.rtcNewScene(device)
+            _attach(shared, _triangles(mesh.vertices_m, mesh.faces))
+            library.rtcCommitScene(shared)
+            placed = np.concatenate([mesh.turn, (mesh.shift_m - centre_m)[:, :, None]], axis=2).astype(np.float32)
+            for pose in placed:
+                copy = library.rtcNewGeometry(device, INSTANCE)
+                library.rtcSetGeometryInstancedScene(copy, shared)
+                library.rtcSetGeometryTransform(copy, 0, ROWS_3X4, pose.ctypes.data)
+                _attach(scene, copy)
+            library.rtcReleaseScene(shared)
         library.rtcCommitScene(scene)
         error = library.rtcGetDeviceError(device)
         if error:
@@ -111,7 +145,7 @@ class EmbreeScene:
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return the triangle that each ray (ray, 3) hits first, -1 for none, and how far away, each of shape (ray,).
 
-        Distances are those of the triangles' planes (corner and normal, shape (face, 3)) in double precision.
+        Distances are those of the triangles' planes in double precision.
         """
         face, range_m = np.empty(len(origin), np.int64), np.empty(len(origin))
         _hits(self.address, self.centre_m, planes, (origin, direction), new_packets(PACKET), face, range_m)
@@ -124,6 +158,26 @@ class EmbreeScene:
         found = np.empty(len(origin), np.bool_)
         _blocked(self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found)
         return found
+
+
+def _triangles(vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> int:
+    """Return a geometry of triangles."""
+    library = _library()
+    mesh = library.rtcNewGeometry(_device(), TRIANGLES)
+    for kind, shape, values in (
+        (VERTEX, FLOAT3, np.ascontiguousarray(vertices_m, np.float32)),
+        (INDEX, UINT3, np.ascontiguousarray(faces, np.uint32)),
+    ):
+        buffer = library.rtcSetNewGeometryBuffer(mesh, kind, 0, shape, 12, len(values))
+        ctypes.memmove(buffer, values.ctypes.data, values.nbytes)
+    return mesh
+
+
+def _attach(scene: int, geometry: int) -> None:
+    library = _library()
+    library.rtcCommitGeometry(geometry)
+    library.rtcAttachGeometry(scene, geometry)
+    library.rtcReleaseGeometry(geometry)
 
 
 _intersect: Any = types.ExternalFunction("rtcIntersect16", types.void(*(types.uintp,) * 4))
@@ -177,10 +231,35 @@ def _counted(packets, packet, many):
 
 
 @numba.njit(**INLINED)
-def triangle_of(packets, slot):
-    """Return the triangle that a ray hit, -1 for none."""
+def triangle_of(packets, slot, planes):
+    """Return the face that a ray hit, -1 for none."""
     number, packet, lane = packets.view(np.int32), slot >> BITS, slot & (PACKET - 1)
-    return np.int64(number[packet, TRIANGLE, lane]) if number[packet, GEOMETRY, lane] != NONE else np.int64(-1)
+    if number[packet, GEOMETRY, lane] == NONE:
+        return np.int64(-1)
+    triangle, copy = np.int64(number[packet, TRIANGLE, lane]), np.int64(number[packet, COPY, lane])
+    # Copies are Embree's geometries from 1 on: number 0 holds what is there once.
+    return triangle if copy == NONE else (copy << COPY_BITS) + planes[2][copy] + triangle
+
+
+@numba.njit(**INLINED)
+def plane_of(planes, face):
+    """Return a corner and the unit normal of a face."""
+    row, copy = face & ROW, face >> COPY_BITS
+    a, b, c = planes[0][row, 0], planes[0][row, 1], planes[0][row, 2]
+    u, v, w = planes[1][row, 0], planes[1][row, 1], planes[1][row, 2]
+    if copy == 0:
+        return (a, b, c), (u, v, w)
+    turn, shift, size = planes[3][copy], planes[4][copy], planes[5][copy]
+    corner = (
+        turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c + shift[0],
+        turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c + shift[1],
+        turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c + shift[2],
+    )
+    return corner, (
+        (turn[0, 0] * u + turn[0, 1] * v + turn[0, 2] * w) / size,
+        (turn[1, 0] * u + turn[1, 1] * v + turn[1, 2] * w) / size,
+        (turn[2, 0] * u + turn[2, 1] * v + turn[2, 2] * w) / size,
+    )
 
 
 @numba.njit(**INLINED)
@@ -191,7 +270,7 @@ def stopped(packets, slot):
 
 @numba.njit(**COMPILED)
 def _hits(scene, centre, planes, rays, packets, face, range_m):
-    corner, normal = uncounted(planes)
+    planes = uncounted(planes)
     origin, direction = uncounted(rays)
     packets = uncounted(packets)
     for first in range(0, len(face), PACKET):
@@ -201,14 +280,15 @@ def _hits(scene, centre, planes, rays, packets, face, range_m):
         intersect(scene, packets, many)
         for slot in range(many):
             i = first + slot
-            hit = triangle_of(packets, slot)
+            hit = triangle_of(packets, slot, planes)
             face[i], range_m[i] = hit, np.inf
             if hit < 0:
                 continue
             height, slope = 0.0, 0.0
+            corner, normal = plane_of(planes, hit)
             for axis in range(3):
-                height += (corner[hit, axis] - origin[i, axis]) * normal[hit, axis]
-                slope += direction[i, axis] * normal[hit, axis]
+                height += (corner[axis] - origin[i, axis]) * normal[axis]
+                slope += direction[i, axis] * normal[axis]
             # Where a ray runs within the plane, or rounding puts the plane behind it, it starts on the triangle.
             length = height / slope
             range_m[i] = max(length, 0.0) if np.isfinite(length) else 0.0

@@ -6,9 +6,9 @@ from numpy.typing import ArrayLike, NDArray
 LUMENS_PER_WATT = 683.0
 
 # CIE 1924 photopic luminous efficiency, every 10 nm from 380 nm.
-_EYE_START_NM, _EYE_STEP_NM = 380.0, 10.0
+EYE_NM = np.arange(380.0, 771.0, 10.0)
 # fmt: off
-_EYE = np.array([
+EYE_SHARE = np.array([
     0.000039, 0.00012, 0.000396, 0.00121, 0.004, 0.0116, 0.023, 0.038, 0.06, 0.09098,
     0.13902, 0.20802, 0.323, 0.503, 0.71, 0.862, 0.954, 0.99495, 0.995, 0.952,
     0.87, 0.757, 0.631, 0.503, 0.381, 0.265, 0.175, 0.107, 0.061, 0.032,
@@ -19,8 +19,7 @@ _EYE = np.array([
 
 def luminous_efficiency(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     """Return V(lambda), dimensionless, linear between 10 nm steps and zero outside 380..770 nm."""
-    table_nm = _EYE_START_NM + _EYE_STEP_NM * np.arange(len(_EYE))
-    return np.interp(np.asarray(wavelength_nm, float), table_nm, _EYE, left=0.0, right=0.0)
+    return np.interp(np.asarray(wavelength_nm, float), EYE_NM, EYE_SHARE, left=0.0, right=0.0)
 
 
 def planck(wavelength_nm: ArrayLike, temperature_k: float) -> NDArray[np.float64]:

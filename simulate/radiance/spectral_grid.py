@@ -9,7 +9,7 @@ from labdata.errors import BadInput
 from simulate.radiance.cube import band_widths
 from simulate.radiance.spectrum import Spectrum
 
-# Step of the fine grid on which errors are judged.
+# Step of the fine grid on which errors are judged, besides the knots of all tables.
 FINE_NM = 1.0
 # Bands begin no further apart than this, so that materials and gases between sources' features are seen.
 WIDEST_NM = 50.0
@@ -60,17 +60,19 @@ def spectral_grid(
     sensor_nm, sensor_response = np.asarray(response_nm, float), np.asarray(response, float)
     low, high = _span(sensor_nm, sensor_response)
     grid = _start(low, high, widest_nm, [nm for source in sources for nm in source.line_nm if low < nm < high])
-    fine = np.union1d(np.arange(low, high, FINE_NM), [high, *grid])
+    knots = [sensor_nm, *(np.asarray(nm, float) for nm, _ in spectra), *(source.wavelength_nm for source in sources)]
+    fine = np.unique(np.concatenate([np.arange(low, high, FINE_NM), grid, *knots]))
+    fine = fine[(fine >= low) & (fine <= high)]
     sensor = np.interp(fine, sensor_nm, sensor_response, left=0.0, right=0.0)
     factors = [
         sensor,
         *(sensor * np.interp(fine, np.asarray(nm, float), np.asarray(value, float)) for nm, value in spectra),
     ]
     while True:
-        error, interval = _worst(grid, fine, factors, sources)
+        error, next_nm = _worst(grid, fine, factors, sources)
         if error <= tolerance:
             return grid, np.asarray(band_widths(grid), float)
-        grid = np.union1d(grid, _middle(grid, fine, interval))
+        grid = np.union1d(grid, next_nm)
 
 
 def _span(wavelength_nm: NDArray[np.floating], response: NDArray[np.floating]) -> tuple[float, float]:
@@ -100,28 +102,25 @@ def _worst(
     fine: NDArray[np.float64],
     factors: Sequence[NDArray[np.floating]],
     sources: Sequence[Spectrum],
-) -> tuple[float, int]:
-    """Return the largest relative error of any source seen through any factor, and the interval that adds most to it.
+) -> tuple[float, float]:
+    """Return the largest relative error of any source seen through any factor, and the wavelength of the next band.
 
-    A source is averaged over bands (`Spectrum.on`), so that only the bending of a factor between bands is an error.
+    That is where the factor is farthest from the line between bands, in the interval that adds most to the error. A
+    source is averaged over bands (`Spectrum.on`), so that only the bending of a factor between bands is an error.
     """
-    worst, place = 0.0, 0
+    worst, place = 0.0, 0.0
     interval = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, grid.size - 2)
     width = band_widths(fine)
+    bents = [np.abs(factor - np.interp(fine, grid, np.interp(grid, fine, factor))) for factor in factors]
     for source in sources:
         density = np.interp(fine, source.wavelength_nm, source.density, left=0.0, right=0.0) * width
         lines = np.asarray(source.line_nm, float)
-        for factor in factors:
-            bent = np.abs(factor - np.interp(fine, grid, np.interp(grid, fine, factor))) * density
+        for factor, bent in zip(factors, bents, strict=True):
             seen = np.sum(factor * density)
             seen += np.sum(np.interp(lines, fine, factor, left=0.0, right=0.0) * np.asarray(source.line_power))
-            if seen > 0.0 and bent.sum() / seen > worst:
-                worst = float(bent.sum() / seen)
-                place = int(np.argmax(np.bincount(interval, weights=bent, minlength=grid.size - 1)))
+            part = bent * density
+            if seen > 0.0 and part.sum() / seen > worst:
+                worst = float(part.sum() / seen)
+                most = int(np.argmax(np.bincount(interval, weights=part, minlength=grid.size - 1)))
+                place = float(fine[np.argmax(np.where(interval == most, bent, 0.0))])
     return worst, place
-
-
-def _middle(grid: NDArray[np.float64], fine: NDArray[np.float64], interval: int) -> float:
-    """Return the fine wavelength nearest to the middle of an interval."""
-    inside = fine[(fine > grid[interval]) & (fine < grid[interval + 1])]
-    return float(inside[np.argmin(np.abs(inside - 0.5 * (grid[interval] + grid[interval + 1])))])

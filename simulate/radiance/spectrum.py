@@ -8,7 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
+from simulate.radiance.cube import band_widths
+from simulate.radiance.photometry import EYE_NM, EYE_SHARE, LUMENS_PER_WATT
+
+Table = tuple[ArrayLike, ArrayLike]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,10 +71,10 @@ class Spectrum:
         function that is linear between the bands is its exact integral over the spectrum, on every grid.
         """
         grid = checked_grid(wavelength_nm)
-        power = _hat_integrals(grid, self.wavelength_nm, self.density)
+        power = hat_integrals(grid, (self.wavelength_nm, self.density))
         for line, strength in zip(self.line_nm, self.line_power, strict=True):
             power += strength * _hats_at(grid, line)
-        return power / _widths(grid)
+        return power / band_widths(grid)
 
     def scaled(self, factor: float) -> "Spectrum":
         """Return the spectrum with all powers times a factor."""
@@ -94,19 +97,17 @@ class Spectrum:
         edges = np.concatenate([[low], inside, [high]])
         return float(np.trapezoid(np.interp(edges, self.wavelength_nm, self.density), edges) + lines)
 
-    def weighted(self, weight: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> float:
-        """Return the integral of the power times a function of wavelength, by steps of 1 nm between samples."""
-        span = np.arange(np.ceil(self.wavelength_nm[0]), self.wavelength_nm[-1])
-        fine = np.union1d(span, self.wavelength_nm)
-        smooth = np.trapezoid(np.interp(fine, self.wavelength_nm, self.density) * weight(fine), fine)
-        if not self.line_nm:
-            return float(smooth)
-        return float(smooth + np.sum(weight(np.asarray(self.line_nm)) * np.asarray(self.line_power)))
+    def through(self, table_nm: ArrayLike, share: ArrayLike) -> float:
+        """Return the integral of the power times a table, linear between its wavelengths and zero outside: exact."""
+        nm = np.asarray(table_nm, float)
+        smooth = hat_integrals(nm[[0, -1]], (self.wavelength_nm, self.density), (nm, share)).sum()
+        lines = np.interp(self.line_nm, nm, np.asarray(share, float), left=0.0, right=0.0) * self.line_power
+        return float(smooth + lines.sum())
 
     @property
     def lumens(self) -> float:
         """683 int V S dl: lm of W, lux of W m-2, cd m-2 of W m-2 sr-1."""
-        return LUMENS_PER_WATT * self.weighted(luminous_efficiency)
+        return LUMENS_PER_WATT * self.through(EYE_NM, EYE_SHARE)
 
 
 def combined(parts: list[Spectrum]) -> Spectrum:
@@ -132,35 +133,40 @@ def checked_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     return grid
 
 
-def _widths(grid: NDArray[np.float64]) -> NDArray[np.float64]:
-    steps = np.diff(grid)
-    return 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
+def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
+    """Return int hat_b f g dl of each band of a grid, shape (band,): hats are 1 at their band and 0 at its neighbours.
+
+    Parameters
+    ----------
+    grid
+        Bands, ascending, at least two, shape (band,), nm.
+    tables
+        At most two pairs of ascending wavelengths, nm, and values, linear between and zero outside.
+
+    Notes
+    -----
+    Simpson's rule between all knots, of the grid and of the tables, is exact: the product there is a cubic at most.
+    """
+    bands = np.asarray(grid, float)
+    known = [(np.asarray(nm, float), np.asarray(value, float)) for nm, value in tables]
+    low, high = max(bands[0], *(nm[0] for nm, _ in known)), min(bands[-1], *(nm[-1] for nm, _ in known))
+    total = np.zeros(bands.size)
+    if not high > low:
+        return total
+    knots = np.unique(np.concatenate([bands, *(nm for nm, _ in known)]))
+    knots = np.concatenate([[low], knots[(knots > low) & (knots < high)], [high]])
+    middle = 0.5 * (knots[1:] + knots[:-1])
+    left = np.clip(np.searchsorted(bands, middle) - 1, 0, bands.size - 2)
+    for at, weight in ((knots[:-1], 1.0), (middle, 4.0), (knots[1:], 1.0)):
+        part = weight / 6.0 * np.diff(knots)
+        for nm, value in known:
+            part = part * np.interp(at, nm, value)
+        rise = (at - bands[left]) / (bands[left + 1] - bands[left])
+        np.add.at(total, left, (1.0 - rise) * part)
+        np.add.at(total, left + 1, rise * part)
+    return total
 
 
 def _hats_at(grid: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
     """Return each band's hat at one wavelength; zero for one outside the grid."""
     return np.array([np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)])
-
-
-def _hat_integrals(
-    grid: NDArray[np.float64], table_nm: NDArray[np.floating], density: NDArray[np.floating]
-) -> NDArray[np.float64]:
-    """Return int hat S dl of each band: exact for a product of two pieces that are linear between all knots."""
-    low, high = max(grid[0], table_nm[0]), min(grid[-1], table_nm[-1])
-    power = np.zeros(grid.size)
-    if not high > low:
-        return power
-    knots = np.union1d(grid, table_nm)
-    knots = np.union1d(knots[(knots > low) & (knots < high)], [low, high])
-    value = np.interp(knots, table_nm, density)
-    left = np.clip(np.searchsorted(grid, 0.5 * (knots[1:] + knots[:-1])) - 1, 0, grid.size - 2)
-    gap = grid[left + 1] - grid[left]
-    step = np.diff(knots)
-    rise_start, rise_end = (knots[:-1] - grid[left]) / gap, (knots[1:] - grid[left]) / gap
-    rising = step / 6.0 * (
-        value[:-1] * (2.0 * rise_start + rise_end) + value[1:] * (rise_start + 2.0 * rise_end)
-    )  # fmt: skip
-    whole = 0.5 * step * (value[:-1] + value[1:])
-    np.add.at(power, left, whole - rising)
-    np.add.at(power, left + 1, rising)
-    return power

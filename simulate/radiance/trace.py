@@ -11,7 +11,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.radiance.embree import EmbreeScene
+from simulate.radiance.embree import COPY_BITS, ROW, Copied, EmbreeScene, Planes
 
 # A ray starts at least so far above the surface it leaves, m, or so large a share of the coordinates there. Measured on
 # a scene of 60 m, shifted by up to 10 km: no ray then hits its own triangle.
@@ -50,17 +50,35 @@ class Tracer:
         The embree scene; None without a triangle.
     centre_m
         Place that the embree scene has in its middle, shape (3,), m.
-    corner_m, normal
-        First corner and unit normal of each triangle, shape (face, 3).
+    planes
+        First corner and unit normal of each triangle, each of shape (row, 3), and how copies stand (`embree.Planes`).
     clearance_m
-        How far above each triangle a ray starts, shape (face,), m.
+        How far above each triangle a ray starts, shape (row,), m.
+
+    Notes
+    -----
+    A face is the row of a triangle; of a mesh that stands in many places and is kept once, besides the copy
+    (`embree.COPY_BITS`).
     """
 
     scene: EmbreeScene | None
     centre_m: NDArray[np.float64]
-    corner_m: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    planes: Planes
     clearance_m: NDArray[np.float64]
+
+    @property
+    def corner_m(self) -> NDArray[np.float64]:
+        """First corner of each triangle, of a copied mesh in its own frame, shape (row, 3), m."""
+        return self.planes[0]
+
+    def normals(self, face: NDArray[np.integer]) -> NDArray[np.float64]:
+        """Return unit normals of faces, shape (face, 3)."""
+        found, copy = self.planes[1][face & ROW], face >> COPY_BITS
+        of = np.flatnonzero(copy)
+        if len(of):
+            turn, size = self.planes[3][copy[of]], self.planes[5][copy[of]]
+            found[of] = np.einsum("fij,fj->fi", turn, found[of]) / size[:, None]
+        return found
 
     def first_hit(self, origin_m: NDArray[np.floating], direction: NDArray[np.floating]) -> NDArray[np.int64]:
         """Return the triangle that each ray hits first, `NOTHING` for none, shape (ray,). Rays have shape (ray, 3)."""
@@ -71,8 +89,7 @@ class Tracer:
         count = len(origin_m)
         if self.scene is None:
             return Hits(np.full(count, NOTHING, np.int64), np.full(count, np.inf))
-        planes = (self.corner_m, self.normal)
-        return Hits(*self.scene.hits(planes, _plain(origin_m), _plain(direction)))
+        return Hits(*self.scene.hits(self.planes, _plain(origin_m), _plain(direction)))
 
     def blocked(
         self, origin_m: NDArray[np.floating], direction: NDArray[np.floating], reach: ArrayLike | None = None
@@ -95,7 +112,7 @@ class Tracer:
         self, face: NDArray[np.integer], direction: NDArray[np.floating]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return normals of triangles towards where rays (ray, 3) come from, and the cosines to them, shape (ray,)."""
-        normal = self.normal[face]
+        normal = self.normals(face)
         cosine = -np.einsum("ij,ij->i", normal, direction)
         return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * normal, np.abs(cosine)
 
@@ -113,26 +130,45 @@ class Tracer:
         """
         # Column by column: NumPy takes ten times as long over rows of three.
         away = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
-        shift = np.maximum(self.clearance_m[face], CLEARANCE_SHARE * away)
+        shift = np.maximum(self.clearance_m[face & ROW], CLEARANCE_SHARE * away)
         return place_m + shift[:, None] * side
 
 
-def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer]) -> Tracer:
-    """Return a tracer of a mesh: vertices (vertex, 3) in m, faces (face, 3)."""
+def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer], copied: tuple[Copied, ...] = ()) -> Tracer:
+    """Return a tracer of a mesh, vertices (vertex, 3) in m and faces (face, 3), and of meshes in many places besides.
+
+    Rows of triangles are those of the mesh, of which there must be some, and then those of each copied mesh.
+    """
     vertices, faces = np.asarray(vertices_m, float).reshape(-1, 3), np.asarray(faces, np.int64).reshape(-1, 3)
     corners = vertices[faces]
     if not len(faces):
-        return Tracer(None, np.zeros(3), corners[:, 0], np.zeros((0, 3)), np.zeros(0))
-    centre = 0.5 * (corners.min(axis=(0, 1)) + corners.max(axis=(0, 1)))
-    scene = EmbreeScene(vertices, faces, centre)
-    extent = np.abs(corners - centre).max(axis=(1, 2))
+        return Tracer(None, np.zeros(3), _planes(corners, ()), np.zeros(0))
+    ends = [corners.min(axis=(0, 1)), corners.max(axis=(0, 1)), *(mesh.shift_m for mesh in copied)]
+    whole = np.concatenate([np.atleast_2d(end) for end in ends])
+    centre = 0.5 * (whole.min(axis=0) + whole.max(axis=0))
+    extent = [np.abs(corners - centre).max(axis=(1, 2)), *(_extent(mesh) for mesh in copied)]
     return Tracer(
-        scene,
+        EmbreeScene(vertices, faces, centre, copied),
         centre,
-        np.ascontiguousarray(corners[:, 0]),
-        normals(corners),
-        np.maximum(CLEARANCE_M, CLEARANCE_SHARE * extent),
+        _planes(corners, copied),
+        np.maximum(CLEARANCE_M, CLEARANCE_SHARE * np.concatenate(extent)),
     )
+
+
+def _planes(corners: NDArray[np.float64], copied: tuple[Copied, ...]) -> Planes:
+    every = np.concatenate([corners, *(mesh.vertices_m[mesh.faces] for mesh in copied)])
+    starts = np.cumsum([len(corners), *(len(mesh.faces) for mesh in copied)])[: len(copied)]
+    first = np.repeat(starts, np.array([len(mesh.turn) for mesh in copied], np.int64))
+    turn = np.concatenate([np.eye(3)[None], *(mesh.turn for mesh in copied)])
+    shift = np.concatenate([np.zeros((1, 3)), *(mesh.shift_m for mesh in copied)])
+    size = np.cbrt(np.linalg.det(turn))
+    return np.ascontiguousarray(every[:, 0]), normals(every), np.concatenate([[0], first]), turn, shift, size
+
+
+def _extent(mesh: Copied) -> NDArray[np.float64]:
+    """Size of the triangles of the largest copy: how much farther away a corner may be than a place, shape (face,)."""
+    corners = mesh.vertices_m[mesh.faces]
+    return np.ptp(corners, axis=1).max(axis=1) * np.sqrt(3.0) * np.cbrt(np.linalg.det(mesh.turn)).max()
 
 
 def normals(corners_m: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -110,7 +110,7 @@ class Atmosphere:
         wavelength_nm
             Wavelengths, shape (band,), nm.
         """
-        return self._unscattered(range_m, wavelength_nm) * self._unabsorbed(range_m, wavelength_nm)
+        return self._unscattered(range_m, wavelength_nm) * self.unabsorbed(range_m, wavelength_nm)
 
     def path_radiance(
         self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: NDArray[np.floating]
@@ -135,7 +135,7 @@ class Atmosphere:
         if self.light is None:
             return np.zeros((grid.size, metres.size))
         endless = self.light.air_radiance(direction, grid)
-        return endless * (1.0 - self._unscattered(metres, grid)) * self._unabsorbed(0.5 * metres, grid)
+        return endless * (1.0 - self._unscattered(metres, grid)) * self.unabsorbed(0.5 * metres, grid)
 
     def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return what the whole atmosphere lets through, shape (band, path), along elevations (path,) in degrees.
@@ -159,14 +159,18 @@ class Atmosphere:
 
     def _unscattered(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return what haze and molecules leave on paths near the ground, shape (band, path)."""
-        kilometres = 1e-3 * np.atleast_1d(np.asarray(range_m, float))
-        if kilometres.size and not kilometres.min() >= 0.0:
-            raise BadInput(f"a range must not be negative, got {kilometres.min() * 1e3:g} m")
+        metres = np.atleast_1d(np.asarray(range_m, float))
+        if metres.size and not metres.min() >= 0.0:
+            raise BadInput(f"a range must not be negative, got {metres.min():g} m")
+        return np.exp(-self.scattered_per_m(wavelength_nm)[:, None] * metres)
+
+    def scattered_per_m(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the extinction by haze and molecules at the ground, shape (band,), m-1."""
         wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
         molecules = rayleigh.rayleigh_per_km(wavelength) * self.pressure_hpa / rayleigh.SEA_LEVEL_HPA
-        return np.exp(-(molecules + self.haze_per_km(wavelength))[:, None] * kilometres)
+        return 1e-3 * (molecules + self.haze_per_km(wavelength))
 
-    def _unabsorbed(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def unabsorbed(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return what gases leave on paths near the ground; ozone takes less than 0.1 % per km there, left out."""
         metres = np.atleast_1d(np.asarray(range_m, float))
         mixed = 1e-3 * metres / gases.MIXED_SCALE_HEIGHT_KM * self.pressure_hpa / rayleigh.SEA_LEVEL_HPA

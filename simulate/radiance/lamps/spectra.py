@@ -1,4 +1,4 @@
-"""Spectra of lamps, scaled to their lumens: black bodies, sodium, mercury, metal halide, LED, or a file."""
+"""Spectra of lamps, scaled to lumens or watts: black bodies, sodium, mercury, metal halide, LED, laser, or a file."""
 
 from pathlib import Path
 
@@ -8,6 +8,7 @@ from labdata.errors import BadInput
 from simulate.radiance.photometry import planck
 from simulate.radiance.spectrum import Spectrum
 from simulate.radiance.tables import table
+from simulate.radiance.world.description.lamp_post import NARROW
 
 PACKAGE = "simulate.radiance.lamps"
 FIRST_NM, LAST_NM = 300.0, 1200.0
@@ -35,48 +36,67 @@ NEAR_INFRARED_LINES = {
 NEAR_INFRARED_SHARE = {"high-pressure-sodium": 0.2}
 KINDS = ("incandescent", "low-pressure-sodium", *COLUMNS)
 COLDEST_K, HOTTEST_K = 1000.0, 20000.0
+# Exitance of a black body over T^4, W m-2 K-4.
+STEFAN_BOLTZMANN = 5.670374419e-8
+# A narrow band is a normal distribution out to so many standard deviations, of so many samples.
+REACH, SAMPLES = 4.0, 65
 
 
 def spectrum(
-    kind: str, *, lumens: float = 1.0, temperature_k: float = 2856.0, near_infrared_share: float | None = None
+    kind: str,
+    *,
+    lumens: float = 1.0,
+    watts: float | None = None,
+    temperature_k: float = 2856.0,
+    near_infrared_share: float | None = None,
+    wavelength_nm: float | None = None,
+    width_nm: float = 0.0,
 ) -> Spectrum:
     """Return the radiant flux of a lamp, W over wavelength.
 
     Parameters
     ----------
     kind
-        One of `KINDS`.
+        One of `KINDS`, or "narrow-band": a laser or a light-emitting diode of one colour.
     lumens
         Luminous flux, lm. (Lux, cd m-2 or cd in place of it give W m-2, W m-2 sr-1, W sr-1.)
+    watts
+        Radiant flux in place of lumens, W: of an incandescent lamp that of a black body at all wavelengths.
     temperature_k
         Of an incandescent lamp, K; others ignore it.
     near_infrared_share
         Power in near-infrared lines over that in 380 to 780 nm, dimensionless: sodium's 818.3 and 819.5 nm, mercury's
         1014 nm. By default 0.2 for high-pressure sodium, which is uncertain within 0.1 to 0.3, and 0 for others.
+    wavelength_nm, width_nm
+        Middle of a narrow band and its width at half of its height (a normal distribution; 0: a line), nm.
 
     Raises
     ------
     BadInput
-        If there is no such kind, lumens or share are negative, a temperature is out of range, or a share is given for
-        a lamp without such lines.
+        If there is no such kind, power or share are negative, a temperature or wavelength is out of range, a share is
+        given for a lamp without such lines, or lumens for one without visible light.
 
     Notes
     -----
     Spectra of discharge lamps and LEDs are NIST's, measured to 780 nm; with mercury's lines put where they belong.
     """
-    if kind not in KINDS:
-        raise BadInput(f"a lamp must be of one of the kinds {', '.join(KINDS)}, got {kind!r}")
-    if not lumens >= 0.0:
-        raise BadInput(f"lumens must not be negative, got {lumens:g}")
+    if kind == NARROW and wavelength_nm is None:
+        raise BadInput(f"wavelength_nm must be given for a {NARROW} lamp, got none")
     if kind == "incandescent":
         if near_infrared_share is not None:
             raise BadInput(f"an incandescent lamp has no near_infrared_share, got {near_infrared_share:g}")
-        return _scaled(_incandescent(temperature_k), lumens)
+        whole = _incandescent(temperature_k)
+        total = STEFAN_BOLTZMANN * temperature_k**4 / np.pi
+        return scaled_to(whole, lumens, watts, kind, total)
+    if kind == NARROW and wavelength_nm is not None:
+        return scaled_to(_narrow(wavelength_nm, width_nm), lumens, watts, f"{wavelength_nm:g} nm")
+    if kind not in KINDS:
+        raise BadInput(f"a lamp must be of one of the kinds {', '.join((*KINDS, NARROW))}, got {kind!r}")
     share = NEAR_INFRARED_SHARE.get(kind, 0.0) if near_infrared_share is None else near_infrared_share
-    return _scaled(_discharge(kind, share), lumens)
+    return scaled_to(_discharge(kind, share), lumens, watts, kind)
 
 
-def read_spectrum(path: str | Path, *, lumens: float = 1.0) -> Spectrum:
+def read_spectrum(path: str | Path, *, lumens: float = 1.0, watts: float | None = None) -> Spectrum:
     """Return the radiant flux of a lamp from a file of two columns, wavelength in nm and power per nm in any unit.
 
     Commas, semicolons or blanks separate; lines that start with # and one heading are skipped.
@@ -86,9 +106,33 @@ def read_spectrum(path: str | Path, *, lumens: float = 1.0) -> Spectrum:
         found = Spectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
     except BadInput as error:
         raise BadInput(f"{error}, in {path}") from None
-    if not found.lumens > 0.0:
-        raise BadInput(f"a lamp's file must hold visible light, so that lumens can scale it; got none in {path}")
-    return _scaled(found, lumens)
+    return scaled_to(found, lumens, watts, str(path))
+
+
+def scaled_to(found: Spectrum, lumens: float, watts: float | None, name: str, total: float | None = None) -> Spectrum:
+    """Return a spectrum scaled to watts, by its own total or one given, or else to lumens."""
+    for unit, power in (("lumens", lumens), ("watts", watts)):
+        if power is not None and not power >= 0.0:
+            raise BadInput(f"{unit} must not be negative, got {power:g}")
+    whole, asked, unit = (found.lumens, lumens, "lumens") if watts is None else (total or found.total(), watts, "watts")
+    if not whole > 0.0:
+        needed = "have visible light to be scaled to lumens (state watts)" if unit == "lumens" else "have some power"
+        raise BadInput(f"the spectrum of a lamp must {needed}, got none in {name}")
+    return found.scaled(asked / whole)
+
+
+def _narrow(wavelength_nm: float, width_nm: float) -> Spectrum:
+    if not (FIRST_NM <= wavelength_nm <= LAST_NM and 0.0 <= width_nm <= 0.1 * wavelength_nm):
+        raise BadInput(
+            f"a {NARROW} lamp must lie within {FIRST_NM:g} to {LAST_NM:g} nm and be at most a tenth of that wide, "
+            f"got {wavelength_nm:g} nm and {width_nm:g} nm"
+        )
+    if width_nm == 0.0:
+        ends = np.array([FIRST_NM, LAST_NM])
+        return Spectrum(wavelength_nm=ends, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,))
+    off = np.linspace(-REACH, REACH, SAMPLES)
+    at = wavelength_nm + off * width_nm / np.sqrt(8.0 * np.log(2.0))
+    return Spectrum(wavelength_nm=at, density=np.exp(-0.5 * off**2))
 
 
 def _rows(path: Path) -> np.ndarray:
@@ -143,7 +187,3 @@ def _discharge(kind: str, near_infrared_share: float) -> Spectrum:
         line_nm=tuple(nm for nm, _ in lines),
         line_power=tuple(power for _, power in lines),
     )
-
-
-def _scaled(found: Spectrum, lumens: float) -> Spectrum:
-    return found.scaled(lumens / found.lumens)

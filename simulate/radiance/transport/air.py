@@ -1,14 +1,19 @@
-"""What the air takes from light on its way and adds to it, kept over lengths so that it is computed once."""
+"""What the air takes from light on its way and adds to it, at any range."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.transport import dome
+
+if TYPE_CHECKING:
+    from simulate.radiance.atmosphere.air import Atmosphere
+
 Array = NDArray[np.floating]
-# Lengths at which air is computed, evenly in (length / longest)^(1/2).
-LENGTHS = 192
+# What gases leave is kept at ranges of 2^(n / NODES) m, from 1 m on; shorter ways lose nothing to them.
+NODES, OCTAVES = 16, 20
 
 
 @dataclass(frozen=True)
@@ -17,39 +22,68 @@ class Air:
 
     Parameters
     ----------
-    longest_m
-        Longest way, m; beyond it light is weakened as by that.
-    transmittance
-        What ways let through, shape (length, band), or None for no air.
-    added
-        Radiance that ways (lengths (ray,), m, unit directions (ray, 3)) add, shape (ray, band); or None.
+    scattered_per_m
+        Extinction by haze and molecules, shape (band,), m-1; None: no air.
+    unabsorbed
+        What gases leave over ways of 2^(n / `NODES`) m, shape (length, band).
+    endless
+        Radiance of endless ways by direction; None where nothing lights the air.
     """
 
-    longest_m: float = 1.0
-    transmittance: NDArray[np.float32] | None = None
-    added: Callable[[Array, Array], NDArray[np.float32]] | None = None
+    scattered_per_m: NDArray[np.float32] | None = None
+    unabsorbed: NDArray[np.float32] | None = None
+    endless: dome.Dome | None = None
 
     @property
     def absorbs(self) -> bool:
         """Whether it takes any light."""
-        return self.transmittance is not None
+        return self.scattered_per_m is not None
 
     def through(self, range_m: Array) -> NDArray[np.float32]:
-        """Return what ways of some lengths let through, shape (ray, band)."""
-        assert self.transmittance is not None
-        place = np.sqrt(np.minimum(range_m / self.longest_m, 1.0)) * (len(self.transmittance) - 1)
-        below = np.minimum(place.astype(np.int64), len(self.transmittance) - 2)
+        """Return what ways of some lengths (ray,), m, let through, shape (ray, band)."""
+        return self._unscattered(range_m) * self._unabsorbed(range_m)
+
+    def changed(self, light: NDArray[np.float32], range_m: Array, direction: Array) -> NDArray[np.float32]:
+        """Return what ways of some lengths along unit directions (ray, 3) add to light (ray, band), and take from it.
+
+        Notes
+        -----
+        Added is J (1 - T of haze and molecules) T of gases over half the way, see `Atmosphere.path_radiance`.
+        """
+        left = self._unscattered(range_m)
+        change = left * self._unabsorbed(range_m)
+        change -= np.float32(1.0)
+        change *= light
+        if self.endless is not None:
+            np.subtract(np.float32(1.0), left, out=left)
+            left *= self.endless.irradiance(direction)
+            left *= self._unabsorbed(0.5 * range_m)
+            change += left
+        return change
+
+    def _unscattered(self, range_m: Array) -> NDArray[np.float32]:
+        assert self.scattered_per_m is not None
+        depth = np.asarray(-range_m, np.float32)[:, None] * self.scattered_per_m
+        return np.exp(depth, out=depth)
+
+    def _unabsorbed(self, range_m: Array) -> NDArray[np.float32]:
+        """What gases leave, interpolated in the logarithm of the length, shape (ray, band)."""
+        table = self.unabsorbed
+        assert table is not None
+        place = np.clip(NODES * np.log2(np.maximum(range_m, 1.0)), 0.0, len(table) - 1.0)
+        below = np.minimum(place.astype(np.int64), len(table) - 2)
         share = (place - below).astype(np.float32)[:, None]
-        found = self.transmittance[below]
-        found += share * (self.transmittance[below + 1] - found)
+        found = table[below]
+        found += share * (table[below + 1] - found)
         return found
 
 
-def air(
-    transmittance: Callable[[Array], Array],
-    longest_m: float,
-    added: Callable[[Array, Array], NDArray[np.float32]] | None = None,
-) -> Air:
-    """Return air kept over lengths up to the longest, of a transmittance by lengths (way,), m: (band, way)."""
-    lengths = longest_m * np.linspace(0.0, 1.0, LENGTHS) ** 2
-    return Air(longest_m, np.ascontiguousarray(transmittance(lengths).T, np.float32), added)
+def air(lit: "Atmosphere", wavelength_nm: NDArray[np.float64]) -> Air:
+    """Return an atmosphere on bands (band,), nm."""
+    lengths = 2.0 ** (np.arange(NODES * OCTAVES + 1) / NODES)
+    light = lit.light
+    return Air(
+        lit.scattered_per_m(wavelength_nm).astype(np.float32),
+        np.ascontiguousarray(lit.unabsorbed(lengths, wavelength_nm).T, np.float32),
+        None if light is None else dome.sphere(lambda way: light.air_radiance(way, wavelength_nm)),
+    )

@@ -92,9 +92,4 @@ def _ways_on(
 
 def _through_air(stage: Stage, parts: Parts, range_m: Array, towards: Array, met: NDArray[np.int64]) -> None:
     """Add what the air adds on the way, and take what it takes of all the rest."""
-    change = stage.air.through(range_m)
-    change -= np.float32(1.0)
-    change *= parts.total()[met]
-    if stage.air.added is not None:
-        change += stage.air.added(range_m, towards)
-    parts.add("air", met, change)
+    parts.add("air", met, stage.air.changed(parts.total()[met], range_m, towards))

@@ -5,7 +5,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from simulate.radiance.embree import COMPILED, INLINED, aim, stop, stopped
+from simulate.radiance.embree import COMPILED, INLINED, ROW, aim, plane_of, stop, stopped
 from simulate.radiance.transport.compiled_lights import (
     SHORT,
     bright_density,
@@ -111,7 +111,7 @@ def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any
 @numba.njit(**COMPILED)
 def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
     """Add light of a glowing surface at places, from a place on it that is drawn by power, as `direct.from_panels`."""
-    address, centre, _, _, clearance = scene
+    address, centre, _, clearance = scene
     cumulated, faces, corners, normals, per_m2, kind, spectra = panels
     asked = 0
     for k in range(many):
@@ -142,7 +142,7 @@ def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, sta
 
 
 @numba.njit(**COMPILED)
-def add_glow(panels: Any, face_normal: Any, lanes: Any, many: int, sent: int, found: Any) -> None:
+def add_glow(panels: Any, planes: Any, lanes: Any, many: int, sent: int, found: Any) -> None:
     """Add the glow of what rays have met, the share that is theirs: the counterpart of `add_panels`.
 
     `sent` rays came from the place where each set out, by the cosine law.
@@ -151,18 +151,19 @@ def add_glow(panels: Any, face_normal: Any, lanes: Any, many: int, sent: int, fo
     for k in range(many):
         lane = lanes.going[k]
         face = lanes.face[lane]
-        if kind[face] < 0:
+        if kind[face & ROW] < 0:
             continue
+        normal = plane_of(planes, face)[1]
         square, leaving = 0.0, 0.0
         for axis in range(3):
             square += (lanes.place[lane, axis] - lanes.start[lane, axis]) ** 2
-            leaving -= lanes.way[lane, axis] * face_normal[face, axis]
+            leaving -= lanes.way[lane, axis] * normal[axis]
         if leaving <= 0.0:
             continue
         own = sent * lanes.cosine[lane] / np.pi
-        share = own / (own + per_m2[face] * square / leaving)
+        share = own / (own + per_m2[face & ROW] * square / leaving)
         for band in range(found.shape[1]):
-            found[lanes.owner[lane], band] += share * lanes.weight[lane, band] * spectra[kind[face], band]
+            found[lanes.owner[lane], band] += share * lanes.weight[lane, band] * spectra[kind[face & ROW], band]
 
 
 @numba.njit(**COMPILED)

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import INLINED
+from simulate.radiance.embree import INLINED, ROW
 from simulate.radiance.trace import CLEARANCE_SHARE
 from simulate.radiance.transport.even import R2
 
@@ -79,7 +79,7 @@ def raised(clearance: Any, centre: Any, face: Any, place: Any, normal: Any, star
     shift = 0.0
     for axis in range(3):
         shift = max(shift, abs(place[axis] - centre[axis]))
-    shift = max(clearance[face], CLEARANCE_SHARE * shift)
+    shift = max(clearance[face & ROW], CLEARANCE_SHARE * shift)
     for axis in range(3):
         start[axis] = place[axis] + shift * normal[axis]
 

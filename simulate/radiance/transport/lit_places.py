@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import COMPILED, INLINED, aim, intersect, stop, stopped, triangle_of
+from simulate.radiance.embree import COMPILED, INLINED, ROW, aim, intersect, plane_of, stop, stopped, triangle_of
 from simulate.radiance.trace import NOTHING, Tracer
 from simulate.radiance.transport.compiled_lights import SHORT, lamp_factor, towards_lamp
 from simulate.radiance.transport.lanes import raised, uniform
@@ -160,7 +160,7 @@ def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
 def add_lit_places(scene: Any, coats: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int, state: Any,
                    found: Any) -> None:  # fmt: skip
     """Add what places send that lamps light, as far as it is found from there: see `arrivals.add_lamps`."""
-    address, centre, corner, face_normal, clearance = scene
+    address, centre, planes, clearance = scene
     material_of, rho_by_pi, matt = coats
     position, spectrum, there = lamps[0], lamps[2], lanes.place
     for k in range(many):
@@ -170,12 +170,13 @@ def add_lit_places(scene: Any, coats: Any, lamps: Any, beams: Any, packets: Any,
     intersect(address, packets, many)
     asked = 0
     for slot in range(many):
-        face, lane = triangle_of(packets, slot), lanes.going[slot]
-        if face < 0 or not matt[material_of[face]]:
+        face, lane = triangle_of(packets, slot, planes), lanes.going[slot]
+        if face < 0 or not matt[material_of[face & ROW]]:
             continue
         # The place's own normal is kept: gathering goes on from it. Rays to the lamp take their way's room.
         up = lanes.toward[lane]
-        _land(corner[face], face_normal[face], position[lanes.chosen[lane]], there[lane], up)
+        corner, normal = plane_of(planes, face)
+        _land(corner, normal, position[lanes.chosen[lane]], there[lane], up)
         lanes.face[lane], lanes.factor[lane] = face, _carried(lamps, beams, lanes, lane, up)
         if lanes.factor[lane] > 0.0:
             raised(clearance, centre, face, there[lane], up, there[lane])
@@ -198,7 +199,7 @@ def add_lit_places(scene: Any, coats: Any, lamps: Any, beams: Any, packets: Any,
     for slot in range(free):
         if not stopped(packets, slot):
             lane = lanes.asked[slot]
-            owner, chosen, material = lanes.owner[lane], lanes.chosen[lane], material_of[lanes.face[lane]]
+            owner, chosen, material = lanes.owner[lane], lanes.chosen[lane], material_of[lanes.face[lane] & ROW]
             for band in range(found.shape[1]):
                 light = lanes.factor[lane] * spectrum[chosen, band] * rho_by_pi[material, band]
                 found[owner, band] += lanes.leaves[lane, band] * light

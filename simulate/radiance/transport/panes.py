@@ -73,7 +73,7 @@ class Panes:
         hit = self.tracer.hits(origin_m, direction)
         which = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < reach_m))
         face, range_m, along = hit.face[which], hit.range_m[which], direction[which]
-        normal = self.tracer.normal[face]
+        normal = self.tracer.normals(face)
         cosine = np.einsum("ij,ij->i", normal, along)
         mirrored, through = self._shares(self.kind_of_face[face], cosine)
         facing = np.where(cosine[:, None] < 0.0, normal, -normal)

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import COMPILED, aim, intersect, new_packets, stop, stopped, triangle_of
+from simulate.radiance.embree import COMPILED, ROW, aim, intersect, new_packets, plane_of, stop, stopped, triangle_of
 from simulate.radiance.trace import Tracer
 from simulate.radiance.transport.arrivals import (
     add_bright,
@@ -139,7 +139,7 @@ class Plain:
         start = tracer.above(points.face, points.place_m, points.normal)
         roulette = NEVER if roulette_from is None else roulette_from
         count = _follow(
-            (tracer.scene.address, tracer.centre_m, tracer.corner_m, tracer.normal, tracer.clearance_m),
+            (tracer.scene.address, tracer.centre_m, tracer.planes, tracer.clearance_m),
             (self.material_of, self.rho_by_pi, self.matt),
             (self.sky, self.discs, self.lamps, self.panels, self.beams),
             (start, np.asarray(points.normal, np.float64), known),
@@ -174,11 +174,11 @@ def _follow(scene: Any, coats: Any, lights: Any, points: Any, even: Any, limits:
             if goes_on and len(beams[0]):
                 add_lit_places(scene, coats, lamps, beams, packets, lanes, many, state, found)
             many = _ask(scene, packets, lanes, many, meets)
-            many = _meet_sky(sky, packets, lanes, many, points[2], sent, meets, sky_counts, found)
+            many = _meet_sky(scene, sky, packets, lanes, many, points[2], sent, meets, sky_counts, found)
             if meets:
                 _arrive(scene, lanes, many)
             if glows:
-                add_glow(panels, scene[3], lanes, many, sent, found)
+                add_glow(panels, scene[2], lanes, many, sent, found)
             if not goes_on:
                 break
             many, handed = _reflect(scene, coats, lanes, many, depth, limits, state, handed, back)
@@ -237,15 +237,15 @@ def _ask(scene: Any, packets: Any, lanes: Any, many: int, meets: bool) -> int:
 
 
 @numba.njit(**COMPILED)
-def _meet_sky(sky: Any, packets: Any, lanes: Any, many: int, known: Any, sent: int, meets: bool, sky_counts: bool,
-              found: Any) -> int:  # fmt: skip
+def _meet_sky(scene: Any, sky: Any, packets: Any, lanes: Any, many: int, known: Any, sent: int, meets: bool,
+              sky_counts: bool, found: Any) -> int:  # fmt: skip
     """Add what free rays find of the sky, and take away what stopped ones hide of it; return how many go farther."""
     kept = 0
     for slot in range(many):
         lane = lanes.going[slot]
         i = lanes.owner[lane]
         if meets:
-            lanes.face[lane] = triangle_of(packets, slot)
+            lanes.face[lane] = triangle_of(packets, slot, scene[2])
             hit = lanes.face[lane] >= 0
         else:
             hit = stopped(packets, slot)
@@ -264,27 +264,27 @@ def _meet_sky(sky: Any, packets: Any, lanes: Any, many: int, known: Any, sent: i
 @numba.njit(**COMPILED)
 def _arrive(scene: Any, lanes: Any, many: int) -> None:
     """Bring rays to what they met."""
-    _, _, corner, face_normal, _ = scene
     for k in range(many):
         lane = lanes.going[k]
-        face, height, slope = lanes.face[lane], 0.0, 0.0
+        height, slope = 0.0, 0.0
+        corner, normal = plane_of(scene[2], lanes.face[lane])
         for axis in range(3):
-            height += (corner[face, axis] - lanes.start[lane, axis]) * face_normal[face, axis]
-            slope += lanes.way[lane, axis] * face_normal[face, axis]
+            height += (corner[axis] - lanes.start[lane, axis]) * normal[axis]
+            slope += lanes.way[lane, axis] * normal[axis]
         length = height / slope
         length = max(length, 0.0) if np.isfinite(length) else 0.0
         side = 1.0 if slope < 0.0 else -1.0
         lanes.by_ray[lane] = lanes.cosine[lane] * abs(slope) / (np.pi * length * length)
         for axis in range(3):
             lanes.place[lane, axis] = lanes.start[lane, axis] + length * lanes.way[lane, axis]
-            lanes.normal[lane, axis] = side * face_normal[face, axis]
+            lanes.normal[lane, axis] = side * normal[axis]
 
 
 @numba.njit(**COMPILED)
 def _reflect(scene: Any, coats: Any, lanes: Any, many: int, depth: int, limits: Any, state: Any, handed: int, back: Any
              ) -> tuple[int, int]:  # fmt: skip
     """Let rays leave from where they are, unless chance ends them; from what is not matt they are handed back."""
-    _, centre, _, _, clearance = scene
+    _, centre, _, clearance = scene
     material_of, rho_by_pi, matt = coats
     kept = 0
     for k in range(many):
@@ -297,7 +297,7 @@ def _reflect(scene: Any, coats: Any, lanes: Any, many: int, depth: int, limits: 
             for band in range(len(weight)):
                 weight[band] /= np.float32(chance)
         face = lanes.face[lane]
-        material = material_of[face]
+        material = material_of[face & ROW]
         if not matt[material]:
             owners, depths, faces, places, ways, weights = back
             owners[handed], depths[handed], faces[handed] = lanes.owner[lane], depth + 1, face

@@ -129,7 +129,7 @@ def picture(
     np.maximum(radiance, 0.0, out=radiance)
     cube = np.ascontiguousarray(radiance.T).reshape(stage.bands, *view.shape)
     return Picture(
-        cube=RadianceCube(wavelength_nm=stage.coats.wavelength_nm, radiance=cube),
+        cube=RadianceCube(wavelength_nm=stage.coats.wavelength_nm, radiance=cube, averaged=True),
         signal=signal,
         variance=seen.of(seen.variance),
         rays=seen.of(seen.rays),

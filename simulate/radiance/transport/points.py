@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.brdf.lambert import Lambert
 from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.embree import ROW
 from simulate.radiance.transport.panes import Panes
 from simulate.radiance.world.surfaces import Surfaces
 
@@ -125,9 +126,9 @@ class Coats:
         known: NDArray[np.float32] | None = None,
     ) -> Points:
         """Return what rays of unit direction (ray, 3) hit, triangles (ray,) at places (ray, 3), m; None: all known."""
-        normal = surfaces.tracer.normal[face]
+        normal = surfaces.tracer.normals(face)
         outside = np.einsum("ij,ij->i", normal, direction) < 0.0
-        material = surfaces.material_of[face]
+        material = surfaces.material_of[face & ROW]
         glossy = tuple(
             (np.flatnonzero(material == number), brdf)
             for number, brdf in enumerate(self.brdfs)

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.embree import ROW
 from simulate.radiance.trace import Hits
 from simulate.radiance.transport.air import Air
 from simulate.radiance.transport.bright_sky import BrightSky
@@ -78,6 +79,6 @@ class Stage:
         panels = self.lighting.panels
         if panels is None:
             return np.zeros(0, np.int64), np.zeros((0, self.bands), np.float32)
-        kind = panels.kind_of_face[points.face]
+        kind = panels.kind_of_face[points.face & ROW]
         glows = np.flatnonzero((kind >= 0) & points.outside)
         return glows, panels.spectra[kind[glows]]

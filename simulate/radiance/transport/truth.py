@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.embree import ROW
 from simulate.radiance.transport import direct
 from simulate.radiance.transport.stage import Stage
 from simulate.radiance.world.viewpoint import Viewpoint
@@ -105,7 +106,7 @@ def _band(stage: Stage, view: Viewpoint, start: int, stop: int) -> dict[str, NDA
     points = stage.points(hit, origin, towards, met)
     count = len(hit.face)
     material, thing = np.full(count, -1, np.int16), np.full(count, -1, np.int32)
-    material[met], thing[met] = surfaces.material_of[face], surfaces.object_of[face]
+    material[met], thing[met] = surfaces.material_of[face & ROW], surfaces.object_of[face & ROW]
     normal, shadow = np.zeros((count, 3), np.float32), np.zeros(count, np.uint32)
     normal[met] = points.normal
     shadow[met] = _shadows(stage, points)

@@ -2,12 +2,15 @@
 
 import os
 import zlib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.radiance.embree import Copied
 from simulate.radiance.world.description.objects import METRE, Object, Pose
 from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.material_map import mapped
@@ -16,6 +19,8 @@ from simulate.radiance.world.surfaces import Surfaces, surfaces
 
 # Fewest triangles of a mesh with gaps: of fewer, gaps would be holes in walls.
 FINE = 400
+# Copies of a mesh that have more triangles together share it: each triangle by itself takes some 700 bytes.
+SHARED_FROM = 500_000
 KINDS = (".obj", ".ply", ".stl", ".glb")
 
 
@@ -30,10 +35,12 @@ def built(scene: Scene) -> Surfaces:
     """
     glass = frozenset(surface.label for surface in scene.material if surface.pane_transmittance is not None)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
-    parts = []
+    parts, copied, notes = [], [], []
     for thing in scene.object:
         poses = thing.instances or (thing,)
-        mesh = _mesh(scene, thing)
+        mesh, own = _mesh(scene, thing)
+        if own:
+            notes.append(f"{thing.file} has {own} of its own, left out: all of {thing.label!r} is {thing.material!r}")
         if thing.map is not None:
             pieces = mapped(scene.file(thing.map), thing.size_m, thing.map_materials)
             parts += [(thing.label, name, placed(piece, pose)) for name, piece in pieces for pose in poses]
@@ -45,8 +52,20 @@ def built(scene: Scene) -> Surfaces:
             )
         if thing.gaps > 0.0:
             mesh = pierced(mesh, thing.gaps, thing.label)
-        parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in poses]
-    return surfaces(parts, glass)
+        # What glows or is glass is looked for triangle by triangle.
+        shared = thing.material not in glowing | glass and len(poses) * len(mesh.faces) > SHARED_FROM and len(poses) > 1
+        if shared:
+            copied.append((thing.label, thing.material, _copies(mesh, poses[1:])))
+        parts += [(thing.label, thing.material, placed(mesh, pose)) for pose in (poses[:1] if shared else poses)]
+    return replace(surfaces(parts, glass, tuple(copied)), notes=tuple(notes))
+
+
+def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
+    """Return a mesh about its middle, for single precision, and where its copies stand."""
+    middle = 0.5 * (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0))
+    turn = np.array([pose.scale * _rotation(pose) for pose in poses])
+    shift = np.array([pose.position_m for pose in poses]) + turn @ middle
+    return Copied(vertices_m=mesh.vertices_m - middle, faces=mesh.faces, turn=turn, shift_m=shift)
 
 
 def pierced(mesh: Mesh, gaps: float, label: str) -> Mesh:
@@ -83,14 +102,15 @@ def _rotation(pose: Pose) -> NDArray[np.float64]:
     return about_z @ about_x @ about_y
 
 
-def _mesh(scene: Scene, thing: Object) -> Mesh:
+def _mesh(scene: Scene, thing: Object) -> tuple[Mesh, str]:
+    """Return the triangles of an object, and what its file says of materials."""
     if thing.shape is not None:
-        return shape(thing.shape, thing.size_m)
+        return shape(thing.shape, thing.size_m), ""
     assert thing.file is not None and thing.unit is not None
     return _read(scene.file(thing.file), METRE[thing.unit])
 
 
-def _read(path: Path, metre: float) -> Mesh:
+def _read(path: Path, metre: float) -> tuple[Mesh, str]:
     if path.suffix.lower() not in KINDS:
         raise BadInput(f"a mesh file must be one of {', '.join(KINDS)}, got {path.name}")
     if not os.path.isfile(path):  # Path.is_file raises on names that no disk takes
@@ -98,8 +118,8 @@ def _read(path: Path, metre: float) -> Mesh:
     import trimesh
 
     try:
-        loaded = trimesh.load_mesh(path, process=False)
-        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+        loaded = trimesh.load_scene(path, process=False)
+        mesh, own = loaded.to_mesh(), _own_materials([thing.visual for thing in loaded.geometry.values()])
         vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
     except Exception as error:
         # Readers of four formats raise whatever they stumble over.
@@ -112,7 +132,17 @@ def _read(path: Path, metre: float) -> Mesh:
         raise BadInput(f"the vertices of a mesh must be finite, got others in {path.name}")
     if not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise BadInput(f"the corners of a mesh must be among its {len(vertices)} vertices, got others in {path.name}")
-    return Mesh(metre * vertices, faces)
+    return Mesh(metre * vertices, faces), own
+
+
+def _own_materials(visuals: list[Any]) -> str:
+    """Return in words what a file's parts have of colours: they say nothing of the near infrared and are not used."""
+    made = [visual.material for visual in visuals if visual.defined and hasattr(visual, "material")]
+    names = sorted({str(material.name) for material in made if material.name})
+    words = [f"materials ({', '.join(names)})" if names else "materials"] if made else []
+    if any(visual.defined and visual.kind in ("vertex", "face") for visual in visuals):
+        words.append("colours")
+    return " and ".join(words)
 
 
 def _first_line(error: Exception) -> str:

@@ -32,7 +32,7 @@ FINE_BELOW = 0.1
 # Shares of the tolerance: for what is left out, for bands, and for chance, which adds by its square.
 SHARE, BANDS, CHANCE = 0.4, 0.2, 0.6
 # Spectral error allowed of any source's signal, at least and at most, and that of the trial.
-FINEST, COARSEST = 0.0005, 0.02
+FINEST, COARSEST = 0.0005, 0.005
 # Most rays of a pixel; with nothing left out: the same, what chance may change, bounces before paths go on by chance
 # only, and bounces at most.
 MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 4096, 32768, 0.05, 3, 200

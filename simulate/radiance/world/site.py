@@ -32,8 +32,6 @@ from simulate.radiance.world.measured_surface import read_measured
 from simulate.radiance.world.surfaces import Surfaces
 
 Array = NDArray[np.floating]
-# Air is computed for ways up to twice the size of the scene, and at least so long, m.
-SHORTEST_AIR_M = 1000.0
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,9 @@ class Site:
 
     @cached_property
     def lamps(self) -> tuple[tuple[LampPost, Lamp], ...]:
-        """Lamps and their light."""
-        return tuple((post, _lamp(self.scene, post)) for post in self.scene.lamp)
+        """Lamps that shine and their light."""
+        lamps = ((post, _lamp(self.scene, post)) for post in self.scene.lamp)
+        return tuple((post, lamp) for post, lamp in lamps if lamp.flux.total() > 0.0)
 
     @cached_property
     def glows(self) -> tuple[tuple[str, Spectrum], ...]:
@@ -89,7 +88,7 @@ class Site:
     def sources(self) -> tuple[Spectrum, ...]:
         """Return the spectra of all light."""
         natural = () if self.sky is None else self.sky.sources()
-        lamps = tuple(lamp.flux for _, lamp in self.lamps if lamp.flux.lumens > 0.0)
+        lamps = tuple(lamp.flux for _, lamp in self.lamps)
         return (*natural, *lamps, *(glow for _, glow in self.glows))
 
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
@@ -138,7 +137,7 @@ class Site:
                 )
                 for disc in discs
             ),
-            lamps=tuple(_lamp_light(post, lamp, grid) for post, lamp in self.lamps if lamp.flux.lumens > 0.0),
+            lamps=tuple(_lamp_light(post, lamp, grid) for post, lamp in self.lamps),
             panels=self._panels(grid),
         )
 
@@ -151,42 +150,10 @@ class Site:
         return panels_of(self.surfaces, kinds[self.surfaces.material_of], spectra)
 
     def _air(self, grid: NDArray[np.float64]) -> Air:
-        if self.sky is None:
-            return Air()
-        lit = self.sky.air()
-        corners = self.surfaces.mesh.vertices_m
-        size = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
-        away = float(np.abs(np.asarray(self.scene.camera.position_m)).max())
-        longest = 2.0 * max(size, away, SHORTEST_AIR_M)
-        return air(lambda lengths: lit.transmittance(lengths, grid), longest, _PathLight.of(lit, grid, longest).added)
-
-
-@dataclass(frozen=True)
-class _PathLight:
-    """Light that air adds: that of the longest way by direction, times a share by length.
-
-    The share is the same in all directions, as the light of an endless way of even air does not depend on where it
-    begins.
-    """
-
-    endless: dome.Dome
-    share: Air
-
-    @classmethod
-    def of(cls, lit: Atmosphere, grid: NDArray[np.float64], longest_m: float) -> "_PathLight":
-        ends = np.full(1, longest_m)
-        whole = dome.sphere(lambda way: lit.path_radiance(np.broadcast_to(ends, len(way)), grid, way))
-        level = np.array([[0.0, 1.0, 0.0]])
-
-        def share(lengths: Array) -> Array:
-            along = lit.path_radiance(lengths, grid, np.repeat(level, len(lengths), axis=0))
-            most = lit.path_radiance(ends, grid, level)
-            return np.divide(along, most, out=np.zeros_like(along), where=most > 0.0)
-
-        return cls(whole, air(share, longest_m))
-
-    def added(self, range_m: Array, direction: Array) -> NDArray[np.float32]:
-        return self.endless.irradiance(direction) * self.share.through(range_m)
+        """Air lit by the sky; without a place that of the weather given, which takes light and adds none."""
+        if self.sky is not None:
+            return air(self.sky.air(), grid)
+        return Air() if self.scene.weather is None else air(_atmosphere(self.scene.weather), grid)
 
 
 def _panes(surfaces: Surfaces, by_label: dict[str, Surface], grid: NDArray[np.float64]) -> Panes:
@@ -199,7 +166,8 @@ def _panes(surfaces: Surfaces, by_label: dict[str, Surface], grid: NDArray[np.fl
     )
 
 
-def _atmosphere(weather: Weather) -> Atmosphere:
+def _atmosphere(weather: Weather | None) -> Atmosphere:
+    weather = weather or Weather()
     return Atmosphere(
         visibility_km=weather.visibility_km,
         relative_humidity=weather.relative_humidity,
@@ -215,15 +183,17 @@ def _lamp(scene: Scene, post: LampPost) -> Lamp:
     beams = {"isotropic": Isotropic, "cosine": Cosine, "spot": lambda: Spot(half_angle_deg=post.half_angle_deg)}
     measured = read_ies(scene.file(post.beam)) if post.measured else None
     distribution = beams[post.beam]() if measured is None else measured.table
-    lumens = measured.lumens if post.lumens is None and measured is not None else float(post.lumens or 0.0)
+    power = {"watts": post.watts, "lumens": measured.lumens if post.lumens is None and measured else post.lumens or 0.0}
     if post.kind.endswith(".csv"):
-        flux = read_spectrum(scene.file(post.kind), lumens=lumens)
+        flux = read_spectrum(scene.file(post.kind), **power)
     else:
         flux = spectrum(
             post.kind,
-            lumens=lumens,
+            **power,
             temperature_k=post.temperature_k,
             near_infrared_share=post.near_infrared_share,
+            wavelength_nm=post.wavelength_nm,
+            width_nm=post.width_nm,
         )
     return Lamp(flux=flux, distribution=distribution)
 
@@ -255,20 +225,14 @@ def _frame(axis: NDArray[np.float64], heading_deg: float) -> NDArray[np.float64]
 
 def _refuse_touching(post: LampPost, surfaces: Surfaces) -> None:
     """Refuse a lamp whose ball touches a surface: what shines inside a wall lights nothing as it should."""
-    corners = surfaces.mesh.corners_m
     place = np.asarray(post.position_m, float)
-    near = (corners.min(axis=1) <= place + post.radius_m).all(axis=1)
-    near &= (corners.max(axis=1) >= place - post.radius_m).all(axis=1)
-    if not near.any():
-        return
-    import trimesh
+    for corners, name in surfaces.near(place, post.radius_m):
+        import trimesh
 
-    which = np.flatnonzero(near)
-    closest = trimesh.triangles.closest_point(corners[which], np.broadcast_to(place, (len(which), 3)))
-    distance = np.linalg.norm(closest - place, axis=1)
-    if distance.min() < post.radius_m:
-        name = surfaces.objects[surfaces.object_of[which[np.argmin(distance)]]]
-        raise BadInput(
-            f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got {post.label!r} "
-            f"{distance.min():.3g} m from {name!r}"
-        )
+        closest = trimesh.triangles.closest_point(corners, np.broadcast_to(place, (len(corners), 3)))
+        distance = np.linalg.norm(closest - place, axis=1).min()
+        if distance < post.radius_m:
+            raise BadInput(
+                f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got {post.label!r} "
+                f"{distance:.3g} m from {name!r}"
+            )

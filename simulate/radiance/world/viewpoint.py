@@ -1,5 +1,6 @@
 """Where the camera stands and looks: rays of places on the picture, and places of directions, through its lens."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -35,6 +36,38 @@ class Scan:
     def __post_init__(self) -> None:
         must_be_positive(self, "line_time_s")
 
+    def at(self, row: Array) -> tuple[Array, Array]:
+        """Return how far the scanner has moved (row, 3), m, and turned (row,), rad, in the middle of rows' times."""
+        time_s = (np.floor(row) + 0.5) * self.line_time_s
+        return time_s[:, None] * np.asarray(self.velocity_m_per_s), np.deg2rad(-self.turn_deg_per_s * time_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposure:
+    """Rows that a camera takes from one place at one time.
+
+    Parameters
+    ----------
+    eye_m
+        Where the lens is, shape (3,), m.
+    turn_rad
+        How far it has turned about the vertical, counterclockwise from above, rad.
+    first, rows
+        First row through the lens, as `Viewpoint.projected` counts them, and number of rows.
+    picture_row
+        The row of the picture that the first one is.
+    """
+
+    eye_m: Array
+    turn_rad: float
+    first: float
+    rows: int
+    picture_row: int
+
+    def unturned(self, direction: Array) -> Array:
+        """Return directions (ray, 3) as they would be, had the camera not turned."""
+        return _turned(direction, -self.turn_rad)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Viewpoint:
@@ -55,7 +88,8 @@ class Viewpoint:
     distortion_fraction
         D of r' = r (1 + D (r/R)^2), R the corner's distance from the axis; positive is pincushion.
     scan
-        For a line scanner, whose rows all look along the middle of the picture, each at its own time; None: framing.
+        For a line scanner, whose rows all look along the middle of the picture, each at its own time and one pixel
+        high; None: framing.
     """
 
     position_m: tuple[float, float, float]
@@ -101,7 +135,7 @@ class Viewpoint:
         row, col
             Coordinates, whole numbers at the corners of pixels, shape (ray,).
         """
-        along = 0.5 * self.shape[0] if self.scan else row
+        along = 0.5 * self.shape[0] + row % 1.0 - 0.5 if self.scan else row
         x = (col - 0.5 * self.shape[1]) / self.focal_px[0]
         y = np.broadcast_to((along - 0.5 * self.shape[0]) / self.focal_px[1], x.shape)
         if self.distortion_fraction:
@@ -112,18 +146,32 @@ class Viewpoint:
         origin = np.broadcast_to(np.asarray(self.position_m, float), towards.shape)
         return (origin, towards) if self.scan is None else self._moved(self.scan, row, origin, towards)
 
-    def places(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return picture coordinates (row, col) of directions and whether they lie in the picture, shape (ray,)."""
+    def exposures(self) -> Iterator[Exposure]:
+        """Yield the rows that are taken at one time: all of a framing camera, each of a scanner."""
+        eye = np.asarray(self.position_m, float)
+        if self.scan is None:
+            yield Exposure(eye_m=eye, turn_rad=0.0, first=0.0, rows=self.shape[0], picture_row=0)
+            return
+        for row in range(self.shape[0]):
+            moved, turn = self.scan.at(np.array([float(row)]))
+            yield Exposure(
+                eye_m=eye + moved[0], turn_rad=float(turn[0]), first=0.5 * (self.shape[0] - 1), rows=1, picture_row=row
+            )
+
+    def projected(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return coordinates (row, col) through the lens of directions, and whether they lie before it, shape (ray,).
+
+        Those of a scanner are as if it had not moved. Beyond `FARTHEST` they are those there.
+        """
         right, down, ahead = self.axes @ np.asarray(direction, float).T
         front = ahead > 1e-9
-        x, y = (np.divide(side, ahead, out=np.full_like(side, np.inf), where=front) for side in (right, down))
-        with np.errstate(invalid="ignore"):
-            radius = np.hypot(x, y) / self._corner
-            stretch = 1.0 + self.distortion_fraction * radius**2
-            col = x * stretch * self.focal_px[0] + 0.5 * self.shape[1]
-            row = y * stretch * self.focal_px[1] + 0.5 * self.shape[0]
-        inside = front & (radius < FARTHEST) & (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
-        return row, col, inside
+        x, y = (np.divide(side, ahead, out=np.zeros_like(side), where=front) for side in (right, down))
+        radius = np.hypot(x, y) / self._corner
+        kept = np.minimum(radius, FARTHEST)
+        stretch = kept / np.maximum(radius, 1e-300) * (1.0 + self.distortion_fraction * kept**2)
+        row = y * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[1] + 0.5 * self.shape[0]
+        col = x * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[0] + 0.5 * self.shape[1]
+        return row, col, front
 
     def solid_angle_sr(self, row: Array, col: Array) -> Array:
         """Return the solid angle of a pixel at picture coordinates, shape (place,), sr.
@@ -151,8 +199,12 @@ class Viewpoint:
     @staticmethod
     def _moved(scan: Scan, row: Array, origin: Array, towards: Array) -> tuple[Array, Array]:
         """Rays of a scanner: each row from where the scanner is in the middle of its time."""
-        time_s = (np.floor(row) + 0.5) * scan.line_time_s
-        turn = np.deg2rad(-scan.turn_deg_per_s * time_s)
-        x = np.cos(turn) * towards[:, 0] - np.sin(turn) * towards[:, 1]
-        y = np.sin(turn) * towards[:, 0] + np.cos(turn) * towards[:, 1]
-        return origin + time_s[:, None] * np.asarray(scan.velocity_m_per_s), np.stack([x, y, towards[:, 2]], axis=1)
+        moved, turn = scan.at(row)
+        return origin + moved, _turned(towards, turn)
+
+
+def _turned(direction: Array, turn_rad: Array | float) -> Array:
+    """Turn directions (ray, 3) about the vertical, counterclockwise from above."""
+    x = np.cos(turn_rad) * direction[:, 0] - np.sin(turn_rad) * direction[:, 1]
+    y = np.sin(turn_rad) * direction[:, 0] + np.cos(turn_rad) * direction[:, 1]
+    return np.stack([x, y, direction[:, 2]], axis=1)

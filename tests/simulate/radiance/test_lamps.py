@@ -13,7 +13,8 @@ from simulate.radiance.sky.moon import moon_spectrum
 
 def per_lumen(sheet, light):
     """Photoelectrons of the case-study tube (1350 uA/lm) per lumen."""
-    electrons = light.weighted(lambda nm: quantum_efficiency(sheet, nm) * nm * 1e-9 / JOULE_METRE)
+    nm = np.arange(300.0, 1001.0)
+    electrons = light.through(nm, quantum_efficiency(sheet, nm) * nm * 1e-9 / JOULE_METRE)
     return electrons / light.lumens
 
 
@@ -146,7 +147,7 @@ def test_a_spectrum_comes_from_a_file(tmp_path):
         ("500 1\n", "at least two lines of numbers, got 1"),
         ("nm p\n500 1\n600 x\n", "two numbers on each line, got '600 x'"),
         ("600 1\n500 1\n", "must be positive and ascend"),
-        ("900 1\n950 1\n", "must hold visible light"),
+        ("900 1\n950 1\n", "must have visible light to be scaled to lumens .state watts., got none"),
         ("500 1\n600 -1\n", "finite and not negative"),
     ],
 )

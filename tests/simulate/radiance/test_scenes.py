@@ -63,6 +63,7 @@ def test_shipped_scenes_are_built_and_a_bench_is_another_kind(name):
         (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "gold"\n', "must be one of .*got 'gold'"),
         (CAMERA + '[[material]]\nlabel = "m"\nlibrary = "window-glass"\n', "light goes through panes alone"),
         (CAMERA + "[place]\nlatitude_deg = 43\nlongitude_deg = -77\ntime = 1998-06-24T02:00:00\n", "offset from UTC"),
+        (CAMERA + "[sky]\nmoon = false\n", r"a sky must have a place and a time, got \[sky\] without \[place\]"),
         (CAMERA.replace("[0, 0, 1]", "[0, -10, 2]"), "must look at another place"),
         (CAMERA + GREY + BALL + 'map = "a.png"\nmap_materials = ["grey"]\n', "either a material or a map"),
         (CAMERA + GREY + BALL + "gaps = 1.0\n", r"gaps must lie in \[0, 1\), got 1"),
@@ -92,6 +93,24 @@ def test_a_mesh_file_is_read_in_its_unit_and_one_that_glows_must_be_closed(tmp_p
     (tmp_path / "letter.obj").write_text("Dear lab")
     with pytest.raises(BadInput, match=r"letter\.obj"):
         built(scene_of(tmp_path, CAMERA + GREY + mesh + '"letter.obj"\n'))
+
+
+def test_a_mesh_files_own_materials_are_named_as_left_out(tmp_path):
+    import trimesh
+
+    painted, sprayed, bare = (trimesh.creation.box() for _ in range(3))
+    paint = trimesh.visual.material.PBRMaterial(name="red paint", baseColorFactor=[200, 30, 30, 255])
+    painted.visual = trimesh.visual.TextureVisuals(material=paint)
+    sprayed.visual = trimesh.visual.ColorVisuals(sprayed, vertex_colors=[10, 200, 10, 255])
+    trimesh.Scene({"a": painted, "b": sprayed, "c": bare}).export(tmp_path / "house.glb")
+    bare.export(tmp_path / "bare.glb")
+    mesh = '[[object]]\nlabel = "a"\nunit = "m"\nmaterial = "grey"\nfile = '
+    surfaces = built(scene_of(tmp_path, CAMERA + GREY + mesh + '"house.glb"\n'))
+    assert len(surfaces.mesh.faces) == 36
+    assert surfaces.notes == (
+        "house.glb has materials (red paint) and colours of its own, left out: all of 'a' is 'grey'",
+    )
+    assert built(scene_of(tmp_path, CAMERA + GREY + mesh + '"bare.glb"\n')).notes == ()
 
 
 def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
@@ -158,7 +177,7 @@ def test_a_map_lays_materials_on_a_plane_as_its_picture_shows_them(tmp_path):
     above = np.column_stack([2.0 * (col + 0.45) - 9.0, 3.0 - (row + 0.55), np.full(row.size, 2.0)])
     face = laid.tracer.hits(above, np.broadcast_to([0.0, 0.0, -1.0], above.shape)).face
     assert [laid.materials[number] for number in laid.material_of[face]] == ["abc"[n] for n in picture_of.ravel()]
-    assert (laid.tracer.normal[:, 2] > 0.99).all()
+    assert (laid.tracer.planes[1][:, 2] > 0.99).all()
     with pytest.raises(BadInput, match=r"whole numbers from 0 to 1, got 2 in signs\.npy"):
         built(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b"]\n'))
 
@@ -191,7 +210,7 @@ def test_a_ray_goes_where_its_direction_is_seen(seed, distortion):
     rng = np.random.default_rng(seed)
     row, col = 24 * rng.random(200), 32 * rng.random(200)
     _, towards = view.rays(row, col)
-    back_row, back_col, inside = view.places(towards)
+    back_row, back_col, inside = view.projected(towards)
     assert inside.all()
     assert np.abs(back_row - row).max() < 1e-4 and np.abs(back_col - col).max() < 1e-4
     assert np.sum(view.solid_angle_sr(np.array([12.0]), np.array([16.0]))) == pytest.approx(1.0 / 1600.0, rel=0.02)
@@ -246,7 +265,7 @@ def test_choosing_where_to_look_closely_does_not_bend_the_picture(seed):
 def _of_lamp(stage, found) -> float:
     """Mean over the picture of the lamp itself, which single rays never meet."""
     place = np.array(VIEW.position_m) - stage.lighting.lamps[0].position_m
-    row, col, inside = VIEW.places(-place[None])
+    row, col, inside = VIEW.projected(-place[None])
     assert inside.all()
     size = float(VIEW.solid_angle_sr(row, col)[0])
     return float(2.0 * 3.0 / (place @ place) / size / found.signal.size)

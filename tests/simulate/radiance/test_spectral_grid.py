@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd.photons import JOULE_METRE, quantum_efficiency
+from simulate.iiccd.photons import JOULE_METRE, detected_per_radiance, quantum_efficiency
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps import KINDS, spectrum
 from simulate.radiance.sky import NightSky
 from simulate.radiance.sky.moon import moon_spectrum
 from simulate.radiance.spectral_grid import spectral_grid
 from simulate.radiance.spectrum import Spectrum, combined
+from simulate.radiance.world.plan import COARSEST
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "moon", "dark sky"])
@@ -21,8 +22,8 @@ def test_any_grid_keeps_all_power_and_its_mean_wavelength(kind, seed):
     for bands in (2, 5, 40):
         grid = np.sort(np.concatenate([[300.0, 1200.0], rng.uniform(300.0, 1200.0, bands - 2)]))
         weight = (grid - 300.0) * band_widths(grid)
-        expected = light.weighted(lambda nm: nm - 300.0)
-        assert np.sum(light.on(grid) * weight) == pytest.approx(expected, rel=1e-3)
+        expected = light.through([300.0, 1200.0], [0.0, 900.0])
+        assert np.sum(light.on(grid) * weight) == pytest.approx(expected, rel=1e-9)
         assert np.sum(light.on(grid) * band_widths(grid)) == pytest.approx(light.total(300.0, 1200.0), rel=1e-9)
 
 
@@ -60,8 +61,62 @@ def test_photoelectrons_on_the_grid_are_those_of_the_whole_spectrum(sheet, toler
                 reflected = 1.0 if table is None else np.interp(at, *table)
                 return np.interp(at, nm, per_watt, left=0.0, right=0.0) * reflected
 
-            expected = light.weighted(lambda at, seen=seen: np.where((at >= grid[0]) & (at <= grid[-1]), seen(at), 0.0))
+            fine = np.union1d(np.linspace(grid[0], grid[-1], 2001), np.concatenate([nm, leaf[0][1:-1]]))
+            expected = light.through(fine, seen(fine))
             assert np.sum(light.on(grid) * width * seen(grid)) == pytest.approx(expected, rel=1.2 * tolerance)
+
+
+def filtered(middle_nm, width_nm, edge_nm=0.2):
+    """A detector behind a filter with steep edges: wavelengths and efficiency."""
+    half = 0.5 * width_nm
+    edges = [middle_nm - half - edge_nm, middle_nm - half, middle_nm + half, middle_nm + half + edge_nm]
+    return np.array([400.0, *edges, 950.0]), np.array([0.0, 0.0, 0.5, 0.5, 0.0, 0.0])
+
+
+def detected(light, nm, efficiency):
+    """Photons of a rendered light that a detector detects, as lens and detector take them from a picture's bands."""
+    fine = np.union1d(nm, np.arange(nm[0], nm[-1], 5.0))
+    per_watt = np.interp(fine, nm, efficiency) * fine * 1e-9 / JOULE_METRE
+    grid, _ = spectral_grid([light], fine, per_watt, tolerance=COARSEST)
+    return light.on(grid) @ detected_per_radiance(grid, nm, efficiency, averaged=True)
+
+
+BROAD = np.array([400.0, 500.0, 600.0, 700.0, 900.0, 950.0]), np.array([0.1, 0.4, 0.42, 0.38, 0.1, 0.0])
+
+
+@pytest.mark.parametrize("detector", [BROAD, filtered(589.3, 5.0), filtered(590.1, 10.0)])
+def test_a_watt_of_low_pressure_sodium_is_detected_line_by_line(detector):
+    """The closed form: power, efficiency and energy of a photon at 589.0 and 589.6 nm, in the shares 2 to 1."""
+    light = spectrum("low-pressure-sodium", watts=1.0)
+    exact = sum(
+        share / 3.0 * np.interp(line, *detector) * line * 1e-9 / JOULE_METRE
+        for line, share in ((589.0, 2.0), (589.6, 1.0))
+    )
+    assert detected(light, *detector) == pytest.approx(exact, rel=0.001)
+
+
+@pytest.mark.parametrize("width_nm", [5.0, 10.0])
+@pytest.mark.parametrize("middle_nm", [550.0, 612.37, 800.7])
+def test_even_light_through_a_steep_filter_keeps_the_filters_area(width_nm, middle_nm):
+    """A watt per nm: 0.5 (width + one edge) lambda / (h c), of bands of a rendering and of bands that a file states."""
+    nm, efficiency = filtered(middle_nm, width_nm)
+    exact = 0.5 * (width_nm + 0.2) * middle_nm * 1e-9 / JOULE_METRE
+    even = Spectrum(wavelength_nm=np.array([300.0, 1200.0]), density=np.ones(2))
+    assert detected(even, nm, efficiency) == pytest.approx(exact, rel=0.001)
+    assert detected_per_radiance([400.0, 700.0, 950.0], nm, efficiency).sum() == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_lamp_through_any_detector_is_detected_within_half_a_percent(kind, seed):
+    rng = np.random.default_rng([seed, len(kind)])
+    light = spectrum(kind, watts=1.0)
+    for _ in range(4):
+        nm = np.sort(rng.uniform(400.0, 950.0, 6))
+        efficiency = np.concatenate([[0.0], rng.uniform(0.1, 0.6, 4), [0.0]])
+        fine = np.union1d(np.linspace(nm[0], nm[-1], 40_001), nm)
+        exact = light.through(fine, np.interp(fine, nm, efficiency) * fine * 1e-9 / JOULE_METRE)
+        if exact > 0.0:
+            assert detected(light, nm, efficiency) == pytest.approx(exact, rel=0.005)
 
 
 def test_a_smooth_light_needs_few_bands_and_a_tighter_tolerance_more(sheet):

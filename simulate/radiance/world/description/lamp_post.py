@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from labdata.errors import BadInput
 
 BEAMS = ("isotropic", "cosine", "spot")
+NARROW = "narrow-band"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,11 +17,16 @@ class LampPost:
     label
         Its name.
     kind
-        Kind of its spectrum (`simulate.radiance.lamps.KINDS`), or a .csv file of two columns relative to the scene's.
+        Kind of its spectrum (`simulate.radiance.lamps.KINDS`), "narrow-band" for a laser or a diode of one colour, or a
+        .csv file of two columns relative to the scene's.
     position_m
         Place (east, north, up), m.
     lumens
-        Luminous flux, lm; None: that of its photometric file.
+        Luminous flux, lm; without lumens and watts that of its photometric file.
+    watts
+        Radiant flux, W, in place of lumens: for what shines unseen.
+    wavelength_nm, width_nm
+        Of a narrow band: its middle, and its width at half of its height, 0 for a line, nm.
     aim_m
         Place at which its axis points, m; straight down without one.
     beam
@@ -41,6 +47,9 @@ class LampPost:
     kind: str
     position_m: tuple[float, float, float]
     lumens: float | None = None
+    watts: float | None = None
+    wavelength_nm: float | None = None
+    width_nm: float = 0.0
     aim_m: tuple[float, float, float] | None = None
     beam: str = "isotropic"
     heading_deg: float = 0.0
@@ -52,10 +61,16 @@ class LampPost:
     def __post_init__(self) -> None:
         if self.beam not in BEAMS and not self.measured:
             raise BadInput(f"a beam must be one of {', '.join(BEAMS)} or an .ies file, got {self.beam!r}")
-        if self.lumens is None and not self.measured:
-            raise BadInput(f"lumens must be given for a lamp without a photometric file, got none for {self.label!r}")
-        if self.lumens is not None and not self.lumens >= 0.0:
-            raise BadInput(f"lumens must not be negative, got {self.lumens:g} of {self.label!r}")
+        given = [power for power in (self.lumens, self.watts) if power is not None]
+        if len(given) == 2 or not (given or self.measured):
+            raise BadInput(
+                "a lamp must have either lumens or watts, or neither with a photometric file, got "
+                f"{'both' if given else 'none'} of {self.label!r}"
+            )
+        if not all(power >= 0.0 for power in given):
+            raise BadInput(f"lumens and watts must not be negative, got {given[0]:g} of {self.label!r}")
+        if self.kind != NARROW and (self.wavelength_nm is not None or self.width_nm):
+            raise BadInput(f"wavelength_nm and width_nm belong to a {NARROW} lamp, got {self.kind} for {self.label!r}")
         if not self.radius_m > 0.0:
             raise BadInput(f"radius_m must be positive, got {self.radius_m:g} of {self.label!r}")
         if self.aim_m == self.position_m:

@@ -20,9 +20,15 @@ class Scene:
     ----------
     name
         Its name.
-    camera, place, weather, sky
-        Where one looks from, where and when it is, what the air is like and what shines in it; without a place there is
-        no sky, only lamps.
+    camera
+        Where one looks from.
+    place
+        Where and when it is; without a place there is no sky, only lamps.
+    weather
+        What the air is like. Without a place there is no air unless a weather is given: that takes light of lamps and
+        scatters none back.
+    sky
+        What shines in the sky of a place.
     material, object, lamp
         Tables of materials, objects and lamps.
     folder
@@ -32,7 +38,7 @@ class Scene:
     name: str
     camera: Camera
     place: Where | None = None
-    weather: Weather = field(default_factory=Weather)
+    weather: Weather | None = None
     sky: Sky = field(default_factory=Sky)
     material: tuple[Surface, ...] = ()
     object: tuple[Object, ...] = ()
@@ -53,6 +59,8 @@ class Scene:
                         f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
                         f"got {name!r} of {thing.label!r}"
                     )
+        if self.place is None and self.sky != Sky():
+            raise BadInput(f"a sky must have a place and a time, got [sky] without [place] in {self.name!r}")
         numbers = [*self.camera.position_m, *(x for thing in self.object for x in thing.position_m)]
         if not all(math.isfinite(number) for number in numbers):
             raise BadInput("places in a scene must be finite")
