@@ -18,6 +18,7 @@ from charact.mtf.point import distrust as point_distrust
 from charact.mtf.point import source as point_source
 from charact.mtf.point.choice import Weighed, fitted
 from charact.mtf.point.data import window_of
+from charact.mtf.point.findings import finding
 from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.pixels import Site
 from charact.mtf.point.profile import evidence, rounding_note
@@ -41,7 +42,7 @@ LEAST_KEPT = 0.2
 DRAWS, QUICK_DRAWS = 1000, 500
 # Effective draws by importance where the posterior of the only form is wanted quickly, draws to begin with, and the
 # least share of both that a form of little evidence gets, and of what it gets in full.
-QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT, LEAST_IN_FULL = 500.0, 1000, 0.5, 0.25
+QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT, LEAST_IN_FULL = 500.0, 1000, 0.25, 0.25
 MAX_STEPS = 1500
 # Rings that a disc or glare must leave bare.
 BARE_RINGS = 2
@@ -108,19 +109,18 @@ def point_parametric(
     if regions is not None and not regions:
         raise BadInput("several sources need at least one region, got none")
     parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
-    sites, crowded = [], False
+    sites = []
     for part in parts:
         site = _site(part, context)
         if isinstance(site, tuple):
             return task.nothing(*site)
-        sites.append(site[0] if isinstance(site, list) else site)
-        crowded |= isinstance(site, list)
+        sites.append(site)
     sites, fitter, found = fitted(sites, task.pinhole, _wides(sites, parts, context))
     best = found[0].fit
     weak = best.light < LEAST_LIGHT * point_distrust.light_errors(fitter, best)
     if weak.any():
         return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out", "no-target")
-    return task.result(sites, fitter, found, stack.notes, crowded)
+    return task.result(sites, fitter, found, stack.notes)
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
@@ -136,8 +136,8 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
     return float(pinhole_px or 0.0)
 
 
-def _site(part: FrameStack, context: Context) -> "Site | list[Site] | tuple[str, str]":
-    """Return the source of a part of the frames, in a list where others stand beside it, or why there is none."""
+def _site(part: FrameStack, context: Context) -> Site | tuple[str, str]:
+    """Return the source of a part of the frames, or why there is none."""
     if min(part.shape[1:]) < LEAST_PX:
         return f"a point needs a region of at least {LEAST_PX} x {LEAST_PX} px", "window-too-small"
     full = context.full_scale_dn or part.full_scale_dn
@@ -162,7 +162,7 @@ def _site(part: FrameStack, context: Context) -> "Site | list[Site] | tuple[str,
         full_scale_dn=full,
         screen=context.sensor is not None,
     )
-    return [site] if source.others else site
+    return site
 
 
 def _wides(sites: list[Site], parts: list[FrameStack], context: Context) -> tuple[Wide, ...]:
@@ -200,23 +200,21 @@ class _Task:
         ))  # fmt: skip
 
     def result(
-        self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...], crowded: bool
+        self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...]
     ) -> Result:
         """Return measurements and curves of fitted sources."""
         drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])
         response = point_distrust.response(sites, found[0].fit)
-        flags = (
-            *point_distrust.flags(sites, fitter, found, pedestals),
-            *(("gamma",) if response.curved else ()),
-            *(("saturated",) if self.context.sensor and any(site.cut.any() for site in sites) else ()),
-            *(("several-targets",) if crowded else ()),
-            *(("too-few-frames",) if sites[0].window.frames < 2 else ()),
-            *(flag for one in drawn for flag in one.flags if flag not in ("prior-bound", "several-modes")),
-        )
+        findings = point_distrust.findings(sites, fitter, found, pedestals)
+        if response.curved:
+            findings.append(finding("gamma", response.effect))
+        if self.context.sensor and any(site.cut.any() for site in sites):
+            findings.append(finding("saturated", "wells may be full before the digitiser; MTF50 may be 26 to 43 % low"))
+        if any("not-converged" in one.flags for one in drawn):
+            findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
         common = {
             **self._common,
-            "flags": tuple(dict.fromkeys(flags)),
             "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), response.note),
         }
         total = sum(one.share for one in found)
@@ -228,21 +226,22 @@ class _Task:
         for name, cosine, angle in (("mtf", 1.0, 0.0), ("mtf_vertical", -1.0, 90.0)):
             aperture = sites[0].aperture
             known = np.abs(aperture.horizontal(frequency) if cosine > 0 else aperture.vertical(frequency))
-            draws = known * np.concatenate([
+            draws = known * np.abs(np.concatenate([
                 one.fit.form.camera(posterior.draws[:count], frequency, np.array([cosine]))[:, 0]
                 for one, posterior, count in zip(found, drawn, counts, strict=True)
-            ])  # fmt: skip
+            ]))  # fmt: skip
             fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
             one = {**common, "orientation_deg": angle}
             own = [_level(quantity, at, fine, drawn[0], one) for quantity, at in LEVELS.items()]
             own += [
-                from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **_peaked(one, pinned[:, index]))
+                _peaked(from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **one), pinned[:, index])
                 for index, f in enumerate(PINNED)
             ]
             doubt = aperture.video.doubt if aperture.video is not None and cosine > 0 else None
             crossing = partial(_crossing, fine)
             measurements += [doubted(number, doubt, crossing) for number in own]
             curves[name] = curve_of(REPORTED, reported)
+        measurements = [one.with_(findings=findings) for one in measurements]
         return Result(
             measurements=doubted_where_sharp(measurements, sites[0].window),
             curves=curves,
@@ -312,12 +311,15 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
         )
         return refused(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_peaked(common, kept))
+    return _peaked(from_draws(quantity, "cy/px", kept, posterior=posterior, **common), kept)
 
 
-def _peaked(common: dict, draws: Array) -> dict:
-    """Return what measurements share, flagged where the draws of this one have several peaks."""
-    return {**common, "flags": (*common["flags"], "several-modes")} if has_several_peaks(draws[:, None]) else common
+def _peaked(one: Measurement, draws: Array) -> Measurement:
+    """Return a number, flagged where its draws have several peaks."""
+    if not has_several_peaks(draws[:, None]):
+        return one
+    low, high = np.quantile(draws, (0.16, 0.84))
+    return one.with_(findings=[finding("several-modes", f"peaks of the draws lie about {low:.3g} and {high:.3g}")])
 
 
 def _notes(

@@ -20,6 +20,8 @@ SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
 # Widths of pulses over that of all of the blur, where what lies before the gain need not be of its form.
 WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
+# Values that a gain is known from, at least: Student's distribution of fewer has hardly a variance.
+LEAST_VALUES = 4.0
 # Places of the pulses: spacing and reach, px. Pixels whose noise is compared lie this near.
 STEP_PX, REACH_PX, NEAR_PX = 0.6, 10.2, 5.0
 RADII_PX = np.linspace(0.0, 16.0, 80)
@@ -195,7 +197,10 @@ def _pulse(at: Array, places: Array, sigma: float) -> Array:
     return ndtr((off + half) / sigma) - ndtr((off - half) / sigma)
 
 
-def pulses_of(samples: Array, dark: Array, units: Sequence[Array], factor: Array, near: NDArray[np.int64]) -> Pulses:
+def pulses_of(
+    samples: Array, dark: Array, units: Sequence[Array], factor: Array, near: NDArray[np.int64],
+    fitted: Array | None = None,
+) -> Pulses:  # fmt: skip
     """Return the pulses that make independent samples of the noise most probable.
 
     Parameters
@@ -210,12 +215,24 @@ def pulses_of(samples: Array, dark: Array, units: Sequence[Array], factor: Array
         What fields and frames share of a pulse, shape (pixel, pixel).
     near
         Pixels that are compared.
+    fitted
+        Directions in which a fit took noise out of the samples, shape (pixel, direction); None: none.
+
+    Notes
+    -----
+    Half of the odds before the samples are those of the first unit. A variance known from few values, n by its Fisher
+    information, makes Student's distribution of what it weighs, whose variance is n / (n - 2) times as large: so is
+    the gain.
     """
     both = np.ix_(near, near)
     root = np.linalg.inv(np.linalg.cholesky(dark[both]))
+    if fitted is not None:
+        # Restricted likelihood: only what lies across the fitted directions has the noise's variance.
+        basis = np.linalg.qr(root @ fitted[near], mode="complete")[0]
+        root = basis[:, fitted.shape[1] :].T @ root
     white = samples[:, near] @ root.T
     found = []
-    for unit in units:
+    for number, unit in enumerate(units):
         values, vectors = np.linalg.eigh(root @ (unit * factor)[both] @ root.T)
         values = np.maximum(values, 0.0)
         gains = GAINS / max(float(values.mean()), 1e-300)
@@ -223,6 +240,8 @@ def pulses_of(samples: Array, dark: Array, units: Sequence[Array], factor: Array
         variance = gains[:, None] * values + 1.0
         fit = -0.5 * (len(white) * np.log(variance) + power / variance).sum(axis=1)
         top = int(np.argmax(fit))
-        found.append((float(fit[top]), float(gains[top])))
+        told = max(len(white) * float(np.sum((1.0 - 1.0 / variance[top]) ** 2)), LEAST_VALUES)
+        odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
+        found.append((float(fit[top]) - odds, float(gains[top]) * told / (told - 2.0)))
     best = int(np.argmax([fit for fit, _ in found]))
     return Pulses(gain=found[best][1], unit=units[best])
