@@ -49,7 +49,7 @@ def findings(sites: list[Site], fitter: PointFitter, found: list[Weighed], pedes
     if {"ln_half_frequency", "stretch"} & set(bound):
         out.append(finding("prior-bound", f"{', '.join(bound)} at its limit; MTF50 may lie anywhere beyond"))
     for site, pedestal in zip(sites, pedestals, strict=True):
-        if site.window.keep.all():
+        if site.window.sound:
             window = site.window
             frames = window.frames_above(float(pedestal))
             out += moved(motion_flags(frames, *window.centred, window.row_parity))
@@ -138,7 +138,7 @@ def response(sites: list[Site], fit: FormFit) -> Response:
     transfer = fit.form.transfer(fit.point[None], radial(sites[0].aperture.top)[1], cosines())[0]
     found = []
     for site, light in zip(sites, fit.light, strict=True):
-        if site.window.frames < 2 or site.pulses is None or not site.window.keep.all():
+        if site.window.frames < 2 or site.pulses is None or not site.window.sound:
             continue
         mean = light * pictures(site.aperture, transfer, *site.axes)[0]
         pulses, dark = site.pulses.covariance * site.memory.between_rows(site.window.parity), dark_noise(site)

@@ -17,7 +17,7 @@ from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import distrust as point_distrust
 from charact.mtf.point import source as point_source
 from charact.mtf.point.choice import Weighed, fitted
-from charact.mtf.point.data import window_of
+from charact.mtf.point.data import beside, window_of
 from charact.mtf.point.findings import finding
 from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.pixels import Site
@@ -119,7 +119,9 @@ def point_parametric(
     best = found[0].fit
     weak = best.light < LEAST_LIGHT * point_distrust.light_errors(fitter, best)
     if weak.any():
-        return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out", "no-target")
+        beside = sum(len(site.window.neighbours) for site in sites)
+        crowd = f"; {beside} neighbours stand in the way, --roi around one that stands alone" if beside else ""
+        return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out{crowd}", "no-target")
     return task.result(sites, fitter, found, stack.notes)
 
 
@@ -148,7 +150,7 @@ def _site(part: FrameStack, context: Context) -> Site | tuple[str, str]:
     halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
     window = window_of(
         part.data, source.row, source.col, pitch_ratio=context.pitch_ratio, full_scale_dn=full, halo_radius_px=halo,
-        filtered=context.sensor is not None,
+        filtered=context.sensor is not None, neighbours=source.neighbours,
     )  # fmt: skip
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LEAST_KEPT * height.sum():
@@ -157,7 +159,7 @@ def _site(part: FrameStack, context: Context) -> Site | tuple[str, str]:
     site = Site(
         window=window,
         aperture=Aperture(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor)),
-        dark=dark_of(part.data, source.row, source.col),
+        dark=dark_of(part.data, source.row, source.col, beside(part.shape[1:], source.neighbours, context.pitch_ratio)),
         memory=memory_of(context, window.frames),
         full_scale_dn=full,
         screen=context.sensor is not None,
@@ -328,16 +330,15 @@ def _notes(
     """Return what a reader may want to know and what lowers no trust."""
     parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
     out = [f"Form of the point spread by evidence: {parts}."]
-    cut, lost = (sum(int(np.count_nonzero(mask)) for mask in masks) for masks in (
-        [site.cut.any(axis=0) for site in sites],
-        [~site.window.keep.ravel() & ~site.cut.any(axis=0) for site in sites],
-    ))  # fmt: skip
+    cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
     if cut:
         out.append(f"{cut} pixels at full scale count as at least that.")
         if context.sensor is not None:
             out.append("A camera's wells may be full before its digitiser: less light keeps both below full scale.")
-    if lost:
-        out.append(f"{lost} pixels that the video filter spoils behind full scale are left out.")
+            lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
+            out.append(f"{lost} pixels behind full scale, which the video filter spoils, are left out.")
+    if beside := sum(len(site.window.neighbours) for site in sites):
+        out.append(f"{beside} neighbours of the source are masked; the light of near ones is fitted too.")
     if pinhole == 0.0:
         out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
     if all(one.fit.form.wide is None for one in found):

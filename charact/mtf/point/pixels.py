@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
 GUESSED = PointForm(core="exponential")
 PLACINGS = 3
+# Neighbours further away than the core's corner and their own core reach are masked, and not modelled, px.
+FELT_PX = 16.0
 # Fewest pixels near a source whose noise is looked at.
 LEAST_NEAR = 9
 # Share of the brightest pixel by which the first guess distrusts bright ones.
@@ -290,7 +292,7 @@ def pixels(site: Site, transfer: Array, light: float) -> Pixels:
     mean = light * (matrix @ transfer.ravel())
     slopes = np.zeros((used.size, 2))
     slopes[:size] = light * pictures(site.aperture, transfer, *site.axes)[1:3].T
-    nuisance = np.concatenate([level, slopes], axis=1)
+    nuisance = np.concatenate([level, slopes, _neighbours(site, transfer)], axis=1)
     whole = covariance(site, mean, light)
     root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole[np.ix_(used, used)])), np.float64)
     white = root @ nuisance[used]
@@ -307,6 +309,18 @@ def pixels(site: Site, transfer: Array, light: float) -> Pixels:
         rounding=rounding(site, mean)[np.ix_(used, used)],
         censored=_censored(site, hidden, matrix, nuisance, back, raw, data, whole) if hidden.any() else None,
     )
+
+
+def _neighbours(site: Site, transfer: Array) -> Array:
+    """Return pictures of the sources beside this one and their changes with their places, shape (value, 3 each)."""
+    window, columns = site.window, []
+    for at, ring_px in zip(window.neighbours, window.neighbour_ring_px, strict=True):
+        if np.hypot(*at) > FELT_PX:
+            continue
+        core = pictures(site.aperture, transfer, window.x - at[0], window.y - at[1])[:3]
+        rings = ring_matrix(site.aperture, ring_px) @ transfer.ravel()
+        columns += [np.append(core[0], rings), *(np.append(one, np.zeros(rings.size)) for one in core[1:])]
+    return np.stack(columns, axis=1) if columns else np.empty((site.used.size, 0))
 
 
 def _censored(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.point.source import BARE, BARE_SD
+
 Array = NDArray[np.float64]
 
 # Surroundings from which noise is taken: beyond this distance, px, and where the region is small beyond this share.
@@ -59,11 +61,14 @@ class Dark:
         return self.variance * ((1.0 - self.common) * np.eye(len(shared)) + self.common * shared)
 
 
-def dark_of(data: NDArray, row: int, col: int) -> Dark:
-    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness."""
+def dark_of(data: NDArray, row: int, col: int, beside: NDArray[np.bool_] | bool = False) -> Dark:
+    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness.
+
+    Pixels `beside`, shape (row, col), are those of other sources.
+    """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
-    far = (distance > min(FAR_PX, FAR_SHARE * float(distance.max()))) & (distance < 4.0 * FAR_PX)
+    far = (distance > min(FAR_PX, FAR_SHARE * float(distance.max()))) & (distance < 4.0 * FAR_PX) & ~np.asarray(beside)
     frames = data[:MOST_FRAMES].astype(float)
     if len(frames) > 1:
         off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)
@@ -73,10 +78,14 @@ def dark_of(data: NDArray, row: int, col: int) -> Dark:
         fitted = np.linalg.lstsq(plane, frames[0][far], rcond=None)[0]
         every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
         off, freedom = frames - every, 1.0
+    rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
+    if len(frames) == 1 and np.any(beside):
+        # Light of neighbours lies above what is bare, and would pass for noise that pixels share.
+        low, high = np.quantile(off[0, far], BARE)
+        return Dark(variance=max(float((high - low) / BARE_SD) ** 2, rounding))
     # A flash of one ion is no noise of the camera.
     centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
     variance = float((centre[:, far] ** 2).mean()) / freedom
-    rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
     if variance <= rounding:
         return Dark(variance=rounding)
     return _correlated(np.where(far, centre, 0.0), far, variance * freedom, variance)
