@@ -1,8 +1,8 @@
 """Points that others draw: GalSim and prysm make the pictures, charact measures them, closed forms hold the truth.
 
-`python -m benchmarks.studies.strangers_points [--count 400] [--seed 1]` prints one line a kind of spot, one for all, and
-how far single-frame points err beyond the Cramer-Rao bound of the fit by their own form. GalSim draws Gaussian, Airy,
-Kolmogorov and Moffat spots, prysm propagates pupils out of focus; each goes through a square pixel.
+`python -m benchmarks.studies.strangers_points [--count 400] [--seed 1]` prints one line a kind of spot, one for all,
+and how far single-frame points err beyond the Cramer-Rao bound of the fit by their own form. GalSim draws Gaussian,
+Airy, Kolmogorov and Moffat spots, prysm propagates pupils out of focus; each goes through a square pixel.
 """
 
 import argparse
@@ -264,7 +264,7 @@ def cramer_rao(one: Spot, by: Camera, angle_deg: float) -> float:
     Free are light, level, place, the form's parameters and, where the spot is drawn with one, its shear.
     """
     own = [*one.shape, one.shear]
-    free = [index for index, value in enumerate(own) if index < len(one.shape) and value != 0.0 or value != 0.0]
+    free = [index for index, value in enumerate(own) if value != 0.0]
 
     def moved(index: int, by_: float) -> Spot:
         parameters = own.copy()
@@ -338,9 +338,8 @@ def main() -> None:
                 print(index // 2, row)
     faint = [row for row in at_the_bound(asked.bound, asked.seed) if np.isfinite(row.value)]
     ratios = np.array([(row.value - row.truth) / row.bound for row in faint])
-    print(
-        f"peak {FAINT:g} sd, one frame: {len(faint)} numbers err {np.sqrt(np.mean(ratios**2)):.2f} times the bound (rms)"
-    )
+    rms = np.sqrt(np.mean(ratios**2))
+    print(f"peak {FAINT:g} sd, one frame: {len(faint)} numbers err {rms:.2f} times the bound (rms)")
     for kind in KINDS:
         own = ratios[[row.kind == kind for row in faint]]
         if own.size:

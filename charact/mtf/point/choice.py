@@ -33,7 +33,9 @@ CORES: dict[Core, float] = {
 }  # fmt: skip
 TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 # Departures from the best form, fraction of the transfer: small and large, and their odds before the data.
-DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.25
+DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
+# Most cores that are tried with light beyond them.
+MOST_CORES = 4
 TURNS = 2
 WIDE_SIZES = 6
 
@@ -123,7 +125,7 @@ def forms(fitter: PointFitter, starts: dict[PointForm, Array], wide: tuple[Wide,
             found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
     near = _within(found, NEAR)
     for light in wide:
-        for core in _within(found, CLOSE):
+        for core in _within(found, CLOSE)[:MOST_CORES]:
             more = _with_wide(fitter, core, light, -np.inf if core in near else WORTH_CHI2)
             found += [] if more is None else [more]
     if any(isinstance(light, HaloPrior) for light in wide):
@@ -131,18 +133,15 @@ def forms(fitter: PointFitter, starts: dict[PointForm, Array], wide: tuple[Wide,
         found = [one for one in found if one.form.wide is not None and np.isfinite(one.log_evidence)] or found
     best = max(found, key=_weight)
     found += [
-        fitter.fit(form, _moved(best, form))
-        for size in DEPARTURES
-        if (form := replace(best.form, departures=size))
+        fitter.fit(form, _moved(best, form)) for size in DEPARTURES if (form := replace(best.form, departures=size))
     ]
     return _weighed(found)
 
 
 def _within(found: list[FormFit], distance: float) -> list[FormFit]:
-    """Return the cores whose ln of the evidence comes within a distance of the best."""
-    cores = [one for one in found if one.form.wide is None]
-    top = max(_weight(one) for one in cores)
-    return [one for one in cores if _weight(one) > top - distance]
+    """Return the cores whose ln of the evidence comes within a distance of the best, which comes first."""
+    cores = sorted((one for one in found if one.form.wide is None), key=lambda one: -_weight(one))
+    return [one for one in cores if _weight(one) > _weight(cores[0]) - distance]
 
 
 def _two_blurs(fitter: PointFitter, tube: FormFit) -> FormFit:

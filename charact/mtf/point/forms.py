@@ -5,6 +5,7 @@ cosine of twice the angle, as an ellipse's is nearly.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -95,38 +96,25 @@ class PointForm:
     @property
     def blur_parameters(self) -> int:
         """Number of parameters before those of the light beyond the core."""
-        return self._core_parameters + int(self.lens) + int(not self.round)
+        return self.core_parameters + int(self.lens) + int(not self.round)
 
     @property
-    def _family(self) -> Family:
+    def family(self) -> Family:
         """The family of a core that has one."""
         names = {"exponential": "exponential", "kolmogorov": "exponential", "moffat": "moffat"}
         return Family(core=names.get(self.core, "gaussian"))  # type: ignore[arg-type]
 
     @property
-    def _core_parameters(self) -> int:
+    def core_parameters(self) -> int:
+        """Number of the core's parameters."""
         if self.core in PUPILS:
             return 1 + len(PUPILS[self.core])
-        return 1 if self.core == "kolmogorov" else self._family.core_parameters
+        return 1 if self.core == "kolmogorov" else self.family.core_parameters
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
         """Unit and bounds of each parameter by name."""
-        core = dict(list(self._family.parameters.items())[: 1 if self.core in PUPILS else self._core_parameters])
-        core.update({name: PUPIL_PARAMETERS[name] for name in PUPILS.get(self.core, ())})
-        if self.lens:
-            if "exponent" in core:
-                core["ln_half_frequency"], core["exponent"] = ("ln(cy/px)", TUBE), ("1", TAIL)
-            core["blur_px"] = ("px", BLUR_PX)
-        wide = self.wide.parameters if self.wide else {}
-        stretch = {} if self.round else {"stretch": ("1", STRETCH)}
-        out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **wide}
-        if self.departures:
-            most = 4.0 * self.departures
-            out.update({f"departure_{number}": ("1", (-most, most)) for number in range(len(BUMPS))})
-        if isinstance(self.pinhole_px, tuple):
-            out["pinhole_px"] = ("px", self.pinhole_px)
-        return out
+        return _parameters(self)
 
     @property
     def bounds(self) -> Array:
@@ -135,21 +123,7 @@ class PointForm:
 
     def prior(self) -> tuple[Array, Array]:
         """Return mean and precision of the Gaussian part of each parameter's prior; precision 0: flat in bounds."""
-        names = list(self.parameters)
-        mean, precision = np.zeros((2, len(names)))
-        for name, own, inverse in zip(self._family.parameters, *self._family.prior_precision(), strict=True):
-            if name in names:
-                mean[names.index(name)], precision[names.index(name)] = own, inverse
-        if self.lens and "exponent" in names:
-            mean[1], precision[1] = TAIL_PRIOR[0], TAIL_PRIOR[1] ** -2
-        known = {"stretch": STRETCH_SD, "defocus_square": DEFOCUS_SQUARE_SD}
-        known.update({f"departure_{number}": self.departures for number in range(len(BUMPS))})
-        for index, name in enumerate(names):
-            if name in known:
-                precision[index] = known[name] ** -2
-        if self.wide is not None:
-            precision[self.blur_parameters] = WIDE_SHARE_SD**-2
-        return mean, precision
+        return _prior(self)
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds, shape (n, parameter) -> (n,)."""
@@ -203,7 +177,7 @@ class PointForm:
 
     def _core(self, theta: Array, stretch: Array | None, frequency: Array, cosine: Array) -> Array:
         """Return the core along each direction: that of a half frequency which changes with the direction."""
-        shape = theta[:, : self._core_parameters]
+        shape = theta[:, : self.core_parameters]
         if stretch is None:
             one = self._modulus(shape, frequency)[:, None]
             return np.broadcast_to(one, (len(theta), cosine.size, frequency.size))
@@ -230,7 +204,7 @@ class PointForm:
             return pupil(frequency, cut_off, free.get("obscuration_square", none), free.get("defocus_square", none))
         if self.core == "kolmogorov":
             shape = np.concatenate([shape, np.full((len(shape), 1), TURBULENT)], axis=1)
-        return self._family.modulus(shape, frequency)
+        return self.family.modulus(shape, frequency)
 
     def source(self, theta: Array, frequency: Array) -> Array:
         """Return the transfer of the pinhole, shape (n, frequency)."""
@@ -244,3 +218,41 @@ class PointForm:
     def transfer(self, theta: Array, frequency: Array, cosine: Array) -> Array:
         """Return the transfer of blur and source, shape (n, direction, frequency)."""
         return self.camera(theta, frequency, cosine) * self.source(theta, frequency)[:, None]
+
+
+@lru_cache(maxsize=512)
+def _parameters(form: PointForm) -> dict[str, tuple[str, tuple[float, float]]]:
+    core = dict(list(form.family.parameters.items())[: 1 if form.core in PUPILS else form.core_parameters])
+    core.update({name: PUPIL_PARAMETERS[name] for name in PUPILS.get(form.core, ())})
+    if form.lens:
+        if "exponent" in core:
+            core["ln_half_frequency"], core["exponent"] = ("ln(cy/px)", TUBE), ("1", TAIL)
+        core["blur_px"] = ("px", BLUR_PX)
+    wide = form.wide.parameters if form.wide else {}
+    stretch = {} if form.round else {"stretch": ("1", STRETCH)}
+    out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **wide}
+    if form.departures:
+        most = 4.0 * form.departures
+        out.update({f"departure_{number}": ("1", (-most, most)) for number in range(len(BUMPS))})
+    if isinstance(form.pinhole_px, tuple):
+        out["pinhole_px"] = ("px", form.pinhole_px)
+    return out
+
+
+@lru_cache(maxsize=512)
+def _prior(form: PointForm) -> tuple[Array, Array]:
+    names = list(form.parameters)
+    mean, precision = np.zeros((2, len(names)))
+    for name, own, inverse in zip(form.family.parameters, *form.family.prior_precision(), strict=True):
+        if name in names:
+            mean[names.index(name)], precision[names.index(name)] = own, inverse
+    if form.lens and "exponent" in names:
+        mean[1], precision[1] = TAIL_PRIOR[0], TAIL_PRIOR[1] ** -2
+    known = {"stretch": STRETCH_SD, "defocus_square": DEFOCUS_SQUARE_SD}
+    known.update({f"departure_{number}": form.departures for number in range(len(BUMPS))})
+    for index, name in enumerate(names):
+        if name in known:
+            precision[index] = known[name] ** -2
+    if form.wide is not None:
+        precision[form.blur_parameters] = WIDE_SHARE_SD**-2
+    return mean, precision

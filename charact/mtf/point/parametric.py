@@ -201,9 +201,7 @@ class _Task:
             for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
         ))  # fmt: skip
 
-    def result(
-        self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...]
-    ) -> Result:
+    def result(self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...]) -> Result:
         """Return measurements and curves of fitted sources."""
         drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])

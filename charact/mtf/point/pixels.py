@@ -175,7 +175,9 @@ def _left_of(site: Site, transfer: Array, sd: Array) -> _Left:
     shown = pictures(site.aperture, transfer, *site.axes)[:3].T
     design = np.concatenate([shown, site.background()[: core.size]], axis=1)
     found = np.linalg.lstsq(design[core] / sd[core, None], site.window.core.ravel()[core] / sd[core], rcond=None)[0]
-    return _Left(coefficients=found, design=design, residual=site.window.core.ravel() - design @ found)
+    return _Left(
+        coefficients=np.asarray(found, np.float64), design=design, residual=site.window.core.ravel() - design @ found
+    )
 
 
 def _replaced(site: Site, transfer: Array, sd: Array) -> tuple[Site, float]:
