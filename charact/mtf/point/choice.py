@@ -36,7 +36,11 @@ TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
 # Most cores that are tried with light beyond them.
 MOST_CORES = 4
-TURNS = 2
+# Part of the noise that a form leaves of one frame by which the next turn weighs: forms that fit better are found where
+# misfit does not pass for noise.
+LOWER = (0.1, 1.0)
+# Half frequency in focus over that of the blur, and square of the defocus, from which a defocus is looked for besides.
+FAR_FROM_FOCUS = (2.0, 0.25)
 WIDE_SIZES = 6
 
 
@@ -60,11 +64,11 @@ def fitted(sites: list[Site], pinhole: float | tuple[float, float], wide: tuple[
     first = next(form for form in cores if form.core == "exponential")
     fitter = _prepared(sites, first, first.start(np.log(half)), None)
     starts = {form: form.start(np.log(half)) for form in cores}
-    for _ in range(TURNS):
-        fits = [fitter.fit(form, starts[form]) for form in cores]
+    for lower in LOWER:
+        fits = [_of_pupil(fitter, form, starts[form]) for form in cores]
         starts = {fit.form: fit.point for fit in fits}
         best = max(fits, key=lambda fit: _likelihood(sites, fit))
-        sites, fitter = _again(sites, best)
+        sites, fitter = _again(sites, best, lower)
     found = forms(fitter, starts, wide)
     if found[0].fit.form != best.form:
         # Place and noise were those of a simpler form.
@@ -81,9 +85,19 @@ def _likelihood(sites: list[Site], fit: FormFit) -> float:
     return sum(noise_likelihood(site, fit) for site in sites) - fit.point.size
 
 
-def _again(sites: list[Site], fit: FormFit) -> tuple[list[Site], PointFitter]:
+def _of_pupil(fitter: PointFitter, form: PointForm, start: Array) -> FormFit:
+    """Fit a form, one with a defocus from near focus and from far off it."""
+    near = fitter.fit(form, start)
+    if "defocus_square" not in form.parameters:
+        return near
+    far = start.copy()
+    far[0], far[list(form.parameters).index("defocus_square")] = start[0] + np.log(FAR_FROM_FOCUS[0]), FAR_FROM_FOCUS[1]
+    return min(near, fitter.fit(form, far), key=lambda one: one.cost)
+
+
+def _again(sites: list[Site], fit: FormFit, lower: float = 1.0) -> tuple[list[Site], PointFitter]:
     """Return sources with place and noise as a form sees them, and their fitter."""
-    sites = [with_noise(site, fit, float(light)) for site, light in zip(sites, fit.light, strict=True)]
+    sites = [with_noise(site, fit, float(light), lower=lower) for site, light in zip(sites, fit.light, strict=True)]
     return sites, _prepared(sites, fit.form, fit.point, fit.light)
 
 

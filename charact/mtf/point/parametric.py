@@ -117,8 +117,9 @@ def point_parametric(
         sites.append(site)
     sites, fitter, found = fitted(sites, task.pinhole, _wides(sites, parts, context))
     best = found[0].fit
+    # The noise of a single frame's light is hardly known: there the search for the source decides.
     weak = best.light < LEAST_LIGHT * point_distrust.light_errors(fitter, best)
-    if weak.any():
+    if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         beside = sum(len(site.window.neighbours) for site in sites)
         crowd = f"; {beside} neighbours stand in the way, --roi around one that stands alone" if beside else ""
         return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out{crowd}", "no-target")

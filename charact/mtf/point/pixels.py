@@ -188,10 +188,11 @@ def _replaced(site: Site, transfer: Array, sd: Array) -> tuple[Site, float]:
     return replace(site, place=place), float(np.abs(move).max())
 
 
-def _first_sd(site: Site) -> Array:
-    """Return standard deviations of the core's pixels before the noise of their light is known, shape (pixel,)."""
+def _sd(site: Site) -> Array:
+    """Return standard deviations of the core's pixels, as far as the noise of their light is known, shape (pixel,)."""
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
-    return np.sqrt(site.dark.variance + FIRST_SHARE * height * height.max() + (EXACT * height.max()) ** 2)
+    light = FIRST_SHARE * height * height.max() if site.pulses is None else np.diag(site.pulses.covariance)
+    return np.sqrt(site.dark.variance + light + (EXACT * height.max()) ** 2)
 
 
 def noise_likelihood(site: Site, fit: FormFit) -> float:
@@ -200,20 +201,20 @@ def noise_likelihood(site: Site, fit: FormFit) -> float:
     Forms can be compared by it before the noise is known: one that does not fit takes its misfit for noise.
     """
     transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
-    left, near = _left_of(site, transfer, _first_sd(site)), site.near
+    left, near = _left_of(site, transfer, _sd(site)), site.near
     light = np.maximum(left.coefficients[0] * left.design[near, 0], 0.0)
     gains = GAINS[:, None] * site.dark.variance / max(float(light.mean()), 1e-300)
     variance = site.dark.variance + gains * light
     return float(np.max(-0.5 * np.sum(np.log(variance) + left.residual[near] ** 2 / variance, axis=1)))
 
 
-def with_noise(site: Site, fit: FormFit, light: float) -> Site:
+def with_noise(site: Site, fit: FormFit, light: float, *, lower: float = 1.0) -> Site:
     """Return a source at its place by a fitted form, with the noise of its light.
 
-    That is what the frames' differences show, or of a single frame what the form leaves.
+    That is what the frames' differences show, or of a single frame what the form leaves, or a `lower` part of it.
     """
     transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
-    site, _ = _replaced(site, transfer, _first_sd(site))
+    site, _ = _replaced(site, transfer, _sd(site))
     x, y = site.axes
     mean = light * pictures(site.aperture, transfer, x, y)[0]
     near = site.near
@@ -224,10 +225,10 @@ def with_noise(site: Site, fit: FormFit, light: float) -> Site:
     factor = site.memory.between_rows(site.window.parity)
     if site.window.frames > 1:
         return replace(site, pulses=pulses_of(site.window.contrasts, dark_noise(site), units, factor, near))
-    left = _left_of(site, transfer, _first_sd(site))
+    left = _left_of(site, transfer, _sd(site))
     fitted = np.concatenate([left.design, _slopes(site, fit)], axis=1)
     pulses = pulses_of(left.residual[None], dark_noise(site), units, factor, near, fitted)
-    return replace(site, pulses=pulses)
+    return replace(site, pulses=replace(pulses, gain=lower * pulses.gain))
 
 
 def _slopes(site: Site, fit: FormFit) -> Array:

@@ -23,7 +23,10 @@ SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
 WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
 # Values that a gain is known from, at least: Student's distribution of fewer has hardly a variance.
-LEAST_VALUES = 4.0
+LEAST_VALUES = 6.0
+# Noise of a dark pixel before the data, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified
+# cameras to ordinary ones. It matters where a single frame's few lit pixels hardly show the noise of their light.
+DARK_LN = (float(np.log(3.0)), 1.2)
 # Places of the pulses: spacing and reach, px. Pixels whose noise is compared lie this near.
 STEP_PX, REACH_PX, NEAR_PX = 0.6, 10.2, 5.0
 RADII_PX = np.linspace(0.0, 16.0, 80)
@@ -229,11 +232,11 @@ def pulses_of(
 
     Notes
     -----
-    Half of the odds before the samples are those of the first unit. A variance known from few values, n by its Fisher
-    information, makes Student's distribution of what it weighs, whose variance is n / (n - 2) times as large: so is
-    the gain.
+    Half of the odds before the samples are those of the first unit. The gain is the median of its posterior. One known
+    from few values, n where the variance of its ln is 2 / n, makes Student's distribution of what it weighs, whose
+    variance is n / (n - 2) times as large.
     """
-    both = np.ix_(near, near)
+    both, quiet_dn = np.ix_(near, near), float(np.sqrt(dark[near[0], near[0]]))
     root = np.linalg.inv(np.linalg.cholesky(dark[both]))
     if fitted is not None:
         # Restricted likelihood: only what lies across the fitted directions has the noise's variance.
@@ -248,9 +251,14 @@ def pulses_of(
         power = ((white @ vectors) ** 2).sum(axis=0)
         variance = gains[:, None] * values + 1.0
         fit = -0.5 * (len(white) * np.log(variance) + power / variance).sum(axis=1)
-        top = int(np.argmax(fit))
-        told = max(len(white) * float(np.sum((1.0 - 1.0 / variance[top]) ** 2)), LEAST_VALUES)
+        fit = fit - 0.5 * ((np.log(quiet_dn / gains) - DARK_LN[0]) / DARK_LN[1]) ** 2
+        weight = np.exp(fit - fit.max())
+        weight /= weight.sum()
+        ln = np.log(gains)
+        spread = float(weight @ (ln - weight @ ln) ** 2)
+        values_told = max(2.0 / spread, LEAST_VALUES)
+        median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
         odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
-        found.append((float(fit[top]) - odds, float(gains[top]) * told / (told - 2.0)))
+        found.append((float(fit.max()) - odds, median * values_told / (values_told - 2.0)))
     best = int(np.argmax([fit for fit, _ in found]))
     return Pulses(gain=found[best][1], unit=units[best])
