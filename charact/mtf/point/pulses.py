@@ -256,7 +256,7 @@ def pulses_of(
         weight /= weight.sum()
         ln = np.log(gains)
         spread = float(weight @ (ln - weight @ ln) ** 2)
-        values_told = max(2.0 / spread, LEAST_VALUES)
+        values_told = max(2.0 / max(spread, 1e-9), LEAST_VALUES)
         median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
         odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
         found.append((float(fit.max()) - odds, median * values_told / (values_told - 2.0)))
