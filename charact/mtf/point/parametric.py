@@ -316,11 +316,11 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
 
 
 def _peaked(one: Measurement, draws: Array) -> Measurement:
-    """Return a number, flagged where its draws have several peaks."""
+    """Return a number, with a note where its draws have several peaks: the interval spans them."""
     if not has_several_peaks(draws[:, None]):
         return one
     low, high = np.quantile(draws, (0.16, 0.84))
-    return one.with_(findings=[finding("several-modes", f"peaks of the draws lie about {low:.3g} and {high:.3g}")])
+    return one.with_(notes=(*one.notes, f"Forms that fit as well put it at {low:.3g} and at {high:.3g}."))
 
 
 def _notes(

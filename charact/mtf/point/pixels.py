@@ -203,8 +203,8 @@ def noise_likelihood(site: Site, fit: FormFit) -> float:
     transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
     left, near = _left_of(site, transfer, _sd(site)), site.near
     light = np.maximum(left.coefficients[0] * left.design[near, 0], 0.0)
-    gains = GAINS[:, None] * site.dark.variance / max(float(light.mean()), 1e-300)
-    variance = site.dark.variance + gains * light
+    still = site.dark.variance + _rounding_variance(site)
+    variance = still + GAINS[:, None] * still / max(float(light.mean()), 1e-300) * light
     return float(np.max(-0.5 * np.sum(np.log(variance) + left.residual[near] ** 2 / variance, axis=1)))
 
 
@@ -227,8 +227,14 @@ def with_noise(site: Site, fit: FormFit, light: float, *, lower: float = 1.0) ->
         return replace(site, pulses=pulses_of(site.window.contrasts, dark_noise(site), units, factor, near))
     left = _left_of(site, transfer, _sd(site))
     fitted = np.concatenate([left.design, _slopes(site, fit)], axis=1)
-    pulses = pulses_of(left.residual[None], dark_noise(site), units, factor, near, fitted)
+    still = dark_noise(site) + _rounding_variance(site) * np.eye(mean.size)
+    pulses = pulses_of(left.residual[None], still, units, factor, near, fitted)
     return replace(site, pulses=replace(pulses, gain=lower * pulses.gain))
+
+
+def _rounding_variance(site: Site) -> float:
+    """Return the variance that rounding to codes adds to pixels as quiet as those without light, DN^2."""
+    return float(np.exp(-4.0 * np.pi**2 * min(site.window.quiet_sd, 9.0) ** 2)) / 12.0
 
 
 def _slopes(site: Site, fit: FormFit) -> Array:
@@ -277,7 +283,10 @@ def rounding(site: Site, mean: Array) -> Array:
         pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
     gain = 0.0 if site.pulses is None else site.pulses.gain
     scatter = np.append(pulse, np.full(mean.size - size, np.inf))
-    return rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
+    common = rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
+    # A height is known to a fraction of a code where it is small alone: beyond, each pixel is rounded by itself.
+    lit = np.append(np.clip(2.0 * np.abs(mean[:size]), 0.0, 1.0), np.zeros(mean.size - size))
+    return common + np.diag(lit * _rounding_variance(site) * np.exp(-4.0 * np.pi**2 * np.minimum(scatter, 9.0)))
 
 
 def pixels(site: Site, transfer: Array, light: float) -> Pixels:
