@@ -14,10 +14,7 @@ REMEDIES = {
     "drift": "a source and a camera at rest, or fewer frames",
     "gamma": "frames taken with a straight response (gamma 1)",
     "aliased": "a spot blurred over more pixels: larger magnification or f-number",
-    "several-modes": "more light, or more frames",
     "not-converged": "another --seed",
-    "no-target": "--roi around a source",
-    "quantised": "more light or gain, so that the noise spans several codes",
 }
 
 

@@ -201,8 +201,6 @@ class Task:
         findings = point_checks.findings(found, window, source, self.context)
         if "not-converged" in posterior.flags:
             findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
-        if "several-modes" in posterior.flags:
-            findings.append(finding("several-modes", "the draws have several peaks, which the interval spans"))
         common = {
             "method": METHOD,
             "notes": (

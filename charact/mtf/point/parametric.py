@@ -55,8 +55,9 @@ PINHOLE_PX = (0.0, 50.0)
     quantities=("mtf50", "mtf10", "mtf"),
     scope=(
         "Single point sources or pinholes of known, bounded or no size, light over 6 standard errors, one frame and "
-        "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, round, "
-        "elliptical or separable and up to 1.5 times as long as wide, with halo, disc or glare that the region shows; "
+        "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, "
+        "diffraction with or without hole and defocus, round, elliptical or separable and up to 1.5 times as long as "
+        "wide, with halo, disc or glare that the region shows, neighbours 5 px away or more; "
         "MTF50 below 0.42 cycles per pixel. "
         "Pixels at full scale count as at least that; before a described camera, whose wells may be full by then and "
         "whose video moves what is cut off, the number is suspect. Not told: a second source within the blur, a "
