@@ -10,6 +10,7 @@ from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.forms import Core, PointForm
 from charact.mtf.point.pixels import Site, noise_likelihood, pixels, placed, with_noise
 from charact.mtf.point.table import cosines, radial
+from charact.mtf.point.thresholds import FAR_FROM_FOCUS, LOWER, MOST_CORES
 
 Array = NDArray[np.float64]
 
@@ -34,13 +35,6 @@ CORES: dict[Core, float] = {
 TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 # Departures from the best form, fraction of the transfer: small and large, and their odds before the data.
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
-# Most cores that are tried with light beyond them.
-MOST_CORES = 4
-# Part of the noise that a form leaves of one frame by which the next turn weighs: forms that fit better are found where
-# misfit does not pass for noise.
-LOWER = (0.1, 1.0)
-# Half frequency in focus over that of the blur, and square of the defocus, from which a defocus is looked for besides.
-FAR_FROM_FOCUS = (2.0, 0.25)
 WIDE_SIZES = 6
 
 

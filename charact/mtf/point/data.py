@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.point.quiet import clipped_at_black, quiet_sd
+from charact.mtf.point.thresholds import NEIGHBOUR_PX
 
 Array = NDArray[np.float64]
 
@@ -17,8 +18,6 @@ RING_BORDERS_PX = (7.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
 SECTOR_PX, MOST_REACH_PX = 6.0, 1.0
 LEAST_PIXELS = 24
 PIXELS_PER_RING = 48
-# Pixels of the core and of rings this near a neighbouring source are its own, px: beyond, its light is modelled.
-NEIGHBOUR_PX = 3.0
 # Share of full scale from which single frames are clipped or their chip's wells full.
 FULL_SHARE = 0.97
 # Columns behind a full well that a causal filter spoils.

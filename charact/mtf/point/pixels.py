@@ -20,6 +20,7 @@ from charact.mtf.point.forward_fit import (
 )
 from charact.mtf.point.pulses import GAINS, NEAR_PX, Dark, Pulses, pulse_covariances, pulses_of
 from charact.mtf.point.table import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
+from charact.mtf.point.thresholds import FELT_PX
 
 Array = NDArray[np.float64]
 
@@ -27,8 +28,6 @@ Array = NDArray[np.float64]
 GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
 GUESSED = PointForm(core="exponential")
 PLACINGS = 3
-# Neighbours further away than the core's corner and their own core reach are masked, and not modelled, px.
-FELT_PX = 16.0
 # Fewest pixels near a source whose noise is looked at.
 LEAST_NEAR = 9
 # Share of the brightest pixel by which the first guess distrusts bright ones.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.source import BARE, BARE_SD
+from charact.mtf.point.thresholds import BARE, BARE_SD
 
 Array = NDArray[np.float64]
 

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.point.thresholds import ALIKE, ALONE_PX, BARE, BARE_SD, MOST_PEAKS, NEXT_PX, SADDLE
+
 Array = NDArray[np.float64]
 
 SMOOTHING_PX = 1.2
@@ -14,14 +16,7 @@ STEADY = 4.0
 # Another source counts from this fraction of the first one on, outside its halo's inner part.
 OTHER_SHARE = 0.08
 APART_PX = 12.0
-# Neighbours: peaks this far from the source at least, px, with this part of the lower one's height or less between.
-NEXT_PX, SADDLE = 5, 0.5
-# Of several sources as bright as this part of the brightest one that stands alone this far, px, is meant, the one
-# nearest to the middle of the region.
-ALIKE, ALONE_PX = 0.25, 8.0
-# Quantiles of a smoothed picture of which half or more is bare, and their distance in standard deviations.
-BARE, BARE_SD = (0.05, 0.25), 0.97
-LEAST_BACKGROUND, MOST_PEAKS = 60, 100
+LEAST_BACKGROUND = 60
 # Least standard deviation of a smoothed background of whole codes, DN: what rounding hides.
 ROUNDING_DN = 0.05
 
