@@ -134,7 +134,8 @@ def forms(fitter: PointFitter, starts: dict[PointForm, Array], wide: tuple[Wide,
     near = _within(found, NEAR)
     for light in wide:
         for core in _within(found, CLOSE)[:MOST_CORES]:
-            more = _with_wide(fitter, core, light, -np.inf if core in near else WORTH_CHI2)
+            always = core in near or isinstance(light, HaloPrior)
+            more = _with_wide(fitter, core, light, -np.inf if always else WORTH_CHI2)
             found += [] if more is None else [more]
     if any(isinstance(light, HaloPrior) for light in wide):
         # A described intensifier has a halo, of however little light.

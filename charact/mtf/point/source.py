@@ -55,50 +55,43 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     smooth = _smoothed(data)
     steady = np.median(smooth, axis=0)
     level = float(np.median(steady))
-    peaks = _peaks(steady, level)
-    row, col = peaks[0]
+    row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     spread = _spread(steady[_away(steady.shape, row, col, pitch_ratio)], level, data)
     height = float(steady[row, col]) - level
-    crowd = f"; {len(peaks) - 1} neighbours as bright stand in the way" if len(peaks) > 1 else ""
-    if height < DETECTED * spread and len(peaks) > 1:
-        # Neighbours cover so much of the region that they pass for its noise: what lies below them is bare.
-        low, high = np.quantile(steady, BARE)
-        level, spread = float(high), max(float(high - low) / BARE_SD, _least_spread(data))
-        peaks = _peaks(steady, level)
-        row, col = peaks[0]
-        height = float(steady[row, col]) - level
-    significance = height / spread
-    if significance < DETECTED:
-        stands = f"{rounded_down(significance):.1f} standard deviations out of {DETECTED:g} needed"
-        return f"no target: the brightest spot stands {stands}{crowd}"
+    if height < DETECTED * spread:
+        stands = f"{rounded_down(height / spread):.1f} standard deviations out of {DETECTED:g} needed"
+        # Neighbours that cover much of the region pass for its noise: what lies below them is bare.
+        low, high = (float(one) for one in np.quantile(steady, BARE))
+        bare = max((high - low) / BARE_SD, _least_spread(data))
+        if float(steady[row, col]) - high < DETECTED * bare:
+            return f"no target: the brightest spot stands {stands}"
+        if len(_peaks(steady, high, DETECTED * bare)) < 2:
+            return f"no target: light all over the region, of neighbours or uneven ground, hides it; it stands {stands}"
+        level, spread, height = high, bare, float(steady[row, col]) - high
+    least = max(DETECTED * spread, OTHER_SHARE * height)
+    (row, col), *beside = _peaks(steady, level, least)
+    significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
     if steadiness < STEADY:
         stands = f"{rounded_down(steadiness):.1f} standard errors over the frames out of {STEADY:g} needed"
         return f"no target: the brightest spot stands {stands}"
-    least = max(DETECTED * spread, OTHER_SHARE * height)
     high = _away(steady.shape, row, col, pitch_ratio) & (steady - level > least)
     others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= STEADY)
-    neighbours = tuple(
-        place for place in peaks[1:]
-        if steady[place] - level > least and _steadiness(smooth[:, *place] - level, spread) >= STEADY
-    )  # fmt: skip
-    return Source(row=row, col=col, significance=significance, others=others, neighbours=neighbours)
+    steady_ones = tuple(at for at in beside if _steadiness(smooth[:, *at] - level, spread) >= STEADY)
+    return Source(row=row, col=col, significance=significance, others=others, neighbours=steady_ones)
 
 
-def _peaks(steady: Array, level: float) -> list[tuple[int, int]]:
-    """Return the source that is meant and the peaks beside it, from high to low.
+def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
+    """Return the source that is meant and the peaks beside it, from high to low, that stand so far over a level.
 
     A peak on its flank, with no saddle between them, is part of it.
     """
     from scipy import ndimage
 
     highest = ndimage.maximum_filter(steady, size=5)
-    rows, cols = np.nonzero((steady == highest) & (steady - level > OTHER_SHARE * (float(steady.max()) - level)))
+    rows, cols = np.nonzero((steady == highest) & (steady - level >= least))
     order = np.argsort(-steady[rows, cols], kind="stable")[:MOST_PEAKS]
     peaks = list(zip(rows[order].tolist(), cols[order].tolist(), strict=True))
-    if not peaks:
-        row, col = np.unravel_index(int(np.argmax(steady)), steady.shape)
-        return [(int(row), int(col))]
     middle = 0.5 * (np.array(steady.shape) - 1.0)
     bright = [place for place in peaks if steady[place] - level > ALIKE * (steady[peaks[0]] - level)]
     apart = {place: min([ALONE_PX, *(float(np.hypot(*np.subtract(place, o))) for o in peaks if o != place)])

@@ -6,8 +6,8 @@ NEXT_PX = 5
 SADDLE = 0.5
 # Part of the brightest source's height; a region is drawn around one that is not much fainter than its neighbours.
 ALIKE = 0.25
-# px; a source alone this far shares no core pixel with a neighbour of 1 px sigma (8 sigma).
-ALONE_PX = 8.0
+# px; a source alone this far keeps its own pixels: those of two sources, `NEIGHBOUR_PX` about each, do not touch.
+ALONE_PX = 6.0
 # px; pixels this near a neighbour are its own: three sigma of a spot of 1 px.
 NEIGHBOUR_PX = 3.0
 # px; light of neighbours is modelled up to the corner of the core (9 px) and their own reach (7 px).
