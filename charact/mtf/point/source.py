@@ -5,7 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.thresholds import ALIKE, ALONE_PX, BARE, BARE_SD, MOST_PEAKS, NEXT_PX, SADDLE
+from charact.mtf.point.thresholds import (
+    ALIKE,
+    ALONE_PX,
+    BARE,
+    BARE_SD,
+    DENSE,
+    LEAST_NEIGHBOURS,
+    MOST_PEAKS,
+    NEXT_PX,
+    SADDLE,
+)  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -58,16 +68,17 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     spread = _spread(steady[_away(steady.shape, row, col, pitch_ratio)], level, data)
     height = float(steady[row, col]) - level
+    # Neighbours that cover much of the region pass for its noise: what lies below them is bare.
+    low, high = (float(one) for one in np.quantile(steady, BARE))
+    bare, over = max((high - low) / BARE_SD, _least_spread(data)), float(steady[row, col]) - high
+    if height < DENSE * DETECTED * spread and over > DETECTED * bare:
+        alike = _peaks(steady, high, max(DETECTED * bare, ALIKE * over))
+        if sum(bool(_steadiness(smooth[:, *at] - high, bare) >= STEADY) for at in alike) > LEAST_NEIGHBOURS:
+            level, spread, height = high, bare, over
     if height < DETECTED * spread:
         stands = f"{rounded_down(height / spread):.1f} standard deviations out of {DETECTED:g} needed"
-        # Neighbours that cover much of the region pass for its noise: what lies below them is bare.
-        low, high = (float(one) for one in np.quantile(steady, BARE))
-        bare = max((high - low) / BARE_SD, _least_spread(data))
-        if float(steady[row, col]) - high < DETECTED * bare:
-            return f"no target: the brightest spot stands {stands}"
-        if len(_peaks(steady, high, DETECTED * bare)) < 2:
-            return f"no target: light all over the region, of neighbours or uneven ground, hides it; it stands {stands}"
-        level, spread, height = high, bare, float(steady[row, col]) - high
+        crowd = "; light of neighbours or uneven ground stands in the way" if over > DETECTED * bare else ""
+        return f"no target: the brightest spot stands {stands}{crowd}"
     least = max(DETECTED * spread, OTHER_SHARE * height)
     (row, col), *beside = _peaks(steady, level, least)
     significance = (float(steady[row, col]) - level) / spread

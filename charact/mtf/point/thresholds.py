@@ -14,6 +14,9 @@ NEIGHBOUR_PX = 3.0
 FELT_PX = 16.0
 # Quantiles of a smoothed picture of which half or more is bare, and their distance in standard deviations (normal law).
 BARE, BARE_SD = (0.05, 0.25), 0.97
+# A source this many times as high as is needed stands out whatever its neighbours do; below, this many neighbours as
+# bright as `ALIKE` make a dense field.
+DENSE, LEAST_NEIGHBOURS = 3.0, 3
 # Peaks of a region that are looked at, for speed.
 MOST_PEAKS = 100
 # Cores that are tried with light beyond them, the likeliest ones, for speed.
