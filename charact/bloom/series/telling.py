@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.choice import Candidate
+from charact.bloom.series.leak import leak
 from charact.bloom.series.likelihood import Solved
 from charact.bloom.series.plate import TiringProblem
 from charact.bloom.series.spread import encircled, glare, halo_of
@@ -164,7 +165,11 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     beside = told[:, 0] + told[:, 1] * rng.standard_normal(len(told))
     beside = beside * _as_told(best, "veiling_glare", len(beside), posterior)
     draws = 100.0 * beside / (1.0 + np.maximum(beside, 0.0))
-    return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
+    reach = float(best.problem.series.radius_px[-1])
+    light = np.median(solved.amplitudes[:, 0], axis=1)
+    near = (float(np.median(beside)), float(np.hypot(beside.std(), np.median(told[:, 1]))))
+    number = from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)
+    return [number.with_(findings=leak(group, light, reach, area, near))]
 
 
 def plate_told(forms: list[Candidate], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],

@@ -6,12 +6,14 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.memory import memory_of
 from charact.mtf.point.data import Window
+from charact.mtf.point.findings import finding, moved
 from charact.mtf.point.forward_fit import PointFit
 from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.noise import near_pixels
 from charact.mtf.point.profile import evidence, rounding_note
-from charact.mtf.point.response import profile, response_of
+from charact.mtf.point.response import Response, profile, response_of
 from charact.mtf.point.source import Source
+from labdata.flags import Finding
 
 Array = NDArray[np.float64]
 
@@ -27,31 +29,39 @@ HALOS_PX, RIM_PX, HALO_ERRORS = (8.0, 11.0, 15.0, 20.0, 27.0, 36.0), 2.0, 3.0
 FALLING, LEAST_FRAMES = 0.35, 4
 
 
-def flags(found: PointFit, window: Window, source: Source, context: Context) -> tuple[str, ...]:
-    """Return the flags of a fitted source."""
+def findings(found: PointFit, window: Window, source: Source, context: Context) -> list[Finding]:
+    """Return what the pixels show against the numbers of a fitted source."""
     out = []
     if not window.keep.all():
-        out.append("saturated")
+        lost = 100.0 * float(np.mean(~window.keep))
+        out.append(finding("saturated", f"full scale spoils {lost:.0f} % of the core's pixels, which are left out"))
     if window.clipped:
-        out.append("clipped")
+        out.append(finding("clipped", "noise below the lowest code is cut off; MTF50 is half a standard error high"))
     if found.light < LOW_LIGHT * found.light_sd:
-        out.append("low-signal")
-    if window.frames < 3:
-        out.append("too-few-frames")
-    if found.chi2 / found.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / found.free) or (
-        context.sensor is None and _halo_stands_out(found)
-    ):
-        out.append("model-misfit")
+        stands = found.light / found.light_sd
+        effect = f"the light stands {stands:.1f} standard errors out; intervals are tested from {LOW_LIGHT:g} on"
+        out.append(finding("low-signal", effect))
+    halo = context.sensor is None and _halo_stands_out(found)
+    if halo or found.chi2 / found.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / found.free):
+        effect = f"residuals are {np.sqrt(found.chi2 / found.free):.2g} times the noise"
+        beyond = (
+            "; light about the core, which lowers MTF50 by its fraction of the light, is not counted" if halo else ""
+        )
+        out.append(finding("model-misfit", effect + beyond))
     if source.others:
-        out.append("several-targets")
+        out.append(finding("several-targets", "light of another source in the region is not modelled"))
     if window.cut or (context.sensor is not None and not window.holds_halo):
-        out.append("window-too-small")
+        effect = "light beyond the region is not counted; MTF50 may be high by the fraction of the light there"
+        out.append(finding("window-too-small", effect))
     if _leans(found, context):
-        out.append("prior-bound")
+        effect = f"the core stands at a limit or {STRANGE:g} standard deviations off the description"
+        out.append(finding("prior-bound", effect))
     if window.keep.all():
-        out += motion_flags(window.frames_above(found.pedestal), *window.centred, window.row_parity)
-        out += ["gamma"] if _noise_falls(found, window, context) else []
-    return tuple(out)
+        out += moved(motion_flags(window.frames_above(found.pedestal), *window.centred, window.row_parity))
+        response = _response(found, window, context)
+        if response is not None and response.curved and response.power < -FALLING:
+            out.append(finding("gamma", response.effect))
+    return out
 
 
 def _halo_stands_out(found: PointFit) -> bool:
@@ -82,13 +92,13 @@ def _disc(radius_px: Array, diameter_px: float) -> Array:
     return 0.5 * (1.0 - np.tanh((radius_px - 0.5 * diameter_px) / RIM_PX)) / (0.25 * np.pi * diameter_px**2)
 
 
-def _noise_falls(found: PointFit, window: Window, context: Context) -> bool:
-    """Tell whether the frames' noise grows less with the light than pulses make it: only a flattened response does.
+def _response(found: PointFit, window: Window, context: Context) -> Response | None:
+    """Return what the frames' noise says of the response: only a flattened one makes it grow less than pulses do.
 
     The pulses are of a few widths only, so that noise may seem to grow faster where it does not.
     """
     if found.noise is None or window.frames < LEAST_FRAMES:
-        return False
+        return None
     light = found.light * found.model.core(found.point[None])[0].ravel()
     pulses = found.noise.gain * found.light * found.noise.pulse
     pulses = pulses * memory_of(context, window.frames).between_rows(window.parity)
@@ -96,8 +106,7 @@ def _noise_falls(found: PointFit, window: Window, context: Context) -> bool:
     near = near_pixels(found.model, found.point)
     near = near[window.noisy(np.diag(pulses + dark)[near])]
     both = np.ix_(near, near)
-    response = response_of([profile(window.contrasts[:, near], light[near], pulses[both], dark[both])])
-    return response.curved and response.power < -FALLING
+    return response_of([profile(window.contrasts[:, near], light[near], pulses[both], dark[both])])
 
 
 def _leans(found: PointFit, context: Context) -> bool:

@@ -7,13 +7,14 @@ from numpy.typing import NDArray
 
 from charact.mtf.forms.families import HaloPrior, Wide
 from charact.mtf.point.form_fit import FormFit, PointFitter
-from charact.mtf.point.forms import PointForm
-from charact.mtf.point.pixels import Site, pixels, placed, with_noise
+from charact.mtf.point.forms import Core, PointForm
+from charact.mtf.point.pixels import Site, noise_likelihood, pixels, placed, with_noise
 from charact.mtf.point.table import cosines, radial
+from charact.mtf.point.thresholds import FAR_FROM_FOCUS, LOWER, MOST_CORES
 
 Array = NDArray[np.float64]
 
-# A form this much less probable than the best, as a share, adds nothing to the draws.
+# A form this much less probable than the best, as a fraction, adds nothing to the draws.
 LEAST_SHARE = 0.02
 # Forms within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 8.0
@@ -24,10 +25,16 @@ WORTH_CHI2 = 4.0
 # Odds before the data of each of the two kinds of light beyond a core, of which the camera's description says nothing:
 # together they are as likely as none.
 WIDE_ODDS = 0.5
-# Odds before the data of two blurs of different form, which every tube behind a lens has, and of blurs along rows and
-# columns apart.
-LENS_ODDS, SEPARABLE_ODDS = 1.0, 0.2
-TURNS = 2
+# Odds before the data of blurs along rows and columns apart.
+SEPARABLE_ODDS = 0.2
+# Cores of any camera and those of a tube, and their odds before the data: those with a parameter more share theirs.
+CORES: dict[Core, float] = {
+    "gaussian": 1.0, "kolmogorov": 0.5, "exponential": 0.5, "moffat": 0.5, "airy": 0.5, "hole": 0.25, "defocus": 0.25,
+    "pupil": 0.25,
+}  # fmt: skip
+TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
+# Departures from the best form, fraction of the transfer: small and large, and their odds before the data.
+DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
 WIDE_SIZES = 6
 
 
@@ -46,36 +53,55 @@ def fitted(sites: list[Site], pinhole: float | tuple[float, float], wide: tuple[
     begun = [placed(site) for site in sites]
     sites = [site for site, _ in begun]
     half = float(np.median([guess for _, guess in begun]))
-    form = PointForm(core="exponential", pinhole_px=pinhole)
-    fitter, best = _prepared(sites, form, form.start(np.log(half)), None)
-    for _ in range(TURNS):
-        core = fitter.fit(PointForm(core="gaussian", pinhole_px=pinhole), _moved(best, "gaussian"))
-        tube = fitter.fit(form, best.point if best.form == form else _moved(best, "exponential"))
-        best = max((core, tube), key=lambda one: one.log_evidence)
-        sites = [with_noise(site, best, float(light)) for site, light in zip(sites, best.light, strict=True)]
-        fitter, best = _prepared(sites, best.form, best.point, best.light)
-    found = forms(fitter, best, wide)
+    described = sites[0].screen
+    cores = [PointForm(core=core, round=not described, pinhole_px=pinhole) for core in (TUBES if described else CORES)]
+    first = next(form for form in cores if form.core == "exponential")
+    fitter = _prepared(sites, first, first.start(np.log(half)), None)
+    starts = {form: form.start(np.log(half)) for form in cores}
+    for lower in LOWER:
+        fits = [_of_pupil(fitter, form, starts[form]) for form in cores]
+        starts = {fit.form: fit.point for fit in fits}
+        best = max(fits, key=lambda fit: _likelihood(sites, fit))
+        sites, fitter = _again(sites, best, lower)
+    found = forms(fitter, starts, wide)
     if found[0].fit.form != best.form:
         # Place and noise were those of a simpler form.
         sites, fitter = _again(sites, found[0].fit)
-        found = forms(fitter, fitter.fit(best.form, best.point), wide)
+        found = forms(fitter, starts, wide)
     return sites, fitter, found
 
 
-def _again(sites: list[Site], fit: FormFit) -> tuple[list[Site], PointFitter]:
+def _likelihood(sites: list[Site], fit: FormFit) -> float:
+    """Return by what forms are compared before the noise is known: single frames by what each leaves."""
+    if sites[0].window.frames > 1:
+        return fit.log_evidence
+    # A parameter takes half a unit of ln of the likelihood by chance (Akaike).
+    return sum(noise_likelihood(site, fit) for site in sites) - fit.point.size
+
+
+def _of_pupil(fitter: PointFitter, form: PointForm, start: Array) -> FormFit:
+    """Fit a form, one with a defocus from near focus and from far off it."""
+    near = fitter.fit(form, start)
+    if "defocus_square" not in form.parameters:
+        return near
+    far = start.copy()
+    far[0], far[list(form.parameters).index("defocus_square")] = start[0] + np.log(FAR_FROM_FOCUS[0]), FAR_FROM_FOCUS[1]
+    return min(near, fitter.fit(form, far), key=lambda one: one.cost)
+
+
+def _again(sites: list[Site], fit: FormFit, lower: float = 1.0) -> tuple[list[Site], PointFitter]:
     """Return sources with place and noise as a form sees them, and their fitter."""
-    sites = [with_noise(site, fit, float(light)) for site, light in zip(sites, fit.light, strict=True)]
-    return sites, _prepared(sites, fit.form, fit.point, fit.light)[0]
+    sites = [with_noise(site, fit, float(light), lower=lower) for site, light in zip(sites, fit.light, strict=True)]
+    return sites, _prepared(sites, fit.form, fit.point, fit.light)
 
 
-def _prepared(sites: list[Site], form: PointForm, point: Array, light: Array | None) -> tuple[PointFitter, FormFit]:
-    """Return a fitter whose weights and slopes are those of a form, and that form fitted by it."""
+def _prepared(sites: list[Site], form: PointForm, point: Array, light: Array | None) -> PointFitter:
+    """Return a fitter whose weights and slopes are those of a form."""
     top = sites[0].aperture.top
     transfer = form.transfer(point[None], radial(top)[1], cosines())[0]
     if light is None:
         light = np.array([_light(site) for site in sites])
-    fitter = PointFitter([pixels(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)], top)
-    return fitter, fitter.fit(form, point)
+    return PointFitter([pixels(site, transfer, float(one)) for site, one in zip(sites, light, strict=True)], top)
 
 
 def _light(site: Site) -> float:
@@ -84,55 +110,67 @@ def _light(site: Site) -> float:
     return max(float((site.window.core - site.window.border_dn).sum()) * area, 1e-9)
 
 
-def _moved(fit: FormFit, core: str, **changes) -> Array:
+def _moved(fit: FormFit, form: PointForm) -> Array:
     """Return where to begin with another form: what both have in common as it was found."""
-    form = replace(fit.form, core=core, **changes)  # type: ignore[arg-type]
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
-    for index, name in enumerate(form.parameters):
-        if name in ("stretch", "pinhole_px") and name in known:
-            start[index] = known[name]
-    return start
+    return np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)])
 
 
-def forms(fitter: PointFitter, first: FormFit, wide: tuple[Wide, ...]) -> list[Weighed]:
+def forms(fitter: PointFitter, starts: dict[PointForm, Array], wide: tuple[Wide, ...]) -> list[Weighed]:
     """Fit the forms that the data may ask for and return them with their shares, the most probable first."""
-    pinhole = first.form.pinhole_px
-    gaussian = fitter.fit(PointForm(core="gaussian", pinhole_px=pinhole), _moved(first, "gaussian"))
-    tube = PointForm(core="exponential", pinhole_px=pinhole)
-    exponential = fitter.fit(tube, first.point if first.form == tube else _moved(gaussian, "exponential"))
-    found = [gaussian, exponential]
-    if exponential.log_evidence > gaussian.log_evidence - CLOSE:
-        found.append(fitter.fit(replace(tube, core="moffat"), _moved(exponential, "moffat")))
-        lens = replace(tube, lens=True)
-        half = 1.3 * float(np.exp(exponential.point[0]))
-        begun = []
-        for blur in (0.3, 0.7):
-            start = _moved(exponential, "exponential", lens=True)
-            names = list(lens.parameters)
-            start[0], start[names.index("blur_px")] = np.log(half), blur
-            begun.append(fitter.fit(lens, start))
-        found.append(min(begun, key=lambda one: one.cost))
-        apart = replace(tube, separable=True)
-        if abs(float(exponential.point[1]) - 2.0) > 2.0 * np.sqrt(exponential.covariance[1, 1]):
-            found.append(fitter.fit(apart, exponential.point))
-    top = max(one.log_evidence for one in found)
-    cores = [one for one in found if one.log_evidence > top - CLOSE]
+    found = [fitter.fit(form, start) for form, start in starts.items()]
+    found += [
+        fitter.fit(form, _moved(one, form))
+        for one in _within(found, CLOSE)
+        if one.form.round and (form := replace(one.form, round=False))
+    ]
+    tubes = [one for one in found if one.form.core == "exponential"]
+    likeliest = max(tubes, key=lambda one: one.log_evidence)
+    if likeliest in _within(found, CLOSE):
+        found.append(_two_blurs(fitter, likeliest))
+        if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(likeliest.covariance[1, 1]):
+            found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
+    near = _within(found, NEAR)
     for light in wide:
-        for core in cores:
-            worth = WORTH_CHI2 if core.log_evidence < top - NEAR else -np.inf
-            more = _with_wide(fitter, core, light, worth)
+        for core in _within(found, CLOSE)[:MOST_CORES]:
+            always = core in near or isinstance(light, HaloPrior)
+            more = _with_wide(fitter, core, light, -np.inf if always else WORTH_CHI2)
             found += [] if more is None else [more]
     if any(isinstance(light, HaloPrior) for light in wide):
         # A described intensifier has a halo, of however little light.
         found = [one for one in found if one.form.wide is not None and np.isfinite(one.log_evidence)] or found
+    best = max(found, key=_weight)
+    found += [
+        fitter.fit(form, _moved(best, form)) for size in DEPARTURES if (form := replace(best.form, departures=size))
+    ]
     return _weighed(found)
 
 
-def _odds(form: PointForm) -> float:
-    """Return the odds of a form before the data."""
-    wide = 1.0 if form.wide is None or isinstance(form.wide, HaloPrior) else WIDE_ODDS
-    return wide * (LENS_ODDS if form.lens else 1.0) * (SEPARABLE_ODDS if form.separable else 1.0)
+def _within(found: list[FormFit], distance: float) -> list[FormFit]:
+    """Return the cores whose ln of the evidence comes within a distance of the best, which comes first."""
+    cores = sorted((one for one in found if one.form.wide is None), key=lambda one: -_weight(one))
+    return [one for one in cores if _weight(one) > _weight(cores[0]) - distance]
+
+
+def _two_blurs(fitter: PointFitter, tube: FormFit) -> FormFit:
+    """Fit a tube's form with a Gaussian beside it, from two widths."""
+    form = replace(tube.form, lens=True)
+    begun = []
+    for blur in (0.3, 0.7):
+        start = _moved(tube, form)
+        start[0] += np.log(1.3)
+        start[list(form.parameters).index("blur_px")] = blur
+        begun.append(fitter.fit(form, start))
+    return min(begun, key=lambda one: one.cost)
+
+
+def _weight(fit: FormFit) -> float:
+    """Return ln of a form's evidence with its odds before the data."""
+    form = fit.form
+    odds = CORES[form.core] * (SEPARABLE_ODDS if form.separable else 1.0)
+    odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloPrior) else WIDE_ODDS
+    return fit.log_evidence + float(np.log(odds * (DEPARTURES_ODDS if form.departures else 1.0)))
 
 
 def _with_wide(fitter: PointFitter, core: FormFit, wide: Wide, worth: float) -> FormFit | None:
@@ -153,7 +191,7 @@ def _with_wide(fitter: PointFitter, core: FormFit, wide: Wide, worth: float) -> 
 
 
 def _weighed(found: list[FormFit]) -> list[Weighed]:
-    evidence = np.array([fit.log_evidence for fit in found]) + np.log([_odds(fit.form) for fit in found])
+    evidence = np.array([_weight(fit) for fit in found])
     share = np.exp(evidence - evidence.max())
     share /= share.sum()
     return [Weighed(fit=found[i], share=float(share[i])) for i in np.argsort(-share) if share[i] > LEAST_SHARE]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.point.quiet import clipped_at_black, quiet_sd
+from charact.mtf.point.thresholds import NEIGHBOUR_PX
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,9 @@ class Window:
     deviations
         Frames of the core less their mean, shape (frame, row x col), DN.
     keep
-        Core pixels that are not spoilt by full scale, shape (row, col).
+        Core pixels that neither full scale nor a neighbour spoils, shape (row, col).
+    sound
+        Whether full scale spoils none of the core's pixels.
     x, y
         Places of columns and rows from the middle of the core, column pitches.
     parity
@@ -55,11 +58,16 @@ class Window:
         Whether the region holds the whole halo, and whether it cuts into the core.
     clipped
         Whether the noise of pixels without light was cut off at black.
+    neighbours
+        Columns and rows of other sources from the middle of the core, shape (neighbour, 2), column pitches.
+    neighbour_ring_px
+        Distances of pixels of each ring from each of them, shape (neighbour, ring, pixel), column pitches.
     """
 
     core: Array
     deviations: Array
     keep: NDArray[np.bool_]
+    sound: bool
     x: Array
     y: Array
     parity: NDArray[np.bool_]
@@ -73,6 +81,8 @@ class Window:
     holds_halo: bool
     cut: bool
     clipped: bool
+    neighbours: Array
+    neighbour_ring_px: Array
 
     def ring_covariance(self, variance: Array) -> Array:
         """Return the covariance of the rings' means of given variances, shape (ring, ring), DN^2."""
@@ -126,7 +136,8 @@ class Window:
 
 
 def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_scale_dn: float | None,
-              halo_radius_px: float | None, filtered: bool) -> Window:  # fmt: skip
+              halo_radius_px: float | None, filtered: bool,
+              neighbours: tuple[tuple[int, int], ...] = ()) -> Window:  # fmt: skip
     """Cut the pixels around a place.
 
     Parameters
@@ -137,6 +148,8 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         Largest radius of the halo, column pitches; None where none is known.
     filtered
         Whether a causal filter runs along rows behind the chip.
+    neighbours
+        Rows and columns of other sources, px.
     """
     frames, rows, cols = data.shape
     top, bottom = max(0, row - HALF_ROWS), min(rows, row + HALF_ROWS + 1)
@@ -149,16 +162,21 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
     radius = np.hypot(np.arange(cols) - col, ((np.arange(rows) - row) * pitch_ratio)[:, None])
     outside = np.ones((rows, cols), bool)
     outside[top:bottom, left:right] = False
+    own = ~beside(mean.shape, neighbours, pitch_ratio)
+    outside &= own
     reach = min(row * pitch_ratio, (rows - 1 - row) * pitch_ratio, col, cols - 1 - col)
-    rings = _rings(data, mean, radius, outside, row, col, reach)
+    rings = _rings(mean, radius, outside, row, col, reach, pitch_ratio)
+    places = np.array([(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float).reshape(-1, 2)
     far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
     values = data[:, far] if far.any() else data.reshape(frames, -1)
     floor = float(values.var(axis=0, ddof=1).mean()) if frames > 1 else float(values.var())
     rounded = data.dtype.kind in "ui"
+    sound = _sound(core, full_scale_dn, filtered)
     return Window(
         core=core.mean(axis=0),
         deviations=(core - core.mean(axis=0)).reshape(frames, -1),
-        keep=_sound(core, full_scale_dn, filtered),
+        keep=sound & own[top:bottom, left:right],
+        sound=bool(sound.all()),
         x=x,
         y=y,
         parity=parity,
@@ -172,7 +190,20 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
         cut=core.shape[1:] != (2 * HALF_ROWS + 1, 2 * HALF_COLS + 1),
         clipped=clipped_at_black(values),
+        neighbours=places,
+        neighbour_ring_px=np.array(
+            [[_some(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in places]
+        ).reshape(len(places), len(rings[4]), PIXELS_PER_RING),
     )
+
+
+def beside(shape: tuple[int, ...], neighbours: tuple[tuple[int, int], ...], pitch_ratio: float) -> NDArray[np.bool_]:
+    """Tell which pixels lie so near a neighbouring source that they are its own, shape (row, col)."""
+    rows, cols = np.ogrid[: shape[0], : shape[1]]
+    near = np.zeros(shape, bool)
+    for row, col in neighbours:
+        near |= np.hypot(cols - col, (rows - row) * pitch_ratio) < NEIGHBOUR_PX
+    return near
 
 
 def _sound(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[np.bool_]:
@@ -188,26 +219,33 @@ def _sound(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[
     return ~spoilt
 
 
-def _rings(data: NDArray, mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col: int,
-           reach: float) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Return distances, means, variances and correlations of the rings that lie in the picture."""
+def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col: int, reach: float,
+           pitch_ratio: float) -> tuple[Array, Array, Array, Array, list[Array]]:  # fmt: skip
+    """Return distances, means, variances and correlations of rings, and columns and rows of their pixels."""
     angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
-    distances, values, sectors, pixels, lengths = [], [], [], [], []
+    distances, values, sectors, pixels, lengths, places = [], [], [], [], [], []
     for low, high in pairwise(RING_BORDERS_PX):
         if high > reach:
             break
         inside = outside & (radius >= low) & (radius < high)
         if inside.sum() < LEAST_PIXELS:
             continue
-        distances.append(np.quantile(radius[inside], (np.arange(PIXELS_PER_RING) + 0.5) / PIXELS_PER_RING))
+        distances.append(_some(radius[inside]))
         values.append(float(mean[inside].mean()))
         sectors.append(_sectors(mean[inside], angle[inside], round(np.pi * (low + high) / SECTOR_PX)))
         pixels.append(float(inside.sum()))
         lengths.append((low, high))
+        y, x = np.nonzero(inside)
+        places.append(np.stack([x - col, (y - row) * pitch_ratio]))
     if not distances:
-        return np.empty((0, PIXELS_PER_RING)), np.empty(0), np.empty(0), np.empty((0, 0))
+        return np.empty((0, PIXELS_PER_RING)), np.empty(0), np.empty(0), np.empty((0, 0)), []
     variance, correlation = _ring_noise(sectors, np.array(pixels), np.array(lengths))
-    return np.array(distances), np.array(values), variance, correlation
+    return np.array(distances), np.array(values), variance, correlation, places
+
+
+def _some(distances: Array) -> Array:
+    """Return evenly spread quantiles of distances, shape (pixel,)."""
+    return np.quantile(distances, (np.arange(PIXELS_PER_RING) + 0.5) / PIXELS_PER_RING)
 
 
 def _sectors(values: Array, angle: Array, count: int) -> Array:

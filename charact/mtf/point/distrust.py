@@ -1,55 +1,76 @@
 """The ways in which points deceive a fit of forms, each looked for in the pixels."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.curve import FINE, falls_to
-from charact.mtf.point.choice import Weighed
+from charact.mtf.point.choice import DEPARTURES, Weighed
+from charact.mtf.point.findings import finding, moved
 from charact.mtf.point.form_fit import FormFit, PointFitter
+from charact.mtf.point.forms import BUMP_WIDTH, BUMPS
 from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.pixels import Site, dark_noise
 from charact.mtf.point.response import Response, profile, response_of
 from charact.mtf.point.table import cosines, pictures, radial
+from labdata.flags import Finding
 
 Array = NDArray[np.float64]
 
 # Chi squared that departures from a form may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
-# Where the transfer may depart, ln of frequency over half frequency, and how wide each bump is.
-BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
 MISFIT, SIGNIFICANT = 1.8, 5.0
 LOW_LIGHT = 10.0
 # Ratio of the half frequencies along rows and columns from which on light is that of no one source.
 ELONGATED = 1.5
 
 
-def flags(sites: list[Site], fitter: PointFitter, found: list[Weighed], pedestals: Array) -> tuple[str, ...]:
-    """Return the flags of fitted sources."""
+def findings(sites: list[Site], fitter: PointFitter, found: list[Weighed], pedestals: Array) -> list[Finding]:
+    """Return what the pixels show against the numbers of fitted sources."""
     fit, out = found[0].fit, []
     if any(site.window.clipped for site in sites):
-        out.append("clipped")
-    if (fit.light < LOW_LIGHT * light_errors(fitter, fit)).any():
-        out.append("low-signal")
+        out.append(finding("clipped", "noise below the lowest code is cut off; MTF50 is half a standard error high"))
+    stands = float((fit.light / light_errors(fitter, fit)).min())
+    if stands < LOW_LIGHT:
+        effect = f"the light stands {stands:.1f} standard errors out; intervals are tested from {LOW_LIGHT:g} on"
+        out.append(finding("low-signal", effect))
     if fit.chi2 / fit.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fit.free) or departs(sites, fitter, fit):
-        out.append("model-misfit")
-    if _elongated(fit):
-        out.append("several-targets")
+        out.append(finding("model-misfit", _misfit_effect(fitter, fit)))
+    along, down = _half_frequencies(fit)
+    if max(along / down, down / along) > ELONGATED:
+        effect = f"MTF50 along rows is {along / down:.2f} times that along columns; light beside the source does that"
+        out.append(finding("several-targets", effect))
     if any(site.window.cut or (site.screen and not site.window.holds_halo) for site in sites):
-        out.append("window-too-small")
-    at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)[: fit.form.blur_parameters]
-    if at.min() < 1e-6 and not fit.form.lens:
-        out.append("prior-bound")
+        effect = "light beyond the region is not counted; MTF50 may be high by the fraction of the light there"
+        out.append(finding("window-too-small", effect))
+    at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)
+    bound = [name for name, distance in zip(fit.form.parameters, at, strict=True) if distance < 1e-6]
+    if {"ln_half_frequency", "stretch"} & set(bound):
+        out.append(finding("prior-bound", f"{', '.join(bound)} at its limit; MTF50 may lie anywhere beyond"))
     for site, pedestal in zip(sites, pedestals, strict=True):
-        if site.window.keep.all():
+        if site.window.sound:
             window = site.window
-            out += motion_flags(window.frames_above(float(pedestal)), *window.centred, window.row_parity)
-    return tuple(dict.fromkeys(out))
+            frames = window.frames_above(float(pedestal))
+            out += moved(motion_flags(frames, *window.centred, window.row_parity))
+    return out
 
 
-def _elongated(fit: FormFit) -> bool:
-    """Tell whether light is spread much further along rows than along columns, or the other way."""
+def _half_frequencies(fit: FormFit) -> tuple[float, float]:
+    """Return the frequencies of one half along rows and along columns, cycles per column pitch, without aperture."""
     along, down = falls_to(FINE, fit.form.camera(fit.point[None], FINE, np.array([1.0, -1.0]))[0], 0.5)
-    return bool(max(along / down, down / along) > ELONGATED)
+    return float(along), float(down)
+
+
+def _misfit_effect(fitter: PointFitter, fit: FormFit) -> str:
+    """Return how far smooth departures that the pixels show move the half frequency."""
+    form = replace(fit.form, departures=max(DEPARTURES))
+    start = form.start(float(fit.point[0]))
+    known = dict(zip(fit.form.parameters, fit.point, strict=True))
+    free = fitter.fit(form, np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)]))
+    moves = [abs(b / a - 1.0) for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)]
+    left = np.sqrt(fit.chi2 / fit.free)
+    return f"residuals are {left:.2g} times the noise; departures from the form move MTF50 by {100 * max(moves):.2g} %"
 
 
 def light_errors(fitter: PointFitter, fit: FormFit) -> Array:
@@ -117,7 +138,7 @@ def response(sites: list[Site], fit: FormFit) -> Response:
     transfer = fit.form.transfer(fit.point[None], radial(sites[0].aperture.top)[1], cosines())[0]
     found = []
     for site, light in zip(sites, fit.light, strict=True):
-        if site.window.frames < 2 or site.pulses is None or not site.window.keep.all():
+        if site.window.frames < 2 or site.pulses is None or not site.window.sound:
             continue
         mean = light * pictures(site.aperture, transfer, *site.axes)[0]
         pulses, dark = site.pulses.covariance * site.memory.between_rows(site.window.parity), dark_noise(site)

@@ -12,6 +12,7 @@ from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import checks as point_checks
 from charact.mtf.point import source as point_source
 from charact.mtf.point.data import Window, window_of
+from charact.mtf.point.findings import finding
 from charact.mtf.point.forward_fit import PointFit, fit
 from charact.mtf.point.forward_model import Optics
 from charact.mtf.point.motion import motion_flags
@@ -197,9 +198,11 @@ class Task:
         self, found: PointFit, window: Window, source: point_source.Source, used: FrameStack, posterior: Posterior
     ) -> Result:
         """Return measurements, curves and evidence of a fitted source."""
+        findings = point_checks.findings(found, window, source, self.context)
+        if "not-converged" in posterior.flags:
+            findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
         common = {
             "method": METHOD,
-            "flags": (*point_checks.flags(found, window, source, self.context), *_of_chain(posterior)),
             "notes": (
                 *used.notes,
                 *point_checks.notes(found, window, self.context, self.pinhole_px),
@@ -215,16 +218,12 @@ class Task:
             measurements += [_level(quantity, level, fine, posterior, {**common, "orientation_deg": angle})
                              for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1))]  # fmt: skip
             curves[name] = curve_of(REPORTED, found.model.mtf(posterior.draws, REPORTED, vertical=vertical))
+        measurements = [one.with_(findings=findings) for one in measurements]
         return Result(
             measurements=doubted_where_sharp(measurements, window),
             curves=curves,
             evidence={"point-profile": point_checks.shown(found, window)},
         )
-
-
-def _of_chain(posterior: Posterior) -> tuple[str, ...]:
-    """Flags of the posterior; bounded parameters of the halo lean on theirs without harm."""
-    return tuple(flag for flag in posterior.flags if flag != "prior-bound")
 
 
 def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:

@@ -17,7 +17,8 @@ from charact.mtf.optics import halo_diameters_px
 from charact.mtf.point import distrust as point_distrust
 from charact.mtf.point import source as point_source
 from charact.mtf.point.choice import Weighed, fitted
-from charact.mtf.point.data import window_of
+from charact.mtf.point.data import beside, window_of
+from charact.mtf.point.findings import finding
 from charact.mtf.point.form_fit import FormFit, PointFitter
 from charact.mtf.point.pixels import Site
 from charact.mtf.point.profile import evidence, rounding_note
@@ -41,7 +42,7 @@ LEAST_KEPT = 0.2
 DRAWS, QUICK_DRAWS = 1000, 500
 # Effective draws by importance where the posterior of the only form is wanted quickly, draws to begin with, and the
 # least share of both that a form of little evidence gets, and of what it gets in full.
-QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT, LEAST_IN_FULL = 500.0, 1000, 0.5, 0.25
+QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT, LEAST_IN_FULL = 500.0, 1000, 0.25, 0.25
 MAX_STEPS = 1500
 # Rings that a disc or glare must leave bare.
 BARE_RINGS = 2
@@ -54,8 +55,9 @@ PINHOLE_PX = (0.0, 50.0)
     quantities=("mtf50", "mtf10", "mtf"),
     scope=(
         "Single point sources or pinholes of known, bounded or no size, light over 6 standard errors, one frame and "
-        "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, round, "
-        "elliptical or separable and up to 1.5 times as long as wide, with halo, disc or glare that the region shows; "
+        "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, "
+        "diffraction with or without hole and defocus, round, elliptical or separable and up to 1.5 times as long as "
+        "wide, with halo, disc or glare that the region shows, neighbours 5 px away or more; "
         "MTF50 below 0.42 cycles per pixel. "
         "Pixels at full scale count as at least that; before a described camera, whose wells may be full by then and "
         "whose video moves what is cut off, the number is suspect. Not told: a second source within the blur, a "
@@ -108,19 +110,21 @@ def point_parametric(
     if regions is not None and not regions:
         raise BadInput("several sources need at least one region, got none")
     parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
-    sites, crowded = [], False
+    sites = []
     for part in parts:
         site = _site(part, context)
         if isinstance(site, tuple):
             return task.nothing(*site)
-        sites.append(site[0] if isinstance(site, list) else site)
-        crowded |= isinstance(site, list)
+        sites.append(site)
     sites, fitter, found = fitted(sites, task.pinhole, _wides(sites, parts, context))
     best = found[0].fit
+    # The noise of a single frame's light is hardly known: there the search for the source decides.
     weak = best.light < LEAST_LIGHT * point_distrust.light_errors(fitter, best)
-    if weak.any():
-        return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out", "no-target")
-    return task.result(sites, fitter, found, stack.notes, crowded)
+    if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
+        beside = sum(len(site.window.neighbours) for site in sites)
+        crowd = f"; {beside} neighbours stand in the way, --roi around one that stands alone" if beside else ""
+        return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out{crowd}", "no-target")
+    return task.result(sites, fitter, found, stack.notes)
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
@@ -136,8 +140,8 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
     return float(pinhole_px or 0.0)
 
 
-def _site(part: FrameStack, context: Context) -> "Site | list[Site] | tuple[str, str]":
-    """Return the source of a part of the frames, in a list where others stand beside it, or why there is none."""
+def _site(part: FrameStack, context: Context) -> Site | tuple[str, str]:
+    """Return the source of a part of the frames, or why there is none."""
     if min(part.shape[1:]) < LEAST_PX:
         return f"a point needs a region of at least {LEAST_PX} x {LEAST_PX} px", "window-too-small"
     full = context.full_scale_dn or part.full_scale_dn
@@ -148,7 +152,7 @@ def _site(part: FrameStack, context: Context) -> "Site | list[Site] | tuple[str,
     halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
     window = window_of(
         part.data, source.row, source.col, pitch_ratio=context.pitch_ratio, full_scale_dn=full, halo_radius_px=halo,
-        filtered=context.sensor is not None,
+        filtered=context.sensor is not None, neighbours=source.neighbours,
     )  # fmt: skip
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LEAST_KEPT * height.sum():
@@ -157,12 +161,12 @@ def _site(part: FrameStack, context: Context) -> "Site | list[Site] | tuple[str,
     site = Site(
         window=window,
         aperture=Aperture(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor)),
-        dark=dark_of(part.data, source.row, source.col),
+        dark=dark_of(part.data, source.row, source.col, beside(part.shape[1:], source.neighbours, context.pitch_ratio)),
         memory=memory_of(context, window.frames),
         full_scale_dn=full,
         screen=context.sensor is not None,
     )
-    return [site] if source.others else site
+    return site
 
 
 def _wides(sites: list[Site], parts: list[FrameStack], context: Context) -> tuple[Wide, ...]:
@@ -199,24 +203,20 @@ class _Task:
             for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
         ))  # fmt: skip
 
-    def result(
-        self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...], crowded: bool
-    ) -> Result:
+    def result(self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...]) -> Result:
         """Return measurements and curves of fitted sources."""
         drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])
         response = point_distrust.response(sites, found[0].fit)
-        flags = (
-            *point_distrust.flags(sites, fitter, found, pedestals),
-            *(("gamma",) if response.curved else ()),
-            *(("saturated",) if self.context.sensor and any(site.cut.any() for site in sites) else ()),
-            *(("several-targets",) if crowded else ()),
-            *(("too-few-frames",) if sites[0].window.frames < 2 else ()),
-            *(flag for one in drawn for flag in one.flags if flag not in ("prior-bound", "several-modes")),
-        )
+        findings = point_distrust.findings(sites, fitter, found, pedestals)
+        if response.curved:
+            findings.append(finding("gamma", response.effect))
+        if self.context.sensor and any(site.cut.any() for site in sites):
+            findings.append(finding("saturated", "wells may be full before the digitiser; MTF50 may be 26 to 43 % low"))
+        if any("not-converged" in one.flags for one in drawn):
+            findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
         common = {
             **self._common,
-            "flags": tuple(dict.fromkeys(flags)),
             "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), response.note),
         }
         total = sum(one.share for one in found)
@@ -228,21 +228,22 @@ class _Task:
         for name, cosine, angle in (("mtf", 1.0, 0.0), ("mtf_vertical", -1.0, 90.0)):
             aperture = sites[0].aperture
             known = np.abs(aperture.horizontal(frequency) if cosine > 0 else aperture.vertical(frequency))
-            draws = known * np.concatenate([
+            draws = known * np.abs(np.concatenate([
                 one.fit.form.camera(posterior.draws[:count], frequency, np.array([cosine]))[:, 0]
                 for one, posterior, count in zip(found, drawn, counts, strict=True)
-            ])  # fmt: skip
+            ]))  # fmt: skip
             fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
             one = {**common, "orientation_deg": angle}
             own = [_level(quantity, at, fine, drawn[0], one) for quantity, at in LEVELS.items()]
             own += [
-                from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **_peaked(one, pinned[:, index]))
+                _peaked(from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **one), pinned[:, index])
                 for index, f in enumerate(PINNED)
             ]
             doubt = aperture.video.doubt if aperture.video is not None and cosine > 0 else None
             crossing = partial(_crossing, fine)
             measurements += [doubted(number, doubt, crossing) for number in own]
             curves[name] = curve_of(REPORTED, reported)
+        measurements = [one.with_(findings=findings) for one in measurements]
         return Result(
             measurements=doubted_where_sharp(measurements, sites[0].window),
             curves=curves,
@@ -312,12 +313,15 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
         )
         return refused(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    return from_draws(quantity, "cy/px", kept, posterior=posterior, **_peaked(common, kept))
+    return _peaked(from_draws(quantity, "cy/px", kept, posterior=posterior, **common), kept)
 
 
-def _peaked(common: dict, draws: Array) -> dict:
-    """Return what measurements share, flagged where the draws of this one have several peaks."""
-    return {**common, "flags": (*common["flags"], "several-modes")} if has_several_peaks(draws[:, None]) else common
+def _peaked(one: Measurement, draws: Array) -> Measurement:
+    """Return a number, with a note where its draws have several peaks: the interval spans them."""
+    if not has_several_peaks(draws[:, None]):
+        return one
+    low, high = np.quantile(draws, (0.16, 0.84))
+    return one.with_(notes=(*one.notes, f"Forms that fit as well put it at {low:.3g} and at {high:.3g}."))
 
 
 def _notes(
@@ -326,16 +330,15 @@ def _notes(
     """Return what a reader may want to know and what lowers no trust."""
     parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
     out = [f"Form of the point spread by evidence: {parts}."]
-    cut, lost = (sum(int(np.count_nonzero(mask)) for mask in masks) for masks in (
-        [site.cut.any(axis=0) for site in sites],
-        [~site.window.keep.ravel() & ~site.cut.any(axis=0) for site in sites],
-    ))  # fmt: skip
+    cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
     if cut:
         out.append(f"{cut} pixels at full scale count as at least that.")
         if context.sensor is not None:
             out.append("A camera's wells may be full before its digitiser: less light keeps both below full scale.")
-    if lost:
-        out.append(f"{lost} pixels that the video filter spoils behind full scale are left out.")
+            lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
+            out.append(f"{lost} pixels behind full scale, which the video filter spoils, are left out.")
+    if beside := sum(len(site.window.neighbours) for site in sites):
+        out.append(f"{beside} neighbours of the source are masked; the light of near ones is fitted too.")
     if pinhole == 0.0:
         out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
     if all(one.fit.form.wide is None for one in found):

@@ -18,8 +18,9 @@ from charact.mtf.point.forward_fit import (
     UNROUNDED_SD,
     rounding_covariance,
 )
-from charact.mtf.point.pulses import NEAR_PX, Dark, Pulses, pulse_covariances, pulses_of
+from charact.mtf.point.pulses import GAINS, NEAR_PX, Dark, Pulses, pulse_covariances, pulses_of
 from charact.mtf.point.table import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
+from charact.mtf.point.thresholds import FELT_PX
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
 GUESSED = PointForm(core="exponential")
 PLACINGS = 3
+# Fewest pixels near a source whose noise is looked at.
+LEAST_NEAR = 9
 # Share of the brightest pixel by which the first guess distrusts bright ones.
 FIRST_SHARE = 0.02
 # What the tables of the model are good for, share of a value and of a tenth of the brightest.
@@ -146,51 +149,100 @@ def placed(site: Site) -> tuple[Site, float]:
     return site, float(GUESSES[best])
 
 
-def _replaced(site: Site, transfer: Array, sd: Array) -> tuple[Site, float]:
-    """Return a source at the place where a transfer fits best, to first order, and how far it moved, px.
+@dataclass(frozen=True, kw_only=True)
+class _Left:
+    """What light, place and background leave of the core's pixels for a fixed transfer.
 
     Parameters
     ----------
-    sd
-        Standard deviations of the core's pixels that weigh them, shape (pixel,).
+    coefficients
+        Light, light times the place's shift along rows and columns, level and slopes.
+    design
+        Their pictures, shape (pixel, coefficient).
+    residual
+        What they leave, shape (pixel,), DN.
     """
+
+    coefficients: Array
+    design: Array
+    residual: Array
+
+
+def _left_of(site: Site, transfer: Array, sd: Array) -> _Left:
+    """Return what is left of the core's pixels, weighed by their standard deviations (pixel,)."""
     core = site.window.keep.ravel()
     shown = pictures(site.aperture, transfer, *site.axes)[:3].T
-    design = np.concatenate([shown, site.background()[: core.size]], axis=1)[core] / sd[core, None]
-    found = np.linalg.lstsq(design, site.window.core.ravel()[core] / sd[core], rcond=None)[0]
+    design = np.concatenate([shown, site.background()[: core.size]], axis=1)
+    found = np.linalg.lstsq(design[core] / sd[core, None], site.window.core.ravel()[core] / sd[core], rcond=None)[0]
+    return _Left(
+        coefficients=np.asarray(found, np.float64), design=design, residual=site.window.core.ravel() - design @ found
+    )
+
+
+def _replaced(site: Site, transfer: Array, sd: Array) -> tuple[Site, float]:
+    """Return a source at the place where a transfer fits best, to first order, and how far it moved, px."""
+    found = _left_of(site, transfer, sd).coefficients
     move = np.clip(-found[1:3] / max(float(found[0]), 1e-300), -1.0, 1.0)
     place = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
     return replace(site, place=place), float(np.abs(move).max())
 
 
-def with_noise(site: Site, fit: FormFit, light: float) -> Site:
-    """Return a source at its place by a fitted form, with the noise of its light.
+def _sd(site: Site) -> Array:
+    """Return standard deviations of the core's pixels, as far as the noise of their light is known, shape (pixel,)."""
+    height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
+    light = FIRST_SHARE * height * height.max() if site.pulses is None else np.diag(site.pulses.covariance)
+    return np.sqrt(site.dark.variance + light + (EXACT * height.max()) ** 2)
 
-    That is what the frames' differences show, or of a single frame what the form leaves.
+
+def noise_likelihood(site: Site, fit: FormFit) -> float:
+    """Return ln of the likelihood of what a form leaves of one frame, by the likeliest noise of independent pixels.
+
+    Forms can be compared by it before the noise is known: one that does not fit takes its misfit for noise.
     """
     transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
-    height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
-    variance = site.dark.variance + FIRST_SHARE * height * float(height.max()) + (EXACT * float(height.max())) ** 2
-    site, _ = _replaced(site, transfer, np.sqrt(variance))
+    left, near = _left_of(site, transfer, _sd(site)), site.near
+    light = np.maximum(left.coefficients[0] * left.design[near, 0], 0.0)
+    still = site.dark.variance + _rounding_variance(site)
+    variance = still + GAINS[:, None] * still / max(float(light.mean()), 1e-300) * light
+    return float(np.max(-0.5 * np.sum(np.log(variance) + left.residual[near] ** 2 / variance, axis=1)))
+
+
+def with_noise(site: Site, fit: FormFit, light: float, *, lower: float = 1.0) -> Site:
+    """Return a source at its place by a fitted form, with the noise of its light.
+
+    That is what the frames' differences show, or of a single frame what the form leaves, or a `lower` part of it.
+    """
+    transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
+    site, _ = _replaced(site, transfer, _sd(site))
     x, y = site.axes
     mean = light * pictures(site.aperture, transfer, x, y)[0]
-    blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
     near = site.near
-    if near.size < 9:
+    if near.size < LEAST_NEAR:
         return site
+    blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
     units = pulse_covariances((_nodes(site)[0], blur), mean, x, y)
     factor = site.memory.between_rows(site.window.parity)
-    return replace(site, pulses=pulses_of(_samples(site, mean), dark_noise(site), units, factor, near))
-
-
-def _samples(site: Site, mean: Array) -> Array:
-    """Return independent samples of one frame's noise: contrasts of frames, or of one what the model leaves."""
     if site.window.frames > 1:
-        return site.window.contrasts
-    background, used = site.background()[: mean.size], site.window.keep.ravel()
-    left = site.window.core.ravel() - mean
-    level = np.linalg.lstsq(background[used], left[used], rcond=None)[0]
-    return (left - background @ level)[None]
+        return replace(site, pulses=pulses_of(site.window.contrasts, dark_noise(site), units, factor, near))
+    left = _left_of(site, transfer, _sd(site))
+    fitted = np.concatenate([left.design, _slopes(site, fit)], axis=1)
+    still = dark_noise(site) + _rounding_variance(site) * np.eye(mean.size)
+    pulses = pulses_of(left.residual[None], still, units, factor, near, fitted)
+    return replace(site, pulses=replace(pulses, gain=lower * pulses.gain))
+
+
+def _rounding_variance(site: Site) -> float:
+    """Return the variance that rounding to codes adds to pixels as quiet as those without light, DN^2."""
+    return float(np.exp(-4.0 * np.pi**2 * min(site.window.quiet_sd, 9.0) ** 2)) / 12.0
+
+
+def _slopes(site: Site, fit: FormFit) -> Array:
+    """Return how the core's pixels at unit light change with a form's parameters, shape (pixel, parameter)."""
+    bounds = fit.form.bounds
+    moves = np.where(fit.point > bounds.mean(axis=1), -1e-4, 1e-4) * (bounds[:, 1] - bounds[:, 0])
+    nodes = fit.form.transfer(np.concatenate([fit.point[None], fit.point + np.diag(moves)]), *_nodes(site))
+    nodes = nodes.reshape(len(nodes), -1)
+    return pixel_matrix(site.aperture, *site.axes) @ ((nodes[1:] - nodes[0]) / moves[:, None]).T
 
 
 def _nodes(site: Site) -> tuple[Array, Array]:
@@ -230,7 +282,10 @@ def rounding(site: Site, mean: Array) -> Array:
         pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
     gain = 0.0 if site.pulses is None else site.pulses.gain
     scatter = np.append(pulse, np.full(mean.size - size, np.inf))
-    return rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
+    common = rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
+    # A height is known to a fraction of a code where it is small alone: beyond, each pixel is rounded by itself.
+    lit = np.append(np.clip(2.0 * np.abs(mean[:size]), 0.0, 1.0), np.zeros(mean.size - size))
+    return common + np.diag(lit * _rounding_variance(site) * np.exp(-4.0 * np.pi**2 * np.minimum(scatter, 9.0)))
 
 
 def pixels(site: Site, transfer: Array, light: float) -> Pixels:
@@ -248,7 +303,7 @@ def pixels(site: Site, transfer: Array, light: float) -> Pixels:
     mean = light * (matrix @ transfer.ravel())
     slopes = np.zeros((used.size, 2))
     slopes[:size] = light * pictures(site.aperture, transfer, *site.axes)[1:3].T
-    nuisance = np.concatenate([level, slopes], axis=1)
+    nuisance = np.concatenate([level, slopes, _neighbours(site, transfer)], axis=1)
     whole = covariance(site, mean, light)
     root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole[np.ix_(used, used)])), np.float64)
     white = root @ nuisance[used]
@@ -265,6 +320,18 @@ def pixels(site: Site, transfer: Array, light: float) -> Pixels:
         rounding=rounding(site, mean)[np.ix_(used, used)],
         censored=_censored(site, hidden, matrix, nuisance, back, raw, data, whole) if hidden.any() else None,
     )
+
+
+def _neighbours(site: Site, transfer: Array) -> Array:
+    """Return pictures of the sources beside this one and their changes with their places, shape (value, 3 each)."""
+    window, columns = site.window, []
+    for at, ring_px in zip(window.neighbours, window.neighbour_ring_px, strict=True):
+        if np.hypot(*at) > FELT_PX:
+            continue
+        core = pictures(site.aperture, transfer, window.x - at[0], window.y - at[1])[:3]
+        rings = ring_matrix(site.aperture, ring_px) @ transfer.ravel()
+        columns += [np.append(core[0], rings), *(np.append(one, np.zeros(rings.size)) for one in core[1:])]
+    return np.stack(columns, axis=1) if columns else np.empty((site.used.size, 0))
 
 
 def _censored(

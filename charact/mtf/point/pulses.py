@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.point.thresholds import BARE, BARE_SD
+
 Array = NDArray[np.float64]
 
 # Surroundings from which noise is taken: beyond this distance, px, and where the region is small beyond this share.
@@ -20,6 +22,11 @@ SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
 # Widths of pulses over that of all of the blur, where what lies before the gain need not be of its form.
 WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
+# Values that a gain is known from, at least: Student's distribution of fewer has hardly a variance.
+LEAST_VALUES = 6.0
+# Noise of a dark pixel before the data, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified
+# cameras to ordinary ones. It matters where a single frame's few lit pixels hardly show the noise of their light.
+DARK_LN = (float(np.log(3.0)), 1.2)
 # Places of the pulses: spacing and reach, px. Pixels whose noise is compared lie this near.
 STEP_PX, REACH_PX, NEAR_PX = 0.6, 10.2, 5.0
 RADII_PX = np.linspace(0.0, 16.0, 80)
@@ -57,11 +64,14 @@ class Dark:
         return self.variance * ((1.0 - self.common) * np.eye(len(shared)) + self.common * shared)
 
 
-def dark_of(data: NDArray, row: int, col: int) -> Dark:
-    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness."""
+def dark_of(data: NDArray, row: int, col: int, beside: NDArray[np.bool_] | bool = False) -> Dark:
+    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness.
+
+    Pixels `beside`, shape (row, col), are those of other sources.
+    """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
-    far = (distance > min(FAR_PX, FAR_SHARE * float(distance.max()))) & (distance < 4.0 * FAR_PX)
+    far = (distance > min(FAR_PX, FAR_SHARE * float(distance.max()))) & (distance < 4.0 * FAR_PX) & ~np.asarray(beside)
     frames = data[:MOST_FRAMES].astype(float)
     if len(frames) > 1:
         off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)
@@ -71,10 +81,14 @@ def dark_of(data: NDArray, row: int, col: int) -> Dark:
         fitted = np.linalg.lstsq(plane, frames[0][far], rcond=None)[0]
         every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
         off, freedom = frames - every, 1.0
+    rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
+    if len(frames) == 1 and np.any(beside):
+        # Light of neighbours lies above what is bare, and would pass for noise that pixels share.
+        low, high = np.quantile(off[0, far], BARE)
+        return Dark(variance=max(float((high - low) / BARE_SD) ** 2, rounding))
     # A flash of one ion is no noise of the camera.
     centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
     variance = float((centre[:, far] ** 2).mean()) / freedom
-    rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
     if variance <= rounding:
         return Dark(variance=rounding)
     return _correlated(np.where(far, centre, 0.0), far, variance * freedom, variance)
@@ -195,7 +209,10 @@ def _pulse(at: Array, places: Array, sigma: float) -> Array:
     return ndtr((off + half) / sigma) - ndtr((off - half) / sigma)
 
 
-def pulses_of(samples: Array, dark: Array, units: Sequence[Array], factor: Array, near: NDArray[np.int64]) -> Pulses:
+def pulses_of(
+    samples: Array, dark: Array, units: Sequence[Array], factor: Array, near: NDArray[np.int64],
+    fitted: Array | None = None,
+) -> Pulses:  # fmt: skip
     """Return the pulses that make independent samples of the noise most probable.
 
     Parameters
@@ -210,19 +227,38 @@ def pulses_of(samples: Array, dark: Array, units: Sequence[Array], factor: Array
         What fields and frames share of a pulse, shape (pixel, pixel).
     near
         Pixels that are compared.
+    fitted
+        Directions in which a fit took noise out of the samples, shape (pixel, direction); None: none.
+
+    Notes
+    -----
+    Half of the odds before the samples are those of the first unit. The gain is the median of its posterior. One known
+    from few values, n where the variance of its ln is 2 / n, makes Student's distribution of what it weighs, whose
+    variance is n / (n - 2) times as large.
     """
-    both = np.ix_(near, near)
+    both, quiet_dn = np.ix_(near, near), float(np.sqrt(dark[near[0], near[0]]))
     root = np.linalg.inv(np.linalg.cholesky(dark[both]))
+    if fitted is not None:
+        # Restricted likelihood: only what lies across the fitted directions has the noise's variance.
+        basis = np.linalg.qr(root @ fitted[near], mode="complete")[0]
+        root = basis[:, fitted.shape[1] :].T @ root
     white = samples[:, near] @ root.T
     found = []
-    for unit in units:
+    for number, unit in enumerate(units):
         values, vectors = np.linalg.eigh(root @ (unit * factor)[both] @ root.T)
         values = np.maximum(values, 0.0)
         gains = GAINS / max(float(values.mean()), 1e-300)
         power = ((white @ vectors) ** 2).sum(axis=0)
         variance = gains[:, None] * values + 1.0
         fit = -0.5 * (len(white) * np.log(variance) + power / variance).sum(axis=1)
-        top = int(np.argmax(fit))
-        found.append((float(fit[top]), float(gains[top])))
+        fit = fit - 0.5 * ((np.log(quiet_dn / gains) - DARK_LN[0]) / DARK_LN[1]) ** 2
+        weight = np.exp(fit - fit.max())
+        weight /= weight.sum()
+        ln = np.log(gains)
+        spread = float(weight @ (ln - weight @ ln) ** 2)
+        values_told = max(2.0 / max(spread, 1e-9), LEAST_VALUES)
+        median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
+        odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
+        found.append((float(fit.max()) - odds, median * values_told / (values_told - 2.0)))
     best = int(np.argmax([fit for fit, _ in found]))
     return Pulses(gain=found[best][1], unit=units[best])

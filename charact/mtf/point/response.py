@@ -46,6 +46,13 @@ class Response:
         return self.significance > SIGNIFICANT and abs(self.power) > LEAST_POWER
 
     @property
+    def effect(self) -> str:
+        """Size of what the likeliest response does to an MTF50."""
+        exponent = 1.0 / (1.0 - self.power)
+        moved = 100.0 * (np.sqrt(exponent) - 1.0)
+        return f"the noise is that of a response of exponent {exponent:.2g}, which moves MTF50 by about {moved:+.0f} %"
+
+    @property
     def note(self) -> str:
         """What the noise leaves open, and what that does to an MTF."""
         low, high = self.exponents

@@ -5,13 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.point.thresholds import (
+    ALIKE,
+    ALONE_PX,
+    BARE,
+    BARE_SD,
+    DENSE,
+    LEAST_NEIGHBOURS,
+    MOST_PEAKS,
+    NEXT_PX,
+    SADDLE,
+)  # fmt: skip
+
 Array = NDArray[np.float64]
 
 SMOOTHING_PX = 1.2
 # Standard deviations of the smoothed background by which a source must stand out, and standard errors over frames.
 DETECTED = 9.0
 STEADY = 4.0
-# Another source counts from this share of the first one on, outside its halo's inner part.
+# Another source counts from this fraction of the first one on, outside its halo's inner part.
 OTHER_SHARE = 0.08
 APART_PX = 12.0
 LEAST_BACKGROUND = 60
@@ -31,12 +43,15 @@ class Source:
         Its height above the background in standard deviations of the smoothed background.
     others
         Whether other sources stand out too.
+    neighbours
+        Rows and columns of the other peaks in the region, px.
     """
 
     row: int
     col: int
     significance: float
     others: bool
+    neighbours: tuple[tuple[int, int], ...] = ()
 
 
 def find(data: NDArray, pitch_ratio: float) -> Source | str:
@@ -49,21 +64,65 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     """
     smooth = _smoothed(data)
     steady = np.median(smooth, axis=0)
-    row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     level = float(np.median(steady))
+    row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     spread = _spread(steady[_away(steady.shape, row, col, pitch_ratio)], level, data)
     height = float(steady[row, col]) - level
-    significance = height / spread
-    if significance < DETECTED:
-        stands = f"{rounded_down(significance):.1f} standard deviations out of {DETECTED:g} needed"
-        return f"no target: the brightest spot stands {stands}"
+    # Neighbours that cover much of the region pass for its noise: what lies below them is bare.
+    low, high = (float(one) for one in np.quantile(steady, BARE))
+    bare, over = max((high - low) / BARE_SD, _least_spread(data)), float(steady[row, col]) - high
+    if height < DENSE * DETECTED * spread and over > DETECTED * bare:
+        alike = _peaks(steady, high, max(DETECTED * bare, ALIKE * over))
+        if sum(bool(_steadiness(smooth[:, *at] - high, bare) >= STEADY) for at in alike) > LEAST_NEIGHBOURS:
+            level, spread, height = high, bare, over
+    if height < DETECTED * spread:
+        stands = f"{rounded_down(height / spread):.1f} standard deviations out of {DETECTED:g} needed"
+        crowd = "; light of neighbours or uneven ground stands in the way" if over > DETECTED * bare else ""
+        return f"no target: the brightest spot stands {stands}{crowd}"
+    least = max(DETECTED * spread, OTHER_SHARE * height)
+    (row, col), *beside = _peaks(steady, level, least)
+    significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
     if steadiness < STEADY:
         stands = f"{rounded_down(steadiness):.1f} standard errors over the frames out of {STEADY:g} needed"
         return f"no target: the brightest spot stands {stands}"
-    high = _away(steady.shape, row, col, pitch_ratio) & (steady - level > max(DETECTED * spread, OTHER_SHARE * height))
+    high = _away(steady.shape, row, col, pitch_ratio) & (steady - level > least)
     others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= STEADY)
-    return Source(row=row, col=col, significance=significance, others=others)
+    steady_ones = tuple(at for at in beside if _steadiness(smooth[:, *at] - level, spread) >= STEADY)
+    return Source(row=row, col=col, significance=significance, others=others, neighbours=steady_ones)
+
+
+def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
+    """Return the source that is meant and the peaks beside it, from high to low, that stand so far over a level.
+
+    A peak on its flank, with no saddle between them, is part of it.
+    """
+    from scipy import ndimage
+
+    highest = ndimage.maximum_filter(steady, size=5)
+    rows, cols = np.nonzero((steady == highest) & (steady - level >= least))
+    order = np.argsort(-steady[rows, cols], kind="stable")[:MOST_PEAKS]
+    peaks = list(zip(rows[order].tolist(), cols[order].tolist(), strict=True))
+    middle = 0.5 * (np.array(steady.shape) - 1.0)
+    bright = [place for place in peaks if steady[place] - level > ALIKE * (steady[peaks[0]] - level)]
+    apart = {place: min([ALONE_PX, *(float(np.hypot(*np.subtract(place, o))) for o in peaks if o != place)])
+             for place in bright}  # fmt: skip
+    row, col = min(bright, key=lambda place: (-apart[place], float(np.hypot(*(np.array(place) - middle)))))
+    beside = [
+        place for place in peaks
+        if np.hypot(place[0] - row, place[1] - col) >= NEXT_PX
+        and _saddle(steady, place, (row, col)) - level < SADDLE * min(steady[place] - level, steady[row, col] - level)
+    ]  # fmt: skip
+    # Of a blend the brightest part is meant.
+    own = [place for place in peaks if place not in beside and np.hypot(place[0] - row, place[1] - col) < NEXT_PX]
+    return [max(own, key=lambda place: float(steady[place])), *beside]
+
+
+def _saddle(steady: Array, one: tuple[int, int], other: tuple[int, int]) -> float:
+    """Return the lowest light on the line between two peaks."""
+    steps = np.linspace(0.0, 1.0, 2 * NEXT_PX)[:, None]
+    rows, cols = np.rint(np.array(one) * (1.0 - steps) + np.array(other) * steps).astype(int).T
+    return float(steady[rows, cols].min())
 
 
 def _steadiness(over: Array, spread: float) -> Array:
@@ -98,8 +157,12 @@ def _spread(steady: Array, level: float, data: NDArray) -> float:
     robust = 1.4826 * float(np.median(np.abs(steady - level)))
     # Pulses make a tail that the median does not see: the highest per mille stands for it.
     tail = (float(np.quantile(steady, 0.999)) - level) / 3.1 if steady.size > 20000 else 0.0
-    rounding = ROUNDING_DN if data.dtype.kind in "ui" else 0.0
-    return max(robust, tail, rounding, 1e-12)
+    return max(robust, tail, _least_spread(data))
+
+
+def _least_spread(data: NDArray) -> float:
+    """Return the least standard deviation of a smoothed background: what rounding hides, DN."""
+    return ROUNDING_DN if data.dtype.kind in "ui" else 1e-12
 
 
 def _away(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> NDArray[np.bool_]:

@@ -9,6 +9,7 @@ import charact
 from charact.method import Context, register
 from charact.mtf.curve import falls_to
 from charact.mtf.point import source as point_source
+from charact.mtf.point.findings import finding, moved
 from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.quiet import clipped_at_black
 from charact.mtf.region import Region
@@ -34,6 +35,12 @@ BARE_PX, BARE_ERRORS = 22.0, 3.0
 BEYOND, CROSSING = 6.0, 0.7
 # Odd part of the transform at these frequencies, over the light, from which the spot is none of one source.
 LOPSIDED_AT, LOPSIDED, LOPSIDED_SD = (0.06, 0.1), 0.02, 5.0
+EFFECTS = {
+    "several-targets": "light of another source in the region counts as this one's",
+    "window-too-small": f"light beyond {HALF_PX:g} px is not counted, and MTF50 is high by its fraction",
+    "model-misfit": f"the spot is lopsided by more than {100 * LOPSIDED:g} % of its light; MTF50 may be off by as much",
+    "clipped": "noise below the lowest code is cut off, which raises the level of the background",
+}
 # A pinhole that passes less than this leaves nothing to divide by.
 LEAST_PASSED = 0.3
 
@@ -89,12 +96,12 @@ def point_spread(
     if light.mean() < LEAST_LIGHT * GLOW * light.std(ddof=1) / np.sqrt(len(light)):
         return _nothing("no target: the spot's light does not stand out of its changes", "no-target", common)
     places = _places(used.shape[1:], source, context)
+    still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
+    findings = [*still, *moved(tuple(flag for flag in flags if flag not in EFFECTS))]
     found, curves = [], {}
     for name, angle, place in (("mtf", 0.0, places[1]), ("mtf_vertical", 90.0, places[0])):
-        one, curve = _direction(
-            spots, place, pinhole_px or 0.0, missing, {**common, "flags": flags, "orientation_deg": angle}
-        )
-        found += one
+        one, curve = _direction(spots, place, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle})
+        found += [number.with_(findings=findings) for number in one]
         curves[name] = curve
     return Result(measurements=tuple(found), curves=curves)
 
