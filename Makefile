@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map bar-map bar-pulse-map point-map spectrum-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map bar-map bar-pulse-map spectrum-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -115,10 +115,6 @@ bar-map: $(READY)
 bar-pulse-map: $(READY)
 	$(BIN)/python -m charact.study.bars.pulse_map
 	$(BIN)/python -m charact.study.bars.pulse_map_figure
-
-point-map: $(READY)
-	$(BIN)/python -m charact.study.point.map
-	$(BIN)/python -m charact.study.point.map_figure
 
 # Where noise spectra break: 1,000 random cameras; quarter of an hour on two cores.
 spectrum-map: $(READY)
