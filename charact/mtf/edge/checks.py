@@ -100,8 +100,9 @@ def _bowed(offset: Array) -> bool:
     good = np.isfinite(offset)
     if np.count_nonzero(good) < 24:
         return False
-    place = np.linspace(-1.0, 1.0, offset.size)[good]
-    value = offset[good]
+    rows, value = np.flatnonzero(good), offset[good]
+    # From end to end of the rows that hold the edge: polynomials carried on beyond them would grow.
+    place = 2.0 * (rows - rows[0]) / (rows[-1] - rows[0]) - 1.0
     design = np.polynomial.legendre.legvander(place, 3)
     begin = np.arange(BLOCKS) * value.size // BLOCKS
     size = np.diff(begin, append=value.size)

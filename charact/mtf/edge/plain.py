@@ -145,8 +145,12 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
     Returns
     -------
     ndarray
-        Shape (1 + block, cell); empty cells are interpolated between their neighbours.
+        Shape (1 + block, cell); empty cells are interpolated by cubic splines between their neighbours: at 45 degrees
+        three of four are empty, and straight lines between the others would blur the edge.
     """
+    from scipy.interpolate import CubicSpline
+
+
     inside = (cell >= 0) & (cell < size)
     block = np.broadcast_to((np.arange(len(value)) * BLOCKS // len(value))[:, None], value.shape)
     index = (block * size + cell)[inside]
@@ -158,7 +162,10 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
     means = totals / np.maximum(counts, 1)
     for mean, filled in zip(means, counts > 0, strict=True):
         if not filled.all() and filled.any():
-            mean[~filled] = np.interp(place[~filled], place[filled], mean[filled])
+            from scipy.interpolate import CubicSpline
+
+            held = np.clip(place[~filled], place[filled][0], place[filled][-1])
+            mean[~filled] = CubicSpline(place[filled], mean[filled])(held)
     return means
 
 
