@@ -15,6 +15,8 @@ from charact.mtf.optics import halo_diameters_px
 
 Array = NDArray[np.float64]
 
+# Cores that are fitted after a Gaussian.
+CORES: tuple[Core, ...] = ("exponential", "moffat", "airy", "pupil")
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
 # Power of the evidence by which forms are weighed: none of them is the blur itself, and the noise is an estimate too
@@ -77,7 +79,8 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
     best = max(found[:2], key=_evidence)
     # Light beyond a Moffat is asked for only where wings are likelier than none: it explains them a second time.
     wings = best.family.core != "gaussian" and found[2].log_evidence > best.log_evidence - CLOSE
-    pursued = found if wings else found[:2]
+    lenses = [fit for fit in found[3:] if fit.log_evidence > max(map(_evidence, found)) - CLOSE]
+    pursued = [*(found[:3] if wings else found[:2]), *lenses]
     least_gains = {UNEVEN_PER_PX: WORTH_IN_SLOPES_CHI2, slope_sd_per_px: 0.0}
     promised = [one for core in pursued for one in promises(fitter, core, wide, least_gains)]
     own = _worth([one for one in promised if one.core.slope_sd_per_px == slope_sd_per_px])
@@ -89,11 +92,12 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
 
 
 def _cores(fitter: FamilyFitter, slope_sd_per_px: float) -> list[FamilyFit]:
-    """Fit a Gaussian, a tube's form and a Moffat, each from where the one before led."""
+    """Fit a Gaussian, a tube's form, a Moffat and lenses, each from where the one before led."""
     guess = fitter.guess()
-    gaussian = fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)
-    exponential = _next_core(fitter, "exponential", gaussian, guess)
-    return [gaussian, exponential, _next_core(fitter, "moffat", exponential, guess)]
+    found = [fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
+    for core in CORES:
+        found.append(_next_core(fitter, core, found[-1], guess))
+    return found
 
 
 def _hidden_by_slopes(promised: list[Promise], own: list[Promise], best: FamilyFit) -> list[Promise]:
