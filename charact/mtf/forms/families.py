@@ -31,6 +31,9 @@ WIDE_SHARE = (0.0, 0.4)
 
 Core = Literal["gaussian", "exponential", "moffat", "airy", "pupil"]
 
+# Half frequency of a clear pupil in focus over its cut-off.
+AIRY_HALF = 0.40397275
+
 # What shapes a core besides its half frequency: unit and bounds by name, and where a fit begins.
 SHAPES: dict[Core, dict[str, tuple[str, tuple[float, float]]]] = {
     "gaussian": {},
@@ -195,9 +198,11 @@ class Family:
 
     def _core_at(self, theta: Array, frequency: Array) -> Array:
         half, none = np.exp(theta[:, 0]), np.zeros(len(theta))
-        if self.core in ("airy", "pupil"):
-            shape = theta[:, 1:3].T if self.core == "pupil" else (none, none)
-            return scaled_pupil(np.ascontiguousarray(frequency, float), half, *(one.copy() for one in shape))
+        if self.core == "airy":
+            v = np.minimum(AIRY_HALF * frequency / half[:, None], 1.0)
+            return (np.arccos(v) - v * np.sqrt(1.0 - v**2)) * 2.0 / np.pi
+        if self.core == "pupil":
+            return scaled_pupil(np.ascontiguousarray(frequency, float), half, theta[:, 1].copy(), theta[:, 2].copy())
         if self.core == "moffat":
             ln = moffat(frequency, half, theta[:, 1])
         else:
