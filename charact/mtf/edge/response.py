@@ -25,8 +25,8 @@ CURVATURE, CURVATURE_SD = 0.05, 3.0
 STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
 # Most that an exponent up to 2.2 lifts MTF50 by, at a contrast of one; it goes as the contrast squared.
 MOST_LIFTED = 0.23
-# Deviations of MTF50 by which a response that does not show may have moved it where that is said, and distrusted.
-HIDDEN_NOTE, HIDDEN_FLAG = 2.0, 4.0
+# Deviations of MTF50 by which a response that does not show may have moved it where that is said.
+HIDDEN = 2.0
 
 
 def response_flags(curvature: float, error: float) -> tuple[str, ...]:
@@ -37,8 +37,8 @@ def response_flags(curvature: float, error: float) -> tuple[str, ...]:
     return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
 
 
-def hidden(response: Response, contrast: float, deviation: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return flags and notes on a curved response that the profile cannot show, where the errors do not cover it.
+def hidden_notes(response: Response, contrast: float, deviation: float) -> tuple[str, ...]:
+    """Return the note on a curved response that the profile cannot show, where the errors do not cover it.
 
     Parameters
     ----------
@@ -50,10 +50,9 @@ def hidden(response: Response, contrast: float, deviation: float) -> tuple[tuple
         Standard deviation of MTF50, as a share of it.
     """
     lifted = contrast * min(2.0 * STEEPENING * response[1], MOST_LIFTED * contrast)
-    if lifted < HIDDEN_NOTE * deviation:
-        return (), ()
-    flags = ("response-unknown",) if lifted > HIDDEN_FLAG * deviation else ()
-    return flags, (
+    if lifted < HIDDEN * deviation:
+        return ()
+    return (
         "A curved response of the camera (a gamma) would not show on this edge: it may have lifted MTF50 by up to "
         f"{100.0 * lifted:.1f} %, more than the errors allow for. A described camera, or its code at no light where "
         "noise is photons', would tell.",

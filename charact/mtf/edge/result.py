@@ -16,7 +16,7 @@ from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import FoundEdge
 from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, contrast, hidden, response_flags
+from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, contrast, hidden_notes, response_flags
 from charact.mtf.growth import curved_ln_odds, noise_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
@@ -112,19 +112,18 @@ def result_of(outcome: Outcome, context: Context) -> Result:
 def _common(outcome: Outcome, halves: Array, context: Context) -> dict[str, Any]:
     """Return what all measurements of an edge share."""
     edge, profile = outcome.edge, outcome.edge.profile
-    hidden_flags, hidden_notes = _hidden_by_response(outcome, halves, context)
     black = {} if profile.black is None else {"black_dn": profile.black}
     provenance = Provenance(
         version=charact.__version__, seed=context.seed, settings={"quick": context.quick, **black, **outcome.settings}
     )
     return {
         "method": outcome.method,
-        "flags": tuple(dict.fromkeys((*_flags(outcome, halves, context), *hidden_flags))),
+        "flags": tuple(dict.fromkeys(_flags(outcome, halves, context))),
         "notes": (
             *edge.notes,
             *edge_checks.course_notes(edge.roughness),
             *_notes(profile, edge.used, context),
-            *hidden_notes,
+            *_response_notes(outcome, halves, context),
             *outcome.notes,
         ),
         "region": edge.where,
@@ -263,19 +262,18 @@ def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, .
     return tuple(notes)
 
 
-def _hidden_by_response(outcome: Outcome, halves: Array, context: Context) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return flags and notes on a response that may be curved unseen, beyond what the errors of MTF50 cover.
+def _response_notes(outcome: Outcome, halves: Array, context: Context) -> tuple[str, ...]:
+    """Return notes on a response that may be curved unseen, beyond what the errors of MTF50 cover.
 
     A described camera's response, or one under which noise grows as photons' does, is taken to be straight.
     """
     known = halves[np.isfinite(halves)]
     straight = curved_ln_odds(growth_of(outcome.edge)) < STRAIGHT_LN_ODDS
     if context.sensor is not None or straight or not known.size:
-        return (), ()
-    flags, notes = hidden(
+        return ()
+    return hidden_notes(
         outcome.response or NOT_LOOKED_FOR, contrast(outcome.edge.profile), float(np.std(np.log(known)))
     )
-    return flags if outcome.response else (), notes
 
 
 def within_note(profile: Profile) -> str:
