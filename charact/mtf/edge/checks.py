@@ -130,7 +130,7 @@ def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency
     """Return the flags of the fitted profile."""
     flags = []
     step, slopes = abs(fitted.amplitude[0]), profile.light.by_side(fitted.amplitude)[-2:]
-    noise = _noise(profile)
+    noise = noise_of(profile)
     if fitted.chi2 / fitted.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fitted.free):
         flags.append("model-misfit")
     if profile.defects:
@@ -150,10 +150,11 @@ def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency
 
 def hides_between_codes(picture: Picture, profile: Profile) -> bool:
     """Tell whether the noise of one frame is so small that its plateaus may lie anywhere between two codes."""
-    return picture.whole_codes and _noise(profile) * np.sqrt(picture.frames) < HIDDEN_DN
+    return picture.whole_codes and noise_of(profile) * np.sqrt(picture.frames) < HIDDEN_DN
 
 
-def _noise(profile: Profile) -> float:
+def noise_of(profile: Profile) -> float:
+    """Return the noise of a pixel, the mean of both sides, DN."""
     return float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
 
 

@@ -14,6 +14,7 @@ import charact
 from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, falls_to
 from charact.mtf.edge import checks as edge_checks
+from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels import line
@@ -114,9 +115,10 @@ def measured_plainly(plain: PlainMethod, stack: FrameStack, region: Region | Non
             "Normalised to the light inside the region.",
         ),
     }
+    facts = Facts(edge=edge, half=float(falls_to(response.frequency, response.value[None], 0.5)[0]))
     measurements = [*_measurements(plain, response, common), _angle(edge, common)]
     return Result(
-        measurements=tuple(measurements),
+        measurements=tuple(with_findings(one, facts) for one in measurements),
         curves={"mtf": _curve(response)},
         evidence={
             "edge-spread": {
@@ -203,6 +205,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
         ),
         *(("defects",) if profile.defects else ()),
         *edge.flags,
+        *sharpening_flags(edge, half),
         *edge.untold(lambda moved: not moved.lowers(half) < LOWERED),
         *_window_flags(profile, half),
     )

@@ -29,12 +29,23 @@ MOST_LIFTED = 0.23
 HIDDEN = 2.0
 
 
-def response_flags(curvature: float, error: float) -> tuple[str, ...]:
-    """Return `gamma` where the profile looks curved: lopsided beyond what the camera's known filter makes it.
+def response_flags(response: Response, contrast: float, deviation: float) -> tuple[str, ...]:
+    """Return `gamma` where the profile looks curved and that may move MTF50 by more than its interval.
 
-    A Gaussian edge through a power law above 1 stays nearly symmetric and shows it in its noise at most.
+    Curved is lopsided beyond what the camera's known filter makes it. A Gaussian edge through a power law above 1 stays
+    nearly symmetric and shows it in its noise at most.
+
+    Parameters
+    ----------
+    response
+        Curvature of the response and its error.
+    contrast
+        Of both sides of the edge.
+    deviation
+        Standard deviation of MTF50, as a share of it.
     """
-    return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
+    curved = abs(response[0]) > max(CURVATURE, CURVATURE_SD * response[1])
+    return ("gamma",) if curved and lift_of(response, contrast) > 2.0 * deviation else ()
 
 
 def hidden_notes(response: Response, contrast: float, deviation: float) -> tuple[str, ...]:
@@ -57,6 +68,15 @@ def hidden_notes(response: Response, contrast: float, deviation: float) -> tuple
         f"{100.0 * lifted:.1f} %, more than the errors allow for. A described camera, or its code at no light where "
         "noise is photons', would tell.",
     )
+
+
+def lift_of(response: Response | None, contrast: float) -> float:
+    """Return the share by which a curved response may have moved MTF50: as the profile asks for, or as any may."""
+    most = MOST_LIFTED * contrast**2
+    if response is None or response == NOT_LOOKED_FOR:
+        return most
+    share = (STEEPENING if response[0] < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
+    return contrast * share * (abs(response[0]) + 2.0 * response[1])
 
 
 def bent(posterior: Posterior, response: Response, profile: Profile, noise_ln_odds: float, seed: int) -> Posterior:

@@ -12,6 +12,7 @@ from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.doubt import doubted
 from charact.mtf.edge import checks as edge_checks
+from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import FoundEdge
@@ -102,8 +103,15 @@ def result_of(outcome: Outcome, context: Context) -> Result:
     def crossing(level: float) -> float:
         return float(np.nanmedian(_crossings(outcome, coarse, level)))
 
+    profile, fitted = edge.profile, outcome.fitted
+    facts = Facts(
+        edge=edge,
+        half=float(np.nanmedian(halves)),
+        response=outcome.response,
+        misfit=float(np.abs(profile.value - fitted.model).max()) / max(abs(profile.step), 1e-300),
+    )
     return Result(
-        measurements=tuple(doubted(one, outcome.doubt, crossing) for one in measurements),
+        measurements=tuple(with_findings(doubted(one, outcome.doubt, crossing), facts) for one in measurements),
         curves={"mtf": _curve(curve)},
         evidence={"edge-spread": _edge_spread(edge.picture, edge.profile, outcome.fitted)},
     )
@@ -139,11 +147,12 @@ def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
     yield from edge_checks.line_flags(edge.picture, edge.rows, edge.profile)
     yield from edge_checks.fit_flags(edge.picture, edge.profile, outcome.fitted, half if half > 0 else 0.01)
     if outcome.response:
-        yield from response_flags(*outcome.response)
+        yield from response_flags(outcome.response, contrast(edge.profile), _relative_sd(halves))
     yield from noise_flags(growth_of(edge))
     yield from _posterior_flags(outcome.posterior, context)
     yield from outcome.flags
     yield from edge.flags
+    yield from sharpening_flags(edge, half)
     untold = UNTOLD * _relative_sd(halves)
     yield from edge.untold(lambda moved: moved.lowers(half) > untold)
 
