@@ -1,13 +1,14 @@
 """Halo and blooming around a point source that is far too bright."""
 
-from charact.bloom import extended, gaussian, radial_profile, series_forward, threshold
-from charact.bloom.frame import measure_frame
 from charact.method import Context, choose
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
-__all__ = ["gaussian", "measure", "measure_frame", "radial_profile", "series_forward", "threshold"]
+__all__ = ["measure"]
+
+# The one method for edges, see `charact.bloom.extended`.
+EXTENDED = "lit-edge"
 
 
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
@@ -29,8 +30,8 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     BadInput
         If the session has no point source, or the method is unknown.
     """
-    if method == extended.METHOD or (method == "auto" and session.of_kind("edge") and not session.of_kind("point")):
-        return extended.lit_edge(session, context=context)
+    if method == EXTENDED or (method == "auto" and session.of_kind("edge") and not session.of_kind("point")):
+        return choose(EXTENDED).function(session, context=context)
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
         raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")

@@ -48,7 +48,7 @@ def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, see
     """Extents of a point source in a bare picture, by what one frame tells or by the method asked for."""
     with bad_input_ends(str(path), as_json=as_json, events=events):
         from charact import bloom
-        from charact.bloom.frame import bare_session
+        from charact.bloom.frame import bare_session, measure_frame
         from charact.measuring import context_of
         from labdata.errors import BadInput
 
@@ -63,7 +63,7 @@ def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, see
         with progress_bar(events=events) as progress:
             context = context_of(session, quick=quick, seed=seed, progress=progress)
             if method == "auto":
-                result = bloom.measure_frame(session, context=context)
+                result = measure_frame(session, context=context)
             else:
                 result = bloom.measure(session, method=method, within_percent=within, context=context)
         further = f"charact import frames {path} mine --kind point, then charact measure mine"

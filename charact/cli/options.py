@@ -1,12 +1,14 @@
 """Options that several verbs share, each declared once."""
 
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
 from labdata.errors import BadInput
-from labdata.session import Kind
+
+if TYPE_CHECKING:
+    from labdata.session import Kind
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
 Events = Annotated[bool, typer.Option("--events", help="Progress and messages as one JSON object a line on stderr.")]
@@ -63,8 +65,10 @@ BloomMapOf = Annotated[
 ]
 
 
-def parsed_kind(text: str) -> Kind:
+def parsed_kind(text: str) -> "Kind":
     """Return what a stack shows, as an --kind says; any other word is a BadInput."""
+    from labdata.session import Kind
+
     for kind in get_args(Kind):
         if kind == text:
             return kind

@@ -1,4 +1,4 @@
-"""Progress of long work: a bar on a terminal, JSON lines if asked, nothing on a pipe."""
+"""Progress of long work: a bar on a terminal, JSON lines if asked, on a pipe only that functions are compiled."""
 
 import json
 import sys
@@ -10,7 +10,19 @@ Progress = Callable[[str, float], None]
 
 @contextmanager
 def progress_bar(*, events: bool = False) -> Iterator[Progress]:
-    """Yield a function that takes a sentence and the share done (0..1)."""
+    """Yield a function that takes a sentence and the share done (0..1); compiling is announced on stderr."""
+    from charact.cli.output import say
+    from charact.method.stopwatch import compiling_announced
+
+    with (
+        _bar(events=events) as progress,
+        compiling_announced(lambda sentence: say(sentence if events else f"charact: {sentence}", events=events)),
+    ):
+        yield progress
+
+
+@contextmanager
+def _bar(*, events: bool = False) -> Iterator[Progress]:
     if events:
         yield lambda sentence, share: print(
             json.dumps({"progress": round(share, 4), "message": sentence}), file=sys.stderr

@@ -20,13 +20,12 @@ def methods(as_json: options.Json = False) -> None:
 
     Example: charact methods
     """
-    from charact import bloom, mtf, noise  # noqa: F401  (importing registers)
-    from charact.method import METHODS
-    from charact.method.registry import chart_table
+    from charact.method.catalogue import MODULES
+    from charact.method.registry import chart_table, of_kind
     from charact.method.stopwatch import time_text
 
     rows = []
-    for method in METHODS.values():
+    for method in (method for kind in MODULES for method in of_kind(kind).values()):
         charted = [r for q in method.quantities for r in chart_table(q) if r["method"] == method.name]
         measured = {key: charted[0][key] for key in ("error_percent", "seconds")} if charted else {}
         rows.append(

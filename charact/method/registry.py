@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from charact.method.catalogue import MODULES, load
 from charact.method.cluster import Spread
 from charact.method.stopwatch import timed
 from charact.method.threads import on_one_thread
@@ -106,6 +107,7 @@ def register(
 
 def of_kind(kind: str) -> dict[str, Method]:
     """Methods of a kind by name."""
+    load(kind)
     return {name: method for (of, name), method in METHODS.items() if of == kind}
 
 
@@ -129,16 +131,15 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
     BadInput
         If the name is not registered.
     """
-    methods = of_kind(kind)
     if name != "auto":
-        if name not in methods:
-            raise BadInput(f"--method must be auto or one of {', '.join(sorted(methods))}, got {name!r}")
-        return methods[name]
+        load(kind, name)
+        if (kind, name) not in METHODS:
+            raise BadInput(f"--method must be auto or one of {', '.join(sorted(of_kind(kind)))}, got {name!r}")
+        return METHODS[kind, name]
+    methods = of_kind(kind)
     preferred = next((method for method in methods.values() if method.preferred), None)
     if preferred is None:
-        raise BadInput(
-            f"the kind of target must be one of {', '.join(sorted({of for of, _ in METHODS}))}, got {kind!r}"
-        )
+        raise BadInput(f"the kind of target must be one of {', '.join(sorted(MODULES))}, got {kind!r}")
     rows = [row for row in chart_table(preferred.quantities[0]) if row["method"] in methods]
     if not rows:
         return preferred

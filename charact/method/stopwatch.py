@@ -5,14 +5,14 @@ earlier process compiled and kept (0.4 s for the functions of an edge), and wait
 Left in is what else a first call does, such as importing parts of SciPy, 0.3 s.
 """
 
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import wraps
+from functools import cache, wraps
 from time import perf_counter
 from typing import ParamSpec
-
-from numba.core import event
 
 from labdata.measurement import Result
 
@@ -20,9 +20,8 @@ Arguments = ParamSpec("Arguments")
 
 # numba holds its lock while it compiles, loads or saves; it compiles only what it could not load.
 LOCKED, COMPILES = "numba:compiler_lock", "numba:compile"
-# Compiling for longer than this is told, s.
+# Compiling for longer than this is announced, s.
 LONG_S = 2.0
-COMPILING = "compiling, once on this machine"
 # Up to so many of a unit a time is told in it: more would be three digits.
 MOST_OF_UNIT = 99.5
 UNITS = (("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0))
@@ -32,6 +31,7 @@ class Stopwatch:
     """Time since it was made, less what numba compiled in this thread since."""
 
     def __init__(self) -> None:
+        listen()
         self._compiled_s, self._made_s = _HERE.seconds(), perf_counter()
 
     def seconds(self) -> float:
@@ -47,18 +47,12 @@ def timed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Return a function whose measurements, refused ones too, say how long the call took, compiling not counted.
 
     A measurement that says so already keeps its time: a timed call within this one made it, and knows it better.
-    Compiling for more than some two seconds is told to the progress of its keyword `context`, once a call.
     """
 
     @wraps(function)
     def timing(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        watch, outer = Stopwatch(), _HERE.call
-        if outer is None:
-            _HERE.call = _Call(watch, getattr(kwargs.get("context"), "progress", None))
-        try:
-            result = function(*args, **kwargs)
-        finally:
-            _HERE.call = outer
+        watch = Stopwatch()
+        result = function(*args, **kwargs)
         seconds = watch.seconds()
         return replace(
             result,
@@ -74,23 +68,9 @@ def time_text(seconds: float) -> str:
     return f"{seconds / unit:.2g} {name}"
 
 
-class _Call:
-    """The outermost timed call of a thread, and whom it tells of its progress."""
-
-    def __init__(self, watch: Stopwatch, progress: Callable[[str, float], None] | None) -> None:
-        self._watch, self._progress = watch, progress
-
-    def tell(self) -> None:
-        """Tell once that numba compiles, if it has for long."""
-        if self._progress is not None and self._watch.compiled_s() > LONG_S:
-            progress, self._progress = self._progress, None
-            progress(COMPILING, 0.0)
-
-
 class _Here(threading.local):
-    """What numba does in this thread, and for which call."""
+    """What numba does in this thread."""
 
-    call: _Call | None = None
     depth: int = 0
     since_s: float = 0.0
     before_s: float = 0.0
@@ -103,23 +83,68 @@ class _Here(threading.local):
 _HERE = _Here()
 
 
-class _Listener(event.Listener):
-    """Counts the time between the first of numba's nested events and its end; each comes in the thread it is of."""
+class _Announcer:
+    """Says once that numba compiles, if it does for long, and at the end how much it compiled."""
 
-    def on_start(self, event: event.Event) -> None:
-        if _HERE.depth == 0:
-            _HERE.since_s = perf_counter()
-        _HERE.depth += 1
-        if event.kind == COMPILES and _HERE.call is not None:
-            _HERE.call.tell()
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say, self._watch = say, Stopwatch()
+        self._functions, self._said = 0, False
 
-    def on_end(self, event: event.Event) -> None:
-        # What was under way when this module was imported ends without having begun here.
-        if _HERE.depth == 1:
-            _HERE.before_s = _HERE.seconds()
-        _HERE.depth = max(_HERE.depth - 1, 0)
+    def begin(self) -> None:
+        """Say that numba compiles, if it has for long; called as each function begins."""
+        self._functions += 1
+        if not self._said and self._watch.compiled_s() > LONG_S:
+            self._said = True
+            self._say("compiling once on this machine, up to a minute; the next call finds it on disk")
+
+    def close(self) -> None:
+        """Say how much was compiled, if it took long."""
+        if self._said:
+            self._say(f"compiled {self._functions} functions in {time_text(self._watch.compiled_s())}")
 
 
-_LISTENER = _Listener()
-for _kind in (LOCKED, COMPILES):
-    event.register(_kind, _LISTENER)
+_ANNOUNCERS: list[_Announcer] = []
+
+
+@contextmanager
+def compiling_announced(say: Callable[[str], None]) -> Iterator[None]:
+    """Say that numba compiles, if it does for long within this block, and how many functions it compiled."""
+    announcer = _Announcer(say)
+    _ANNOUNCERS.append(announcer)
+    try:
+        yield
+    finally:
+        _ANNOUNCERS.remove(announcer)
+        announcer.close()
+
+
+@cache
+def _listen() -> None:
+    from numba.core import event
+
+    class Listener(event.Listener):
+        """Counts the time between the first of numba's nested events and its end; each comes in its own thread."""
+
+        def on_start(self, event: event.Event) -> None:
+            if _HERE.depth == 0:
+                _HERE.since_s = perf_counter()
+            _HERE.depth += 1
+            if event.kind == COMPILES:
+                for announcer in _ANNOUNCERS:
+                    announcer.begin()
+
+        def on_end(self, event: event.Event) -> None:
+            # What was under way when listening began ends without having begun here.
+            if _HERE.depth == 1:
+                _HERE.before_s = _HERE.seconds()
+            _HERE.depth = max(_HERE.depth - 1, 0)
+
+    listener = Listener()
+    for kind in (LOCKED, COMPILES):
+        event.register(kind, listener)
+
+
+def listen() -> None:
+    """Count numba's time from now on, if numba is loaded."""
+    if "numba" in sys.modules:
+        _listen()

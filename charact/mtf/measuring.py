@@ -12,6 +12,7 @@ from charact.mtf.repeated import distinct
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
+from labdata.session import Session
 
 # The chart's cases have one blur each. A described camera is a cascade of stages, some known within a range only. On
 # edges of 38 simulated specimens MTF10 by forms alone was off by 1.6 standard errors (rms), by departures from a form
@@ -85,6 +86,29 @@ def _rejected(found: Result, chosen: Method) -> bool:
 def _of_no_form(found: Result) -> Result:
     note = "No form of the point spread describes this edge: it was measured without one, by a wider interval."
     return replace(found, measurements=tuple(one.with_(notes=(*one.notes, note)) for one in found.measurements))
+
+
+def measure_flats(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
+    """Measure the MTF after the gain from the flats of a session.
+
+    Parameters
+    ----------
+    session
+        Session with at least one flat stack; darks make it surer.
+    method, within_percent
+        Name of a registered method of the kind "post-gain", or "auto" and its tolerance, percent.
+    context
+        Seed, speed and camera.
+
+    Raises
+    ------
+    BadInput
+        If there is no flat, the method is unknown or the images are too small.
+    """
+    chosen = choose("post-gain", method, within_percent=within_percent)
+    if not session.of_kind("flat"):
+        raise BadInput(f"a noise spectrum needs flat stacks, got only {sorted({s.kind for s in session.stacks})}")
+    return chosen.function(session, context=context)
 
 
 def _with_notes(found: Result, counted: FrameStack, given: FrameStack) -> Result:

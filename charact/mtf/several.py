@@ -10,7 +10,6 @@ import numpy as np
 import charact
 from charact.method import Context
 from charact.method.stopwatch import timed
-from charact.mtf.bars.joint import of_frame
 from charact.mtf.find import find_bar_groups, find_edges, find_pinholes
 from charact.mtf.measuring import measure
 from charact.mtf.region import Region
@@ -82,7 +81,11 @@ def measure_all(
         context.progress(f"{kind} in {one.region}", done / len(chosen))
         results.append(measure(kind, stack, region=one.region, **asked, **{**target, **one.told}))
     together = _together(results, chosen, len(found) - len(chosen), kind)
-    return together + of_frame(together, context=context) if kind == "bars" else together
+    if kind != "bars":
+        return together
+    from charact.mtf.bars.joint import of_frame
+
+    return together + of_frame(together, context=context)
 
 
 def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> list[Target]:

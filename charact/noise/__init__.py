@@ -2,13 +2,11 @@
 
 from charact.method import Context, choose
 from charact.method.stopwatch import timed
-from charact.noise.gain import covariance_sum, lag_window, near_zero, variance
-from charact.noise.light.separation_pulses import with_pulses
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
-__all__ = ["covariance_sum", "lag_window", "measure", "near_zero", "variance"]
+__all__ = ["measure"]
 
 
 @timed
@@ -32,6 +30,8 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     BadInput
         If the session has neither darks nor flats, or the method is unknown.
     """
+    from charact.noise.light.separation_pulses import with_pulses
+
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")

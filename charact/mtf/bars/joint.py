@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 import charact
 from charact.method import Context
@@ -232,7 +232,7 @@ def _half(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Mea
 
 
 def _misfit(left: float, freedom: int) -> list[str]:
-    return ["model-misfit"] if freedom > 0 and chi2.sf(left, freedom) < MISFIT_LEVEL else []
+    return ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < MISFIT_LEVEL else []
 
 
 def _checked_directions(groups: Sequence[Group]) -> None:

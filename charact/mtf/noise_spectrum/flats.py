@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.method import Context, choose, register
+from charact.method import Context, register
 from charact.mtf.noise_spectrum.checks import findings_of, misfit
 from charact.mtf.noise_spectrum.data import Chosen, chosen_of, spectrum_of
 from charact.mtf.noise_spectrum.folding import Shape
@@ -21,7 +21,6 @@ from charact.mtf.noise_spectrum.result import DRAWS, Drawn, curves, evidence, qu
 from charact.mtf.noise_spectrum.unseen import note as unseen_note
 from charact.noise.provenance import provenance
 from charact.posterior import draw, laplace
-from labdata.errors import BadInput
 from labdata.measurement import Result, refused
 from labdata.session import Session
 
@@ -34,29 +33,6 @@ LEAST_EVIDENCE = 8.0
 # Forms of less than this share of the weight take no part.
 LEAST_WEIGHT = 0.02
 QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_share")
-
-
-def measure_flats(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
-    """Measure the MTF after the gain from the flats of a session.
-
-    Parameters
-    ----------
-    session
-        Session with at least one flat stack; darks make it surer.
-    method, within_percent
-        Name of a registered method of the kind "post-gain", or "auto" and its tolerance, percent.
-    context
-        Seed, speed and camera.
-
-    Raises
-    ------
-    BadInput
-        If there is no flat, the method is unknown or the images are too small.
-    """
-    chosen = choose(KIND, method, within_percent=within_percent)
-    if not session.of_kind("flat"):
-        raise BadInput(f"a noise spectrum needs flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    return chosen.function(session, context=context)
 
 
 @register(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from labdata.measurement import Curve, Measurement, Result
 
@@ -54,7 +54,7 @@ def agreement(result: Result, kinds: dict[str, str]) -> Result:
         return Result()
     difference = np.array([one.value - other.value for _, _, one, other in rows])
     sd = np.array([np.hypot(one.sd, other.sd) for _, _, one, other in rows])
-    limit = float(norm.ppf(1.0 - LEVEL / (2 * len(rows))))
+    limit = float(ndtri(1.0 - LEVEL / (2 * len(rows))))
     largest = float(np.abs(difference / sd).max())
     evidence = {
         "figure": "agreement",

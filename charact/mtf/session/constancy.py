@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from charact.method import Context
 from charact.mtf.session.joint_told import HALF68_SD, Source, is_vertical, pitches, sources
@@ -101,7 +101,7 @@ def _table(rows: list[Row], trends: dict[str, tuple[float, float]]) -> dict:
     value, sd = np.array([(row.mtf50, row.sd) for row in rows]).T
     mean = float(np.average(value, weights=sd**-2))
     squares = float(np.sum(((value - mean) / sd) ** 2))
-    probability = float(chi2.sf(squares, len(rows) - 1))
+    probability = float(chdtrc(len(rows) - 1, squares))
     return {
         "figure": "constancy",
         "target": [row.target for row in rows],

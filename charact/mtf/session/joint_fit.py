@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, log_ndtr, ndtr
 
 from charact.mtf.session.joint_model import JointForm
 from charact.mtf.session.joint_told import Told
@@ -115,7 +114,7 @@ def fitted(problem: Problem) -> Fit:
     bound_slope = _slope(problem.below_bounds, point, walls)
     below = problem.below_bounds(point[None])[0]
     # Curvature of -ln Phi(z): h (h + z), h the density over Phi.
-    ratio = np.exp(norm.logpdf(below) - log_ndtr(below))
+    ratio = np.exp(-0.5 * below**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(below))
     bend = bound_slope.T @ ((ratio * (ratio + below))[:, None] * bound_slope)
     covariance = np.linalg.inv(slope.T @ slope + bend + np.diag(problem.form.prior_precision))
     height = float(problem.log_probability(point[None])[0])
@@ -186,16 +185,16 @@ def verdict(fit: Fit) -> Verdict:
         left = np.eye(one.value.size) - taken[own, own]
         value, count = _apart(residual[own], left)
         apart.append(value)
-        chances.append(float(chi2.sf(value, count)) if count else 1.0)
+        chances.append(float(chdtrc(count, value)) if count else 1.0)
         parts.append(tuple(residual[own].tolist()))
     return Verdict(
         chi2=total,
         freedom=freedom,
-        probability=float(chi2.sf(total, freedom)) if freedom > 0.05 else 1.0,
+        probability=float(chdtrc(freedom, total)) if freedom > 0.05 else 1.0,
         targets=(*(one.target for one in problem.told), *(one.target for one in problem.bounds)),
         values=(*(one.value.size for one in problem.told), *(1 for _ in problem.bounds)),
         apart_chi2=(*apart, *(np.minimum(below, 0.0) ** 2).tolist()),
-        apart_probability=(*chances, *norm.cdf(below).tolist()),
+        apart_probability=(*chances, *ndtr(below).tolist()),
         residuals=(*parts, *((float(min(z, 0.0)),) for z in below)),
     )
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from charact.noise.gain.glow import unseen
 from charact.noise.gain.reading import Reading
@@ -219,7 +219,7 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Level
     rest = weight * (relative[:, 1:] - value * relative[:, :1]) / height / np.sqrt(np.maximum(1.0 - square, 0.1))
     sd = np.sqrt((rest**2).sum(axis=0))
     freedom = max(2.0, float(1.0 / square.max() - 1.0))
-    seen = bool((value[:3] > student.isf(CHANCE, freedom) * sd[:3]).any())
+    seen = bool((value[:3] > -stdtrit(freedom, CHANCE) * sd[:3]).any())
     reach = len(value) if seen else min(2, len(value))
     left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
     errors = errors_together(flats[0].time, flats[0].parity, lags)[1:, 1:] * np.outer(sd, sd)

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 import charact.mtf  # noqa: F401  (registers the methods)
-from charact.method import Context
-from charact.method.registry import METHODS
+from charact.method import Context, choose
 from charact.study.bars.strips import StripScene
 from charact.study.bars.tally import TABLE, Outcome, lines, read, tally, written
 from charact.study.edge.scene import Blur
@@ -97,7 +96,7 @@ def measured_once(scene: StripScene, number: int, pair: int, method: str = METHO
     stack = scene.frames_drawn(np.random.default_rng([number, DRAWN, pair]))
     context = Context(seed=pair, quick=True, full_scale_dn=scene.full_scale_dn)
     asked = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px}
-    return METHODS["bars", method].function(stack, context=context, **asked).measurements[0]
+    return choose("bars", method).function(stack, context=context, **asked).measurements[0]
 
 
 def measured_cell(number: int, *, least: int = LEAST_PAIRS, most: int = MOST_PAIRS, method: str = METHOD) -> Outcome:

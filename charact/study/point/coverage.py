@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.method import METHODS, Context
+from charact.method import Context, choose
 from charact.study.point.spots import Spot, SpotCamera
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Found:
 def measured(method: str, case: str, spot: Spot, camera: SpotCamera, seed: int, **told) -> list[Found]:
     """Give one spot to a method; return both directions' MTF50."""
     stack = camera.taken(spot, np.random.default_rng(seed))
-    result = METHODS["point", method].function(stack, context=Context(quick=True, seed=seed), **told)
+    result = choose("point", method).function(stack, context=Context(quick=True, seed=seed), **told)
     out = []
     for angle in DIRECTIONS:
         (one,) = result.find("mtf50", orientation_deg=angle)

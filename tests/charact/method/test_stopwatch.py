@@ -11,7 +11,7 @@ from numba import njit
 from numba.core import caching, event
 
 from charact.method import METHODS, Context, register, stopwatch
-from charact.method.stopwatch import Stopwatch, time_text, timed
+from charact.method.stopwatch import Stopwatch, compiling_announced, time_text, timed
 from labdata.measurement import Result, measured, refused
 
 KIND = "kind of this test"
@@ -123,22 +123,22 @@ def test_a_measurement_that_states_its_time_keeps_it():
     assert all(0.0 <= m.seconds < 1.0 for m in result.measurements[2:])
 
 
-def test_long_compiling_is_told_once_a_call(monkeypatch):
+def test_long_compiling_is_announced_once_and_counted(monkeypatch):
     monkeypatch.setattr(stopwatch, "LONG_S", 0.0)
-    told: list[tuple[str, float]] = []
-    context = Context(progress=lambda sentence, share: told.append((sentence, share)))
-    inner = timed(working(fresh()))
-    outer = timed(lambda *, context: inner(context=context) + inner(context=context))
-    outer(context=context)
-    assert told == [(stopwatch.COMPILING, 0.0)]
-    outer(context=context)
-    assert len(told) == 1
+    said: list[str] = []
+    with compiling_announced(said.append):
+        fresh()(0.5)
+        fresh()(0.5)
+    assert said[0].startswith("compiling once on this machine")
+    assert said[1].startswith("compiled 4 functions in ")
+    assert len(said) == 2
 
 
-def test_short_compiling_is_not_told():
-    told: list[str] = []
-    timed(working(fresh()))(context=Context(progress=lambda sentence, share: told.append(sentence)))
-    assert not told
+def test_short_compiling_is_not_announced():
+    said: list[str] = []
+    with compiling_announced(said.append):
+        fresh()(0.5)
+    assert not said
 
 
 @pytest.mark.parametrize(

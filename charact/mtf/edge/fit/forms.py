@@ -36,8 +36,6 @@ SLOPED = 4.0
 HOPELESS = 100.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
-# Share of the evidence that a form must keep beside others to answer for all of them.
-LEAST_STANDING = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,26 +202,3 @@ def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
     gain, count = departure_gain(fitter, fit, departure_shapes)
     return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
-
-
-def stands_alone(fitter: FamilyFitter, fit: FamilyFit, wide: tuple[Wide, ...]) -> bool:
-    """Tell whether a tube's form keeps a share of the evidence beside wings and light beyond any core.
-
-    A Gaussian is a tube's form, and no rival.
-    """
-    half_frequency = float(np.exp(fit.point[1]))
-    gaussian, moffat = (_next_core(fitter, core, fit, half_frequency) for core in ("gaussian", "moffat"))
-    own = np.logaddexp(fit.log_evidence, gaussian.log_evidence)
-    rivals = [moffat.log_evidence, *(_log_evidence_beyond(fitter, core, wide) for core in (fit, gaussian, moffat))]
-    return bool(own - np.logaddexp.reduce([own, *rivals]) > np.log(LEAST_STANDING))
-
-
-def _log_evidence_beyond(fitter: FamilyFitter, core: FamilyFit, wide: tuple[Wide, ...]) -> float:
-    """Return ln of the evidence of a core with light beyond it: the most promising is fitted, the rest as it fares."""
-    promised = promises(fitter, core, wide, {core.slope_sd_per_px: 0.0})
-    if not promised:
-        return -np.inf
-    best = max(promised, key=lambda one: one.log_evidence)
-    fitted = fit_wide(fitter, best, np.inf)
-    told = best.log_evidence if fitted is None else max(best.log_evidence, fitted.log_evidence)
-    return float(np.logaddexp.reduce([one.log_evidence for one in promised])) + told - best.log_evidence

@@ -1,0 +1,57 @@
+"""Which module registers each method, so that a verb imports only the methods that it may use."""
+
+from importlib import import_module
+
+MODULES: dict[str, dict[str, str]] = {
+    "edge": {
+        "edge-forward": "charact.mtf.edge.forward",
+        "edge-free": "charact.mtf.edge.free",
+        "edge-gradient": "charact.mtf.edge.gradient",
+        "edge-parametric": "charact.mtf.edge.parametric",
+        "edge-slanted": "charact.mtf.edge.slanted",
+    },
+    "bars": {
+        "bars-coltman": "charact.mtf.bars.coltman",
+        "bars-contrast": "charact.mtf.bars.contrast",
+        "bars-forward": "charact.mtf.bars.forward",
+    },
+    "point": {
+        "point-forward": "charact.mtf.point.forward",
+        "point-parametric": "charact.mtf.point.parametric",
+        "point-spread": "charact.mtf.point.spread",
+    },
+    "post-gain": {
+        "noise-spectrum": "charact.mtf.noise_spectrum.flats",
+        "noise-spectrum-free": "charact.mtf.noise_spectrum.flats",
+    },
+    "flats": {
+        "binning": "charact.noise.gain.lag_window",
+        "covariance-sum": "charact.noise.gain.covariance_sum",
+        "covariance-window": "charact.noise.gain.lag_window",
+        "spectrum-parabola": "charact.noise.gain.near_zero",
+        "spectrum-plateau": "charact.noise.gain.near_zero",
+        "variance": "charact.noise.gain.variance",
+    },
+    "bloom": {
+        "gaussian": "charact.bloom.gaussian",
+        "radial-profile": "charact.bloom.radial_profile",
+        "series-forward": "charact.bloom.series_forward",
+        "threshold": "charact.bloom.threshold",
+    },
+    "lit-edge": {"lit-edge": "charact.bloom.extended"},
+}
+
+
+def load(kind: str, name: str | None = None) -> None:
+    """Import the modules that register the methods of a kind, or only the method of a name.
+
+    Examples
+    --------
+    >>> from charact.method import METHODS
+    >>> load("edge", "edge-slanted")
+    >>> ("edge", "edge-slanted") in METHODS
+    True
+    """
+    for method, module in MODULES.get(kind, {}).items():
+        if name in (None, method):
+            import_module(module)
