@@ -71,7 +71,7 @@ def optics_of(form: str, rng: np.random.Generator) -> Transfer:
 
 
 def defocused(waves: float, obscuration: float) -> Transfer:
-    """Return prysm's transfer of a pupil out of focus by waves (peak to valley of the defocus term), cut-off 1 cy/px."""
+    """Return prysm's transfer of a pupil out of focus by waves at its border, cut-off 1 cy/px."""
     from prysm import coordinates, geometry
 
     size = 512
@@ -198,7 +198,9 @@ def line_of(name: str, rows: list[Row]) -> str:
     ok = [one for one in rows if one.ok]
     halves, errors = np.array([one.halves for one in ok]), np.array([abs(one.error) for one in ok])
     widths = [
-        0.5 * (one.found.interval95[1] - one.found.interval95[0]) / one.drawn.mtf50 for one in ok if one.found.interval95
+        0.5 * (one.found.interval95[1] - one.found.interval95[0]) / one.drawn.mtf50
+        for one in ok
+        if one.found.interval95
     ]
     held, silent = int(np.sum(halves <= 1.0)), int(np.sum(halves > 2.0))
     flags = Counter(flag for one in rows for flag in one.found.flags)
@@ -213,7 +215,9 @@ def line_of(name: str, rows: list[Row]) -> str:
 
 def table_of(rows: list[Row], sharpened: list[Row]) -> str:
     """Return the table as text."""
-    head = f"{'edges of':14s} {'all':>4s} {'ok %':>5s} {'held %':>6s} {'silent':>6s} {'error %':>7s} {'half %':>7s}  flags"
+    head = (
+        f"{'edges of':14s} {'all':>4s} {'ok %':>5s} {'held %':>6s} {'silent':>6s} {'error %':>7s} {'half %':>7s}  flags"
+    )
     by_form = {form: [one for one in rows if one.drawn.form == form] for form in FORMS}
     lines = [line_of(form, of_form) for form, of_form in by_form.items() if of_form]
     at_45 = [one for one in rows if abs(one.drawn.angle_deg % 90.0 - 45.0) < 1e-9]

@@ -7,7 +7,7 @@ import numpy as np
 
 from charact.mtf.edge.checks import noise_of
 from charact.mtf.edge.pixels.find import FoundEdge
-from charact.mtf.edge.response import MOST_LIFTED, Response, contrast, lift_of
+from charact.mtf.edge.response import Response, contrast, lift_of
 from charact.mtf.edge.sharpening import noise_gain_of, overshoot_of
 from labdata.flags import FLAGS, Finding
 from labdata.measurement import Measurement
@@ -44,7 +44,9 @@ class Facts:
 def with_findings(found: Measurement, facts: Facts) -> Measurement:
     """Return a measurement whose flags say how large their effect may be and what settles them."""
     known = [flag for flag in found.flags if flag in EFFECTS]
-    return found.with_(findings=[Finding(flag=flag, effect=EFFECTS[flag](facts), remedy=REMEDIES[flag]) for flag in known])
+    return found.with_(
+        findings=[Finding(flag=flag, effect=EFFECTS[flag](facts), remedy=REMEDIES[flag]) for flag in known]
+    )
 
 
 def sharpening_flags(edge: FoundEdge, half: float) -> tuple[str, ...]:
@@ -121,7 +123,7 @@ def _processed(facts: Facts) -> str:
             "larger for it; MTF50 is the processed picture's, and may be as many percent above the camera's"
         )
     return (
-        f"noise on the edge is {edge.on_slopes.ratio:.1f} times that of its plateaus: noise reduction that spares edges "
+        f"noise on the edge is {edge.on_slopes.ratio:.1f} times that of its plateaus: noise reduction sparing edges "
         "may have sharpened or blurred this one"
     )
 

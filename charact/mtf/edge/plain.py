@@ -152,7 +152,6 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
     """
     from scipy.interpolate import CubicSpline
 
-
     inside = (cell >= 0) & (cell < size)
     block = np.broadcast_to((np.arange(len(value)) * BLOCKS // len(value))[:, None], value.shape)
     index = (block * size + cell)[inside]

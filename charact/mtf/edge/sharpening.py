@@ -1,4 +1,4 @@
-"""Sharpening that an edge gives away: it overshoots its plateaus, or the noise of neighbours runs against each other."""
+"""Sharpening that an edge gives away: it overshoots its plateaus, or its neighbours' noise runs against each other."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +25,12 @@ def overshoot_of(profile: Profile, half_frequency: float) -> float:
     afterwards. On each side the highest mean of a window near the edge is compared with a straight line through the
     plateau beyond; the sum of both counts, as light that slopes lifts one as it lowers the other.
     """
-    sides = [_beyond_plateau(profile, half_frequency, sign) for sign in (1.0, -1.0)]
-    if not all(sides):
+    bright, dark = (_beyond_plateau(profile, half_frequency, sign) for sign in (1.0, -1.0))
+    if bright is None or dark is None:
         return 0.0
-    total = sum(one[0] for one in sides if one)
-    error = float(np.hypot(*(one[1] for one in sides if one)))
-    share = total / abs(profile.step)
-    return float(share) if total > OVERSHOOT_SD * error and share > LEAST_OVERSHOOT else 0.0
+    total, error = bright[0] + dark[0], float(np.hypot(bright[1], dark[1]))
+    share = total / max(abs(profile.step), 1e-300)
+    return share if total > OVERSHOOT_SD * error and share > LEAST_OVERSHOOT else 0.0
 
 
 def _beyond_plateau(profile: Profile, half_frequency: float, sign: float) -> tuple[float, float] | None:

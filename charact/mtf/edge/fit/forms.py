@@ -15,8 +15,11 @@ from charact.mtf.optics import halo_diameters_px
 
 Array = NDArray[np.float64]
 
-# Cores that are fitted after a Gaussian.
-CORES: tuple[Core, ...] = ("exponential", "moffat", "airy", "pupil")
+# Cores that are fitted after a Gaussian, each from where the one before led.
+CORES: tuple[Core, ...] = ("exponential", "moffat", "airy")
+# Departures from the likeliest of these, in standard deviations of what noise leaves them, from which on a pupil out of
+# focus or with a hole is fitted.
+PUPIL_SD = 1.0
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
 # Power of the evidence by which forms are weighed: none of them is the blur itself, and the noise is an estimate too
@@ -95,7 +98,11 @@ def _cores(fitter: FamilyFitter, slope_sd_per_px: float) -> list[FamilyFit]:
     found = [fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
     for core in CORES:
         found.append(_next_core(fitter, core, found[-1], guess))
-    return found
+    best = max(found, key=_evidence)
+    lens_like = found[-1].log_evidence > best.log_evidence - CLOSE
+    return (
+        [*found, _next_core(fitter, "pupil", best, guess)] if lens_like or _departs(fitter, best, PUPIL_SD) else found
+    )
 
 
 def _hidden_by_slopes(promised: list[Promise], own: list[Promise], best: FamilyFit) -> list[Promise]:
@@ -200,5 +207,9 @@ def _weighed(found: list[FamilyFit]) -> list[Weighed]:
 
 def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
+    return _departs(fitter, fit, DEPARTED_SD)
+
+
+def _departs(fitter: FamilyFitter, fit: FamilyFit, deviations: float) -> bool:
     gain, count = departure_gain(fitter, fit, departure_shapes)
-    return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
+    return gain > count + deviations * np.sqrt(2.0 * count)
