@@ -51,7 +51,7 @@ def with_findings(found: Measurement, facts: Facts) -> Measurement:
 
 def sharpening_flags(edge: FoundEdge, half: float) -> tuple[str, ...]:
     """Return `processed` where an edge overshoots or its noise was differenced."""
-    sharpened = noise_gain_of(edge.profile.grain) > 1.0 or (half > 0 and overshoot_of(edge.profile, half) > 0.0)
+    sharpened = noise_gain_of(edge.picture, edge.profile) > 1.0 or (half > 0 and overshoot_of(edge.profile, half) > 0.0)
     return ("processed",) if sharpened else ()
 
 
@@ -116,7 +116,7 @@ def _curved(facts: Facts) -> str:
 def _processed(facts: Facts) -> str:
     edge, half = facts.edge, facts.half
     over = overshoot_of(edge.profile, half) if half > 0 else 0.0
-    gain = noise_gain_of(edge.profile.grain)
+    gain = noise_gain_of(edge.picture, edge.profile)
     if over > 0.0 or gain > 1.0:
         return (
             f"sharpened: it overshoots by {100.0 * over:.1f} % of the step and noise is {100.0 * (gain - 1.0):.0f} % "

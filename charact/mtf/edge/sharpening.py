@@ -3,17 +3,22 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.grain import Grain
 from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.thresholds import LEAST_OPPOSED, LEAST_OVERSHOOT, OVERSHOOT_SD
+from charact.mtf.edge.thresholds import LEAST_OPPOSED, LEAST_OVERSHOOT, OPPOSED_SD, OVERSHOOT_SD
+from charact.mtf.picture import Picture
 
 Array = NDArray[np.float64]
 
 # Where an edge overshoots and where its plateaus are taken, over the frequency of MTF50, and the window of a mean, px.
 NEAR, FAR, WINDOW_PX = (0.35, 1.2), (2.0, 7.0), 0.5
 LEAST_BINS = 6
-# Lags of neighbours that sharpening sets against each other, px: kernels reach as far.
-NEIGHBOURS = 4
+# How far sharpening sets neighbours against each other, px, and the half of all lags as far that tells both.
+REACH_PX = 2
+NEIGHBOURS = [
+    (down, right) for down in range(REACH_PX + 1) for right in range(-REACH_PX, REACH_PX + 1) if down > 0 or right > 0
+]
+# Share of the step up to which a pixel is a plateau's, fewest of them, and deviations that one counts for at most.
+PLATEAU, LEAST_PIXELS, LARGEST_SD = 0.1, 1000, 5.0
 
 
 def overshoot_of(profile: Profile, half_frequency: float) -> float:
@@ -51,17 +56,36 @@ def _beyond_plateau(profile: Profile, half_frequency: float, sign: float) -> tup
     return float(beyond.max()), float(np.sqrt(most @ profile.covariance @ most))
 
 
-def noise_gain_of(grain: Grain) -> float:
+def noise_gain_of(picture: Picture, profile: Profile) -> float:
     """Return by how much sharpening has raised the noise, a factor; 1: neighbours' noise does not run against it.
 
-    Blur behind the pixels ties neighbours; only differences taken afterwards set them against each other, along rows
-    and along columns alike, and leave averages over many pixels as they were.
+    Notes
+    -----
+    Blur behind the pixels ties neighbours; only differences taken afterwards set them against each other, and leave
+    averages over many pixels as they were: the sum C of the noise's correlation falls below 1, and the noise is
+    C^(-1/2) times what it was. Each of the n pixels of a bin holds 1/n of its mean, which is taken off.
     """
-    middle = tuple(size // 2 for size in grain.correlation.shape)
-    if min(middle) < 1:
+    gathered, step = profile.gathered, profile.step or 1.0
+    at_pixel = np.interp(gathered.distance, profile.distance, profile.value)
+    level = (at_pixel - profile.dark) / step
+    used = gathered.used & (np.minimum(np.abs(level), np.abs(level - 1.0)) < PLATEAU)
+    sd = np.sqrt(np.maximum(profile.grain.variance(level), profile.variance_floor))
+    noise = np.where(used, np.clip((picture.value - at_pixel) / sd, -LARGEST_SD, LARGEST_SD), 0.0)
+    pixels = int(np.count_nonzero(used))
+    if pixels < LEAST_PIXELS:
         return 1.0
-    reach = [slice(max(one - NEIGHBOURS, 0), one + NEIGHBOURS + 1) for one in middle]
-    near = grain.correlation[reach[0], reach[1]]
-    along = near[len(near) // 2], near[:, near.shape[1] // 2]
-    opposed = max(float(one.sum()) for one in along) < 1.0 and near.sum() < 1.0 - LEAST_OPPOSED
-    return float(max(grain.covariance_over_variance, 1e-3) ** -0.5) if opposed else 1.0
+    variance = float(np.sum(noise**2)) / pixels
+    shared = [_shared(noise, used, down, right) for down, right in NEIGHBOURS]
+    total = 2.0 * sum(shared) / max(variance, 1e-12)
+    taken = 2.0 * REACH_PX * float(np.mean(1.0 / profile.count))
+    error = np.sqrt(2.0 * len(shared) / pixels) * np.sqrt(2.0)
+    opposed = -(total + taken)
+    return float(max(1.0 - opposed, 0.05) ** -0.5) if opposed > max(LEAST_OPPOSED, OPPOSED_SD * error) else 1.0
+
+
+def _shared(noise: Array, used: NDArray[np.bool_], down: int, right: int) -> float:
+    """Return the mean product of pixels so many rows and columns apart."""
+    rows, cols = noise.shape
+    one = slice(0, rows - down), slice(max(-right, 0), cols - max(right, 0))
+    other = slice(down, rows), slice(max(right, 0), cols - max(-right, 0))
+    return float(np.sum(noise[one] * noise[other])) / max(int(np.count_nonzero(used[one] & used[other])), 1)

@@ -8,3 +8,5 @@ OVERSHOOT_SD = 5.0
 # By how much neighbours lower the sum of the noise's correlation from where on sharpening is told: as drawn edges of
 # white noise never do, and an amount of 0.3 and more does (benchmarks.studies.strangers_edges).
 LEAST_OPPOSED = 0.1
+# The same in standard errors: chance makes three in a hundred thousand edges.
+OPPOSED_SD = 4.0
