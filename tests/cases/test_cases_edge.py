@@ -155,8 +155,8 @@ def test_a_sharpened_edge_is_told(amount):
 
 
 def test_where_no_form_fits_the_answer_needs_none_and_is_wider():
-    """A Gaussian whose spread has a shoulder: light seen twice, 3 px apart."""
-    transfer = lambda f: gaussian(0.8)(f) * (0.7 + 0.3 * np.cos(2.0 * np.pi * 3.0 * f))  # noqa: E731
+    """Light smeared evenly over 4 px along the normal, as a target that moves through the exposure has it."""
+    transfer = lambda f: gaussian(0.5)(f) * np.sinc(4.0 * f)  # noqa: E731
     edge, truth = drawn(transfer, 6.0)
     stack = FrameStack(data=recorded(edge, 5, frames=4))
     assert "model-misfit" in mtf50_of(stack, "edge-parametric").flags

@@ -30,7 +30,7 @@ HIDDEN = 2.0
 
 
 def response_flags(response: Response, contrast: float, deviation: float) -> tuple[str, ...]:
-    """Return `gamma` where the profile looks curved and that may move MTF50 by more than its interval.
+    """Return `gamma` where the profile looks curved and that may move MTF50 by more than its standard error.
 
     Curved is lopsided beyond what the camera's known filter makes it. A Gaussian edge through a power law above 1 stays
     nearly symmetric and shows it in its noise at most.
@@ -45,7 +45,7 @@ def response_flags(response: Response, contrast: float, deviation: float) -> tup
         Standard deviation of MTF50, as a share of it.
     """
     curved = abs(response[0]) > max(CURVATURE, CURVATURE_SD * response[1])
-    return ("gamma",) if curved and lift_of(response, contrast) > 2.0 * deviation else ()
+    return ("gamma",) if curved and lift_of(response, contrast) > deviation else ()
 
 
 def hidden_notes(response: Response, contrast: float, deviation: float) -> tuple[str, ...]:
