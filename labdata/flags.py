@@ -17,8 +17,6 @@ FLAGS: dict[str, str] = {
     "saturated": "The signal is beyond the linear range of the camera.",
     "nonlinear": "The response departs from a straight line by more than its noise.",
     "gamma": "The response is curved like a gamma correction.",
-    "response-unknown": "A curved response would not show here, and may move the number by several times its error.",
-    "video-unknown": "The video's bandwidth, a range, was taken for exact: it may move the number by twice its error.",
     "processed": "The camera alters its pictures before they are seen: sharpening, or noise reduction.",
     "quantised": "The noise is smaller than the steps of the digitiser.",
     "defects": "Hot, dead or stuck pixels are inside the region.",

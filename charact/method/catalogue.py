@@ -4,7 +4,6 @@ from importlib import import_module
 
 MODULES: dict[str, dict[str, str]] = {
     "edge": {
-        "edge-exponential": "charact.mtf.edge.exponential",
         "edge-forward": "charact.mtf.edge.forward",
         "edge-free": "charact.mtf.edge.free",
         "edge-gradient": "charact.mtf.edge.gradient",

@@ -10,6 +10,11 @@ FLOORS = (0, 16)
 # The same ratio where noise is seen beside the pile, codes that only noise crosses at once, and of a pile's pixels the
 # least share that crosses them, the least that stays, as 1.6 deviations below a plateau, and the least of either.
 NOISY_RATIO, CROSSED, LEAST_CROSSING, LEAST_STAYING, LEAST_PIXELS = 1.5, 3, 0.005, 0.05, 10
+# Share of the brighter half of the pixels at one value from which the plateau is that value: of normal noise of one
+# step 38 % are.
+ONE_VALUE = 0.6
+# Noise that counts, share of the range: below are the roundings of float and the slopes of noise-free plateaus.
+LEAST_NOISE = 1e-5
 
 
 def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
@@ -25,10 +30,11 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
     Notes
     -----
     Noise spreads over several codes with the outermost the rarest. A pile-up is an outermost value that many pixels
-    share and that is several times as frequent as the one beside it. Where the values are so still that the next
-    code hardly occurs on either end, nothing can be said but from a known full scale, or where noise is seen: pixels
-    of a quiet plateau are still, those of a clipped one come and go, over several codes at once. Where they do, an
-    outermost code even as frequent as the next is clipped, wherever it lies.
+    share and that is several times as frequent as the one beside it. Light brings noise: a bright plateau of one value
+    beside a darker side whose noise spreads over several is clipped, wherever that value lies. Where nothing shows
+    noise, as in pictures that were drawn or averaged, a flat plateau is just flat. Pixels of a quiet plateau are
+    still, those of a clipped one come and go, over several codes at once: where they do, an outermost code even as
+    frequent as the next is clipped.
     """
     if not _piled(data):
         return ()
@@ -36,17 +42,32 @@ def code_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
     if values.size < 3:
         return ("clipped",) if data.size > 64 else ()
     share = counts / data.size
-    clipped = False
-    if full_scale_dn is not None and values[-1] >= full_scale_dn:
-        clipped |= bool(share[-1] > PILE_UP_SHARE)
+    clipped = full_scale_dn is not None and bool(values[-1] >= full_scale_dn and share[-1] > PILE_UP_SHARE)
+    noise, step = _noise_below(data, 0.5 * (float(values[0]) + float(values[-1]))), float(np.diff(values).min())
+    noisy = noise > LEAST_NOISE * float(values[-1] - values[0]) and values.size > 12
     top = share[-1] > 2 * PILE_UP_SHARE and counts[-1] > PILE_UP_RATIO * counts[-2]
     bottom = share[0] > 2 * PILE_UP_SHARE and counts[0] > PILE_UP_RATIO * counts[1]
-    # Black clips at the converter's or the video range's floor; a quiet plateau above it is just quiet. At the top,
-    # where light brings noise, a plateau quieter than the dark one is clipped, wherever it lies.
-    clipped |= bool(bottom and values[0] in FLOORS and values.size > 12)
-    clipped |= bool(top and not bottom and share[-2] > 1e-4 and values.size > 12)
+    brighter = np.count_nonzero(data > 0.5 * (float(values[0]) + float(values[-1])))
+    clipped |= bool(top and noisy and noise >= step and counts[-1] > ONE_VALUE * brighter)
+    # Black clips at the converter's or the video range's floor; a quiet plateau above it is just quiet.
+    clipped |= bool(bottom and values[0] in FLOORS and values.size > 12 and _shows_noise(data, values))
+    clipped |= bool(top and not bottom and noisy and share[-2] > 1e-4)
     clipped = clipped or any(_cuts_noise(data, values, counts, end=end) for end in (0, -1))
     return ("clipped",) if clipped else ()
+
+
+def _noise_below(data: NDArray, level: float) -> float:
+    """Return the noise of the pixels below a level, DN: from the differences of neighbours along rows."""
+    frame = np.asarray(data[0], np.float64)
+    dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
+    apart = np.abs(np.diff(frame, axis=-1))[dark]
+    return 1.05 * float(np.median(apart)) if apart.size else 0.0
+
+
+def _shows_noise(data: NDArray, values: NDArray) -> bool:
+    """Tell whether the brighter half of the pixels scatters from neighbour to neighbour."""
+    noise = _noise_below(-np.asarray(data[:1], np.float64), -0.5 * (float(values[0]) + float(values[-1])))
+    return noise > LEAST_NOISE * float(values[-1] - values[0])
 
 
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:

@@ -1,4 +1,4 @@
-"""Numbers that the description of a camera may move: flagged where a method takes for exact what is a range."""
+"""Numbers that the description of a camera may move: wider where a method takes for exact what is a range."""
 
 from collections.abc import Callable
 
@@ -10,15 +10,12 @@ from labdata.measurement import Measurement
 Array = NDArray[np.float64]
 
 LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
-# Standard errors by which one standard deviation of the description may move a number unflagged: a form takes up much
-# of what a wrong filter does.
-DOUBTED = 2.0
 
 
 def doubted(
     found: Measurement, doubt: Callable[[Array], Array] | None, crossing: Callable[[float], float]
 ) -> Measurement:
-    """Return a number, flagged `video-unknown` where the description may move it by several times its error.
+    """Return a number, its intervals wider by what one standard deviation of the description moves it.
 
     Parameters
     ----------
@@ -38,5 +35,14 @@ def doubted(
         return found
     level = LEVELS.get(found.quantity)
     moved = share * found.value if level is None else crossing(level * np.exp(-share)) - found.value
-    low, high = found.interval68
-    return found.with_(flags=(*found.flags, "video-unknown")) if moved > 0.5 * DOUBTED * (high - low) else found
+    return found.with_(
+        interval68=_widened(found.value, found.interval68, 0.994458 * moved),
+        interval95=_widened(found.value, found.interval95, 1.959964 * moved),
+    )
+
+
+def _widened(value: float, interval: tuple[float, float] | None, by: float) -> tuple[float, float] | None:
+    if interval is None:
+        return None
+    low, high = interval
+    return max(value - float(np.hypot(value - low, by)), 0.0), value + float(np.hypot(high - value, by))

@@ -18,6 +18,8 @@ from labdata.session import Session
 # edges of 38 simulated specimens MTF10 by forms alone was off by 1.6 standard errors (rms), by departures from a form
 # and a video whose bandwidth is found by 0.7. Points by forms have not been held against specimens.
 OF_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
+# What `auto` takes where the data reject every form of its first method.
+WITHOUT_FORM = {"edge-parametric": "edge-free"}
 
 
 def measure(
@@ -65,10 +67,25 @@ def measure(
     described = OF_DESCRIBED_CAMERAS.get(kind) if method == "auto" and context.sensor is not None else None
     chosen = choose(kind, described or method, within_percent=within_percent)
     counted = distinct(stack)
-    found = _with_notes(chosen.function(counted, region=region, context=context, **target), counted, stack)
+    first = chosen.function(counted, region=region, context=context, **target)
+    if method == "auto" and chosen.name in WITHOUT_FORM and _rejected(first, chosen):
+        chosen = choose(kind, WITHOUT_FORM[chosen.name])
+        without = chosen.function(counted, region=region, context=context, **target)
+        first = _of_no_form(without) if without.find(chosen.quantities[0]) else first
+    found = _with_notes(first, counted, stack)
     if method == "auto":
         found = _told(found, chosen, within_percent)
     return found if stack.plane == "mono" else _of_plane(found, stack.plane)
+
+
+def _rejected(found: Result, chosen: Method) -> bool:
+    """Tell whether the data reject the form that a method fitted."""
+    return any("model-misfit" in one.flags for one in found.find(chosen.quantities[0]))
+
+
+def _of_no_form(found: Result) -> Result:
+    note = "No form of the point spread describes this edge: it was measured without one, by a wider interval."
+    return replace(found, measurements=tuple(one.with_(notes=(*one.notes, note)) for one in found.measurements))
 
 
 def measure_flats(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:

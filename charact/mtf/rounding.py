@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.gain.standard import QUANTISATION_DN2
-from charact.noise.light.rounding import EVEN_DN2, unrounded
-
 Array = NDArray[np.float64]
+
+# Variance that rounding to whole codes adds where noise spreads over several, DN^2.
+QUANTISATION_DN2 = 1.0 / 12.0
 
 # Places of black between two codes that are gone through, terms of the sawtooth's series, and shifts that count, DN.
 PLACES, TERMS, COUNTS_DN = 8, 6, 1e-3
@@ -31,6 +31,8 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
     Quantization Noise, 2008). Where x lies between codes is not known well enough: black is put at several places
     between two codes, each as likely. The noise is the least that rounding may leave with such a variance.
     """
+    from charact.noise.light.rounding import EVEN_DN2
+
     least = np.interp(variance_dn2, *_least_noise())
     noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, least)
     if np.exp(-2.0 * np.pi**2 * float(noise.min())) / np.pi < COUNTS_DN:
@@ -46,5 +48,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
 @cache
 def _least_noise() -> tuple[Array, Array]:
     """Variances as rounded, and the least that they may come of, DN^2."""
+    from charact.noise.light.rounding import EVEN_DN2, unrounded
+
     rounded = np.linspace(0.0, EVEN_DN2, 91)
     return rounded, np.array([unrounded(float(one))[0] for one in rounded])

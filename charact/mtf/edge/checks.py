@@ -100,8 +100,9 @@ def _bowed(offset: Array) -> bool:
     good = np.isfinite(offset)
     if np.count_nonzero(good) < 24:
         return False
-    place = np.linspace(-1.0, 1.0, offset.size)[good]
-    value = offset[good]
+    rows, value = np.flatnonzero(good), offset[good]
+    # From end to end of the rows that hold the edge: polynomials carried on beyond them would grow.
+    place = 2.0 * (rows - rows[0]) / (rows[-1] - rows[0]) - 1.0
     design = np.polynomial.legendre.legvander(place, 3)
     begin = np.arange(BLOCKS) * value.size // BLOCKS
     size = np.diff(begin, append=value.size)
@@ -129,7 +130,7 @@ def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency
     """Return the flags of the fitted profile."""
     flags = []
     step, slopes = abs(fitted.amplitude[0]), profile.light.by_side(fitted.amplitude)[-2:]
-    noise = _noise(profile)
+    noise = noise_of(profile)
     if fitted.chi2 / fitted.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fitted.free):
         flags.append("model-misfit")
     if profile.defects:
@@ -149,10 +150,11 @@ def fit_flags(picture: Picture, profile: Profile, fitted: Fitted, half_frequency
 
 def hides_between_codes(picture: Picture, profile: Profile) -> bool:
     """Tell whether the noise of one frame is so small that its plateaus may lie anywhere between two codes."""
-    return picture.whole_codes and _noise(profile) * np.sqrt(picture.frames) < HIDDEN_DN
+    return picture.whole_codes and noise_of(profile) * np.sqrt(picture.frames) < HIDDEN_DN
 
 
-def _noise(profile: Profile) -> float:
+def noise_of(profile: Profile) -> float:
+    """Return the noise of a pixel, the mean of both sides, DN."""
     return float(np.sqrt(0.5 * (profile.grain.dark_variance + profile.grain.bright_variance)))
 
 

@@ -92,7 +92,7 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
         fitted=edge_checks.Fitted(
             model=best.model, amplitude=best.amplitude, chi2=best.chi2, free=spreads.free - best.used_freedom
         ),
-        response=None,
+        response=spreads.response_curvature(posterior.draws),
         posterior=posterior,
         mtf=unbent(transfers.mtf, lifted),
         settings={"width_px": round(best.width_px, 3), "tail": best.tail, "smooth_over_px": round(best.smooth_px, 3)},

@@ -232,6 +232,28 @@ class LineSpreads:
             names=names, units=("DN/px",) * len(names), draws=np.concatenate(drawn), sampler="laplace", seed=seed
         )
 
+    def response_curvature(self, draws: Array) -> tuple[float, float]:
+        """Return the curvature of the response that lopsided line spreads ask for if the blur is even, and its error.
+
+        Parameters
+        ----------
+        draws
+            Line spreads, shape (draw, place).
+
+        Notes
+        -----
+        Under a response u + c u (1 - u) of the edge spread u an even line spread l becomes l (1 + c (1 - 2 u)), and a
+        shift d adds -d l': both are odd.
+        """
+        cells, mean = _cells(self.places), draws.mean(axis=0)
+        even = 0.5 * (mean + mean[::-1])
+        even = even / float(even @ cells)
+        rise = np.cumsum(even * cells) - 0.5 * even * cells
+        design = np.stack([even * (1.0 - 2.0 * rise), np.gradient(even, self.places)]) * np.sqrt(cells)
+        odd = 0.5 * (draws - draws[:, ::-1]) / (draws @ cells)[:, None] * np.sqrt(cells)
+        curvature = np.linalg.lstsq(design.T, odd.T, rcond=None)[0][0]
+        return float(curvature.mean()), float(max(curvature.std(), 1e-9))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Transfers:

@@ -105,7 +105,7 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
         posterior=drawn[0][1],
         mtf=lambda frequency: (
             np.abs(known(frequency))
-            * np.concatenate([form.modulus(posterior.draws[:count, 1:], frequency) for form, posterior, count in drawn])
+            * np.abs(np.concatenate([form.modulus(one.draws[:count, 1:], frequency) for form, one, count in drawn]))
         ),
         settings={"forms": _shares(fits)},
         notes=(_forms_note(fits), within_note(profile)),

@@ -14,6 +14,7 @@ import charact
 from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, falls_to
 from charact.mtf.edge import checks as edge_checks
+from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels import line
@@ -114,9 +115,10 @@ def measured_plainly(plain: PlainMethod, stack: FrameStack, region: Region | Non
             "Normalised to the light inside the region.",
         ),
     }
+    facts = Facts(edge=edge, half=float(falls_to(response.frequency, response.value[None], 0.5)[0]))
     measurements = [*_measurements(plain, response, common), _angle(edge, common)]
     return Result(
-        measurements=tuple(measurements),
+        measurements=tuple(with_findings(one, facts) for one in measurements),
         curves={"mtf": _curve(response)},
         evidence={
             "edge-spread": {
@@ -145,8 +147,11 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
     Returns
     -------
     ndarray
-        Shape (1 + block, cell); empty cells are interpolated between their neighbours.
+        Shape (1 + block, cell); empty cells are interpolated by cubic splines between their neighbours: at 45 degrees
+        three of four are empty, and straight lines between the others would blur the edge.
     """
+    from scipy.interpolate import CubicSpline
+
     inside = (cell >= 0) & (cell < size)
     block = np.broadcast_to((np.arange(len(value)) * BLOCKS // len(value))[:, None], value.shape)
     index = (block * size + cell)[inside]
@@ -158,7 +163,10 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
     means = totals / np.maximum(counts, 1)
     for mean, filled in zip(means, counts > 0, strict=True):
         if not filled.all() and filled.any():
-            mean[~filled] = np.interp(place[~filled], place[filled], mean[filled])
+            from scipy.interpolate import CubicSpline
+
+            held = np.clip(place[~filled], place[filled][0], place[filled][-1])
+            mean[~filled] = CubicSpline(place[filled], mean[filled])(held)
     return means
 
 
@@ -196,6 +204,7 @@ def _flags(plain: PlainMethod, edge: FoundEdge, half: float, context: Context) -
         ),
         *(("defects",) if profile.defects else ()),
         *edge.flags,
+        *sharpening_flags(edge, half),
         *edge.untold(lambda moved: not moved.lowers(half) < LOWERED),
         *_window_flags(profile, half),
     )

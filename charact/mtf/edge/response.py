@@ -25,20 +25,31 @@ CURVATURE, CURVATURE_SD = 0.05, 3.0
 STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
 # Most that an exponent up to 2.2 lifts MTF50 by, at a contrast of one; it goes as the contrast squared.
 MOST_LIFTED = 0.23
-# Deviations of MTF50 by which a response that does not show may have moved it where that is said, and distrusted.
-HIDDEN_NOTE, HIDDEN_FLAG = 2.0, 4.0
+# Deviations of MTF50 by which a response that does not show may have moved it where that is said.
+HIDDEN = 2.0
 
 
-def response_flags(curvature: float, error: float) -> tuple[str, ...]:
-    """Return `gamma` where the profile looks curved: lopsided beyond what the camera's known filter makes it.
+def response_flags(response: Response, contrast: float, deviation: float) -> tuple[str, ...]:
+    """Return `gamma` where the profile looks curved and that may move MTF50 by more than its standard error.
 
-    A Gaussian edge through a power law above 1 stays nearly symmetric and shows it in its noise at most.
+    Curved is lopsided beyond what the camera's known filter makes it. A Gaussian edge through a power law above 1 stays
+    nearly symmetric and shows it in its noise at most.
+
+    Parameters
+    ----------
+    response
+        Curvature of the response and its error.
+    contrast
+        Of both sides of the edge.
+    deviation
+        Standard deviation of MTF50, as a share of it.
     """
-    return ("gamma",) if abs(curvature) > max(CURVATURE, CURVATURE_SD * error) else ()
+    curved = abs(response[0]) > max(CURVATURE, CURVATURE_SD * response[1])
+    return ("gamma",) if curved and lift_of(response, contrast) > deviation else ()
 
 
-def hidden(response: Response, contrast: float, deviation: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return flags and notes on a curved response that the profile cannot show, where the errors do not cover it.
+def hidden_notes(response: Response, contrast: float, deviation: float) -> tuple[str, ...]:
+    """Return the note on a curved response that the profile cannot show, where the errors do not cover it.
 
     Parameters
     ----------
@@ -50,14 +61,22 @@ def hidden(response: Response, contrast: float, deviation: float) -> tuple[tuple
         Standard deviation of MTF50, as a share of it.
     """
     lifted = contrast * min(2.0 * STEEPENING * response[1], MOST_LIFTED * contrast)
-    if lifted < HIDDEN_NOTE * deviation:
-        return (), ()
-    flags = ("response-unknown",) if lifted > HIDDEN_FLAG * deviation else ()
-    return flags, (
+    if lifted < HIDDEN * deviation:
+        return ()
+    return (
         "A curved response of the camera (a gamma) would not show on this edge: it may have lifted MTF50 by up to "
         f"{100.0 * lifted:.1f} %, more than the errors allow for. A described camera, or its code at no light where "
         "noise is photons', would tell.",
     )
+
+
+def lift_of(response: Response | None, contrast: float) -> float:
+    """Return the share by which a curved response may have moved MTF50: as the profile asks for, or as any may."""
+    most = MOST_LIFTED * contrast**2
+    if response is None or response == NOT_LOOKED_FOR:
+        return most
+    share = (STEEPENING if response[0] < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
+    return contrast * share * (abs(response[0]) + 2.0 * response[1])
 
 
 def bent(posterior: Posterior, response: Response, profile: Profile, noise_ln_odds: float, seed: int) -> Posterior:

@@ -12,11 +12,12 @@ from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
 from charact.mtf.doubt import doubted
 from charact.mtf.edge import checks as edge_checks
+from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.geometry import orientation_deg
 from charact.mtf.edge.noise import growth_of
 from charact.mtf.edge.pixels.find import FoundEdge
 from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, contrast, hidden, response_flags
+from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, contrast, hidden_notes, response_flags
 from charact.mtf.growth import curved_ln_odds, noise_flags
 from charact.mtf.picture import Picture
 from charact.mtf.region import Region
@@ -102,8 +103,15 @@ def result_of(outcome: Outcome, context: Context) -> Result:
     def crossing(level: float) -> float:
         return float(np.nanmedian(_crossings(outcome, coarse, level)))
 
+    profile, fitted = edge.profile, outcome.fitted
+    facts = Facts(
+        edge=edge,
+        half=float(np.nanmedian(halves)),
+        response=outcome.response,
+        misfit=float(np.abs(profile.value - fitted.model).max()) / max(abs(profile.step), 1e-300),
+    )
     return Result(
-        measurements=tuple(doubted(one, outcome.doubt, crossing) for one in measurements),
+        measurements=tuple(with_findings(doubted(one, outcome.doubt, crossing), facts) for one in measurements),
         curves={"mtf": _curve(curve)},
         evidence={"edge-spread": _edge_spread(edge.picture, edge.profile, outcome.fitted)},
     )
@@ -112,19 +120,18 @@ def result_of(outcome: Outcome, context: Context) -> Result:
 def _common(outcome: Outcome, halves: Array, context: Context) -> dict[str, Any]:
     """Return what all measurements of an edge share."""
     edge, profile = outcome.edge, outcome.edge.profile
-    hidden_flags, hidden_notes = _hidden_by_response(outcome, halves, context)
     black = {} if profile.black is None else {"black_dn": profile.black}
     provenance = Provenance(
         version=charact.__version__, seed=context.seed, settings={"quick": context.quick, **black, **outcome.settings}
     )
     return {
         "method": outcome.method,
-        "flags": tuple(dict.fromkeys((*_flags(outcome, halves, context), *hidden_flags))),
+        "flags": tuple(dict.fromkeys(_flags(outcome, halves, context))),
         "notes": (
             *edge.notes,
             *edge_checks.course_notes(edge.roughness),
             *_notes(profile, edge.used, context),
-            *hidden_notes,
+            *_response_notes(outcome, halves, context),
             *outcome.notes,
         ),
         "region": edge.where,
@@ -140,11 +147,12 @@ def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
     yield from edge_checks.line_flags(edge.picture, edge.rows, edge.profile)
     yield from edge_checks.fit_flags(edge.picture, edge.profile, outcome.fitted, half if half > 0 else 0.01)
     if outcome.response:
-        yield from response_flags(*outcome.response)
+        yield from response_flags(outcome.response, contrast(edge.profile), _relative_sd(halves))
     yield from noise_flags(growth_of(edge))
     yield from _posterior_flags(outcome.posterior, context)
     yield from outcome.flags
     yield from edge.flags
+    yield from sharpening_flags(edge, half)
     untold = UNTOLD * _relative_sd(halves)
     yield from edge.untold(lambda moved: moved.lowers(half) > untold)
 
@@ -263,19 +271,18 @@ def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, .
     return tuple(notes)
 
 
-def _hidden_by_response(outcome: Outcome, halves: Array, context: Context) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return flags and notes on a response that may be curved unseen, beyond what the errors of MTF50 cover.
+def _response_notes(outcome: Outcome, halves: Array, context: Context) -> tuple[str, ...]:
+    """Return notes on a response that may be curved unseen, beyond what the errors of MTF50 cover.
 
     A described camera's response, or one under which noise grows as photons' does, is taken to be straight.
     """
     known = halves[np.isfinite(halves)]
     straight = curved_ln_odds(growth_of(outcome.edge)) < STRAIGHT_LN_ODDS
     if context.sensor is not None or straight or not known.size:
-        return (), ()
-    flags, notes = hidden(
+        return ()
+    return hidden_notes(
         outcome.response or NOT_LOOKED_FOR, contrast(outcome.edge.profile), float(np.std(np.log(known)))
     )
-    return flags if outcome.response else (), notes
 
 
 def within_note(profile: Profile) -> str:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from charact.mtf.forms import transfer as forms
 from charact.mtf.forms.moffat_table import MOFFAT_EXPONENT, moffat
+from charact.mtf.forms.pupil_table import AREA, SQUARED_WAVES, scaled_pupil
 
 Array = NDArray[np.float64]
 
@@ -28,7 +29,26 @@ LEAST_LN = -80.0
 # Share of the light in a halo, in scattered light.
 WIDE_SHARE = (0.0, 0.4)
 
-Core = Literal["gaussian", "exponential", "moffat"]
+Core = Literal["gaussian", "exponential", "moffat", "airy", "pupil"]
+
+# Half frequency of a clear pupil in focus over its cut-off.
+AIRY_HALF = 0.40397275
+
+# What shapes a core besides its half frequency: unit and bounds by name, and where a fit begins.
+SHAPES: dict[Core, dict[str, tuple[str, tuple[float, float]]]] = {
+    "gaussian": {},
+    "exponential": {"exponent": ("1", EXPONENT)},
+    "moffat": {"moffat_exponent": ("1", MOFFAT_EXPONENT)},
+    "airy": {},
+    "pupil": {"obscured_area": ("1", AREA), "squared_defocus": ("waves^2", SQUARED_WAVES)},
+}
+STARTS: dict[Core, tuple[float, ...]] = {
+    "gaussian": (),
+    "exponential": (1.5,),
+    "moffat": (2.5,),
+    "airy": (),
+    "pupil": (0.05, 0.05),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +150,8 @@ class Family:
     ----------
     core
         "gaussian": exp(-ln 2 (f/f2)^2). "exponential": exp(-ln 2 (f/f2)^n), the form of tubes. "moffat": that of
-        the spread (1 + r^2/a^2)^-b, with wings of a power law.
+        the spread (1 + r^2/a^2)^-b, with wings of a power law. "airy": that of a clear pupil in focus; "pupil": of one
+        with a hole in its middle and out of focus.
     wide
         Light beyond the core: a share q of all light, transfer (1 - q) core + q core wide; None: none.
     """
@@ -148,11 +169,7 @@ class Family:
         """Unit and bounds of each parameter by name."""
         low, high = np.log(HALF_FREQUENCY)
         half = {"ln_half_frequency": ("ln(cy/px)", (float(low), float(high)))}
-        shape = {
-            "gaussian": {},
-            "exponential": {"exponent": ("1", EXPONENT)},
-            "moffat": {"moffat_exponent": ("1", MOFFAT_EXPONENT)},
-        }[self.core]
+        shape = SHAPES[self.core]
         return {**half, **shape, **(self.wide.parameters if self.wide else {})}
 
     @property
@@ -163,28 +180,34 @@ class Family:
     @property
     def core_parameters(self) -> int:
         """Number of parameters before those of the light beyond the core."""
-        return 1 if self.core == "gaussian" else 2
+        return 1 + len(SHAPES[self.core])
 
     def start(self, half_frequency_cy_per_px: float) -> Array:
         """Return a point from which to climb."""
-        core = {"gaussian": [], "exponential": [1.5], "moffat": [2.5]}[self.core]
         wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
-        return np.array([np.log(half_frequency_cy_per_px), *core, *wide])
+        return np.array([np.log(half_frequency_cy_per_px), *STARTS[self.core], *wide])
 
     def modulus(self, theta: Array, frequency: Array) -> Array:
-        """Return the transfer, shape (n, parameter) and (f,) -> (n, f)."""
-        half = np.exp(theta[:, 0])
-        if self.core == "moffat":
-            ln = moffat(frequency, half, theta[:, 1])
-        else:
-            exponent = np.full(len(theta), 2.0) if self.core == "gaussian" else theta[:, 1]
-            ln = forms.exponential(frequency, half, exponent)
-        core = np.exp(np.maximum(ln, LEAST_LN))
+        """Return the transfer, shape (n, parameter) and (f,) -> (n, f); negative where defocus turns it round."""
+        core = self._core_at(theta, frequency)
         if self.wide is None:
             return core
         tail = theta[:, self.core_parameters :]
         share = tail[:, :1] * self.wide.share_unit(tail[:, 1:])
         return core * (1.0 - share + share * self.wide.transfer(frequency, tail[:, 1:]))
+
+    def _core_at(self, theta: Array, frequency: Array) -> Array:
+        half, none = np.exp(theta[:, 0]), np.zeros(len(theta))
+        if self.core == "airy":
+            v = np.minimum(AIRY_HALF * frequency / half[:, None], 1.0)
+            return (np.arccos(v) - v * np.sqrt(1.0 - v**2)) * 2.0 / np.pi
+        if self.core == "pupil":
+            return scaled_pupil(np.ascontiguousarray(frequency, float), half, theta[:, 1].copy(), theta[:, 2].copy())
+        if self.core == "moffat":
+            ln = moffat(frequency, half, theta[:, 1])
+        else:
+            ln = forms.exponential(frequency, half, none + 2.0 if self.core == "gaussian" else theta[:, 1])
+        return np.exp(np.maximum(ln, LEAST_LN))
 
     def log_prior(self, theta: Array) -> Array:
         """Return ln of the prior density, -inf outside the bounds: flat but for half frequency and exponent."""

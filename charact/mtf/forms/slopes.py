@@ -9,16 +9,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.forms.families import LEAST_LN, Family
+from charact.mtf.forms.families import AIRY_HALF, LEAST_LN, Family
 from charact.mtf.forms.moffat_table import Table, moffat_at, moffat_table
+from charact.mtf.forms.pupil_table import Table as PupilTable
+from charact.mtf.forms.pupil_table import pupil_and_slopes, pupil_curves, pupil_table
 from charact.mtf.forms.wide_tables import disc_at, disc_table, sine_integral_at, sine_table
 
 Array = NDArray[np.float64]
-Tables = tuple[Table, Array, Array]
+Tables = tuple[Table, Array, Array, PupilTable]
 
-CORES = {"gaussian": 0, "exponential": 1, "moffat": 2}
+CORES = {"gaussian": 0, "exponential": 1, "moffat": 2, "airy": 3, "pupil": 4}
 WIDES = {"halo": 0, "disc": 1, "glare": 2, "veil": 3}
 LN2 = float(np.log(2.0))
+# A pupil's table and curves where the form is another.
+NO_TABLE = np.zeros(0), np.zeros(0), np.zeros((0, 0, 0)), np.zeros((0, 0))
+NO_PUPIL = np.zeros((0, 0)), np.zeros(0)
 
 
 def kind_of(family: Family) -> tuple[int, int, float]:
@@ -28,10 +33,10 @@ def kind_of(family: Family) -> tuple[int, int, float]:
     return CORES[family.core], WIDES[family.wide.name], float(family.wide.size_px[1])
 
 
-@lru_cache(maxsize=1)
-def tables() -> Tables:
-    """Return what the forms are looked up in: Moffat's transfer, Si, and a disc's transfer and slope."""
-    return moffat_table(), sine_table(), disc_table()
+@lru_cache(maxsize=2)
+def tables(*, pupils: bool = False) -> Tables:
+    """Return what the forms are looked up in: Moffat's transfer, Si, a disc's transfer and slope, and pupils'."""
+    return moffat_table(), sine_table(), disc_table(), pupil_table() if pupils else NO_TABLE
 
 
 @njit(cache=True)
@@ -51,12 +56,20 @@ def form_and_slopes(kind: tuple, theta: Array, frequency: Array, tables: Tables)
     """
     core, wide, widest_px = kind
     out = np.empty((theta.size + 1, frequency.size))
-    cores = 1 if core == 0 else 2
+    cores = 3 if core == 4 else 2 if core == 1 or core == 2 else 1
+    curves, halves = pupil_curves(theta[1], theta[2], tables[3]) if core == 4 else NO_PUPIL
     for j in range(frequency.size):
-        value, by_half, by_shape = _core(core, theta, frequency[j], tables)
+        if core == 4:
+            value, rise, by_shape, by_other_shape = pupil_and_slopes(frequency[j] * np.exp(-theta[0]), curves, halves)
+            by_half = -rise
+        else:
+            value, by_half, by_shape = _core(core, theta, frequency[j], tables)
+            by_other_shape = 0.0
         out[0, j], out[1, j] = value, by_half
-        if cores == 2:
+        if cores > 1:
             out[2, j] = by_shape
+        if cores > 2:
+            out[3, j] = by_other_shape
         if wide < 0:
             continue
         size = theta[cores + 1]
@@ -81,6 +94,12 @@ def form_and_slopes(kind: tuple, theta: Array, frequency: Array, tables: Tables)
 def _core(core: int, theta: Array, frequency: float, tables: Tables) -> tuple[float, float, float]:
     """Return a core's transfer and its slopes with ln of the half frequency and with its exponent."""
     ratio = np.log(frequency) - theta[0]
+    if core == 3:
+        v = AIRY_HALF * np.exp(ratio)
+        if v >= 1.0:
+            return 0.0, 0.0, 0.0
+        height = np.sqrt(1.0 - v**2)
+        return (np.arccos(v) - v * height) * 2.0 / np.pi, v * height * 4.0 / np.pi, 0.0
     if core == 2:
         ln, rise, by_exponent = moffat_at(ratio, theta[1], tables[0])
         if ln < LEAST_LN:

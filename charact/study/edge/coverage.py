@@ -23,7 +23,7 @@ from charact.study.speed_accuracy import write_json
 from labdata.frames import FrameStack
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "edge_coverage.json"
-METHODS = ("edge-exponential", "edge-parametric", "edge-free", "edge-slanted", "edge-gradient", "edge-forward")
+METHODS = ("edge-parametric", "edge-free", "edge-slanted", "edge-gradient", "edge-forward")
 # Most regions for each method: enough to tell a quarter of a percent for the one that promises most; the forward fit
 # takes longest.
 MOST = {**dict.fromkeys(METHODS, 1000), "edge-parametric": 4000, "edge-forward": 200}

@@ -28,7 +28,6 @@ TABLE = Path(__file__).resolve().parents[1] / "tables" / "edge_peers.json"
 FIGURE = Path("docs/mtf/edge-peers.png")
 # Frames for each method at each noise; the forward fit takes longest.
 FRAMES = {
-    "edge-exponential": 600,
     "edge-parametric": 600,
     "edge-free": 600,
     "edge-forward": 60,

@@ -17,7 +17,7 @@ TARGETS = {
     "bars": (BarScene(frames=1, frequency_cy_per_px=0.15), {"bars": 4, "frequency_cy_per_px": 0.15}),
     "point": (PointScene(blur=Blur(sigma_px=0.8), pulse_px=0.5, photoelectrons=3000.0, rows=64, cols=64, frames=1), {}),
 }
-EDGES = ("edge-parametric", "edge-free", "edge-exponential", "edge-forward", "edge-slanted", "edge-gradient")
+EDGES = ("edge-parametric", "edge-free", "edge-forward", "edge-slanted", "edge-gradient")
 
 
 def repeated(stack, times):

@@ -14,7 +14,7 @@ from charact.mtf.edge.fit.peak import nearby, peak
 from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.edge.response import Response, response_curvature
 from charact.mtf.forms.families import Family
-from charact.mtf.forms.slopes import kind_of, tables
+from charact.mtf.forms.slopes import Tables, kind_of, tables
 from charact.mtf.optics import Known
 
 Array = NDArray[np.float64]
@@ -130,7 +130,7 @@ class FamilyFitter:
         while True:
             self.maps.made_for(float(point[0]))
             point, damping, iterations, here, beyond = climbed(
-                kind, point, damping, iterations, bounds, prior, self.maps.compiled, tables()
+                kind, point, damping, iterations, bounds, prior, self.maps.compiled, _tables(family)
             )
             if not beyond.size or iterations <= 0:
                 return point, here
@@ -148,7 +148,7 @@ class FamilyFitter:
         """Return the transfer at a point and its slopes, real and imaginary parts side by side."""
         self.maps.made_for(float(point[0]))
         grid, fixed, centre_px, *_ = self.maps.compiled
-        return stacked(kind_of(family), point, centre_px, grid, fixed, tables())
+        return stacked(kind_of(family), point, centre_px, grid, fixed, _tables(family))
 
     def _prior(self, family: Family, slope_sd_per_px: float) -> tuple[Array, Array]:
         """Return mean and precision of the Gaussian part of every parameter's prior, linear ones last."""
@@ -247,6 +247,10 @@ class FamilyFitter:
             return np.concatenate([of_block(block) for block in blocks])
 
         return log_probability
+
+
+def _tables(family: Family) -> Tables:
+    return tables(pupils=family.core == "pupil")
 
 
 @lru_cache(maxsize=256)

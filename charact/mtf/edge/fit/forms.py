@@ -15,6 +15,11 @@ from charact.mtf.optics import halo_diameters_px
 
 Array = NDArray[np.float64]
 
+# Cores that are fitted after a Gaussian, each from where the one before led.
+CORES: tuple[Core, ...] = ("exponential", "moffat", "airy")
+# Departures from the likeliest of these, in standard deviations of what noise leaves them, from which on a pupil out of
+# focus or with a hole is fitted.
+PUPIL_SD = 1.0
 # A form this much less probable than the best, as a share, adds nothing to the draws.
 LEAST_SHARE = 0.02
 # Power of the evidence by which forms are weighed: none of them is the blur itself, and the noise is an estimate too
@@ -34,8 +39,6 @@ SLOPED = 4.0
 HOPELESS = 100.0
 # Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
 DEPARTED_SD = 4.5
-# Share of the evidence that a form must keep beside others to answer for all of them.
-LEAST_STANDING = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +80,8 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
     best = max(found[:2], key=_evidence)
     # Light beyond a Moffat is asked for only where wings are likelier than none: it explains them a second time.
     wings = best.family.core != "gaussian" and found[2].log_evidence > best.log_evidence - CLOSE
-    pursued = found if wings else found[:2]
+    lenses = [fit for fit in found[3:] if fit.log_evidence > max(map(_evidence, found)) - CLOSE]
+    pursued = [*(found[:3] if wings else found[:2]), *lenses]
     least_gains = {UNEVEN_PER_PX: WORTH_IN_SLOPES_CHI2, slope_sd_per_px: 0.0}
     promised = [one for core in pursued for one in promises(fitter, core, wide, least_gains)]
     own = _worth([one for one in promised if one.core.slope_sd_per_px == slope_sd_per_px])
@@ -89,11 +93,16 @@ def _forms(fitter: FamilyFitter, wide: tuple[Wide, ...], slope_sd_per_px: float)
 
 
 def _cores(fitter: FamilyFitter, slope_sd_per_px: float) -> list[FamilyFit]:
-    """Fit a Gaussian, a tube's form and a Moffat, each from where the one before led."""
+    """Fit a Gaussian, a tube's form, a Moffat and lenses, each from where the one before led."""
     guess = fitter.guess()
-    gaussian = fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)
-    exponential = _next_core(fitter, "exponential", gaussian, guess)
-    return [gaussian, exponential, _next_core(fitter, "moffat", exponential, guess)]
+    found = [fitter.fit(Family(core="gaussian"), _start("gaussian", guess), slope_sd_per_px)]
+    for core in CORES:
+        found.append(_next_core(fitter, core, found[-1], guess))
+    best = max(found, key=_evidence)
+    lens_like = found[-1].log_evidence > best.log_evidence - CLOSE
+    return (
+        [*found, _next_core(fitter, "pupil", best, guess)] if lens_like or _departs(fitter, best, PUPIL_SD) else found
+    )
 
 
 def _hidden_by_slopes(promised: list[Promise], own: list[Promise], best: FamilyFit) -> list[Promise]:
@@ -198,28 +207,9 @@ def _weighed(found: list[FamilyFit]) -> list[Weighed]:
 
 def departs(fitter: FamilyFitter, fit: FamilyFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
+    return _departs(fitter, fit, DEPARTED_SD)
+
+
+def _departs(fitter: FamilyFitter, fit: FamilyFit, deviations: float) -> bool:
     gain, count = departure_gain(fitter, fit, departure_shapes)
-    return gain > count + DEPARTED_SD * np.sqrt(2.0 * count)
-
-
-def stands_alone(fitter: FamilyFitter, fit: FamilyFit, wide: tuple[Wide, ...]) -> bool:
-    """Tell whether a tube's form keeps a share of the evidence beside wings and light beyond any core.
-
-    A Gaussian is a tube's form, and no rival.
-    """
-    half_frequency = float(np.exp(fit.point[1]))
-    gaussian, moffat = (_next_core(fitter, core, fit, half_frequency) for core in ("gaussian", "moffat"))
-    own = np.logaddexp(fit.log_evidence, gaussian.log_evidence)
-    rivals = [moffat.log_evidence, *(_log_evidence_beyond(fitter, core, wide) for core in (fit, gaussian, moffat))]
-    return bool(own - np.logaddexp.reduce([own, *rivals]) > np.log(LEAST_STANDING))
-
-
-def _log_evidence_beyond(fitter: FamilyFitter, core: FamilyFit, wide: tuple[Wide, ...]) -> float:
-    """Return ln of the evidence of a core with light beyond it: the most promising is fitted, the rest as it fares."""
-    promised = promises(fitter, core, wide, {core.slope_sd_per_px: 0.0})
-    if not promised:
-        return -np.inf
-    best = max(promised, key=lambda one: one.log_evidence)
-    fitted = fit_wide(fitter, best, np.inf)
-    told = best.log_evidence if fitted is None else max(best.log_evidence, fitted.log_evidence)
-    return float(np.logaddexp.reduce([one.log_evidence for one in promised])) + told - best.log_evidence
+    return gain > count + deviations * np.sqrt(2.0 * count)

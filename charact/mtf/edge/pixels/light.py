@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.bins import Gathered
+from charact.mtf.edge.pixels.fields import steepness
 from charact.mtf.picture import Picture
 from charact.robust import NORMAL, median
 
@@ -48,9 +49,7 @@ def _at_pixels(mean: Array, count: Array, gathered: Gathered) -> Array:
     """Return the profile at every pixel: its bin's mean, and its slope for the place within the bin."""
     filled, rise = count > 0, np.zeros_like(mean)
     if np.count_nonzero(filled) > 8:
-        smooth = np.convolve(mean[filled], np.ones(3) / 3.0, "same")
-        rise[filled] = np.gradient(smooth, gathered.place[filled])
-        rise[:4] = rise[-4:] = 0.0
+        rise[filled] = steepness(gathered.place[filled], mean[filled], gathered.place[filled])
     return gathered.carried(mean, rise)
 
 

@@ -221,15 +221,22 @@ def _smoothing() -> tuple[Array, Array]:
 
 @njit(cache=True)
 def _near(value: Array, across: Array) -> tuple[Array, Array]:
-    """Return the sum of the pixels in each cell of the rows' mean profile, and their number."""
+    """Return the sum of the pixels in each cell of the rows' mean profile, and their number.
+
+    A pixel between the middles of two cells counts in both as it is near: at 45 degrees all rows cross the cells at
+    one place, and pixels that passed from one cell to the next along the edge would seem to bend it.
+    """
     size = 2 * CELLS_PER_PX * int(ROW_REACH_PX)
     sums, counts = np.zeros(size), np.zeros(size)
     for row in range(value.shape[0]):
         for col in range(value.shape[1]):
             if abs(across[row, col]) < ROW_REACH_PX:
-                cell = min(int((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX), size - 1)
-                sums[cell] += value[row, col]
-                counts[cell] += 1.0
+                place = min(max((across[row, col] + ROW_REACH_PX) * CELLS_PER_PX - 0.5, 0.0), size - 1.001)
+                cell = int(place)
+                for k in range(2):
+                    near = place - cell if k else 1.0 - place + cell
+                    sums[cell + k] += near * value[row, col]
+                    counts[cell + k] += near
     return sums, counts
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from charact.mtf.edge.pixels.fields import steepness
 from charact.mtf.edge.pixels.profile import Profile
 from charact.mtf.picture import Picture
+from charact.mtf.rounding import QUANTISATION_DN2
 from charact.mtf.wander import Wander
-from charact.noise.gain.standard import QUANTISATION_DN2
 
 Array = NDArray[np.float64]
 

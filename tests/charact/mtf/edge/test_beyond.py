@@ -78,16 +78,17 @@ def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         beyond = sum(share for name, share in found.provenance.settings["forms"].items() if "+" in name)
         reach[odds] = found.interval95[1] - found.value
-        assert beyond == pytest.approx(0.21 if np.isfinite(odds) else 0.06, abs=0.05)
+        # Lenses' forms stand beside the others and share in the rest.
+        assert beyond == pytest.approx(0.14 if np.isfinite(odds) else 0.04, abs=0.04)
     told, untold = reach.values()
-    assert told > 1.1 * untold
+    assert told > 1.05 * untold
 
 
 def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
     """A disc of a fifth of the light, 15 px wide, at 18 standard deviations: most of the evidence is for a tube's form.
 
-    By the full power of the evidence the truth lies 1.4 intervals away, unless black is known: the
-    light slopes, and that much of it on both sides is no tube's wing.
+    By the full power of the evidence the truth lies further out; where black is known it lies within: the light slopes,
+    and that much of it on both sides is no tube's wing.
     """
     cell = cell_of(3063)
     truth = cell.scene.truth_mtf50
@@ -99,7 +100,8 @@ def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
         return (truth - found.value) / (found.interval95[1] - found.value)
 
     tempered = edge_forms.TEMPERED
-    assert 0 < away(tempered, None) < 1.2 < 1.4 < away(1.0, None)
+    assert 0 < away(tempered, None) < 1.2
+    assert away(tempered, None) < away(1.0, None) < 1.5
     assert 0 < away(tempered, 200.0) < away(1.0, 200.0) < 1.5
 
 

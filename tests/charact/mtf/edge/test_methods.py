@@ -74,7 +74,7 @@ def test_the_bound_is_the_one_the_peers_were_held_against():
 @pytest.mark.parametrize("snr", [30.0, 5.0])
 def test_errors_are_at_the_bound(snr, seed):
     """Sampling error of an RMS of n errors is 1/sqrt(2 n) of it: 2.5 of that are allowed over 1.15 and 1.5."""
-    count, limits = 40, {"edge-parametric": 1.15, "edge-exponential": 1.15, "edge-free": 1.5}
+    count, limits = 40, {"edge-parametric": 1.15, "edge-free": 1.5}
     wanted = dict.fromkeys(limits, seed + count)
     given = [one for each in range(count) for one in answers(seed + each, snr, wanted)]
     for method, limit in limits.items():
@@ -103,33 +103,19 @@ def test_the_evidence_tells_a_lens_from_a_tube(seed):
         assert sum(next(iter(shares)) == name for shares in found) >= 4, found
 
 
-@pytest.mark.parametrize("method", ["edge-parametric", "edge-exponential"])
+@pytest.mark.parametrize("method", ["edge-parametric"])
 def test_a_blur_of_no_known_form_is_told_and_the_free_method_needs_none(method, seed):
     """Light smeared evenly over 4 px along the normal: transfer sinc(4 f), which no lens or tube has."""
     rng = np.random.default_rng(seed)
     form = lambda f: np.sinc(4.0 * f) * gaussian(0.5)(f)  # noqa: E731
     frame = 1000.0 + 2000.0 * edges.frame_of(form, 160, 120, angle_deg=6.0)
     frame = frame + 20.0 * rng.standard_normal(frame.shape)
-    assert "model-misfit" in measured(frame, method).find("mtf50")[0].flags
-    free = measured(frame, "edge-free").find("mtf50")[0]
+    assert "model-misfit" in measured(frame, "edge-parametric").find("mtf50")[0].flags
+    free = measured(frame, "auto").find("mtf50")[0]
+    assert free.method == "edge-free"
     half = (free.interval95[1] - free.interval95[0]) / 4
     assert abs(free.value - edges.level_of(form, 6.0)) < 4.5 * half
     assert free.status == "ok"
-
-
-def test_one_form_alone_tells_a_halo_that_it_cannot_describe(seed):
-    rng = np.random.default_rng(seed)
-    form = with_disc(gaussian(0.8), 0.2, 30.0)
-    frame = 1000.0 + 2000.0 * edges.frame_of(form, 150, 150, angle_deg=6.0)
-    frame = frame + 20.0 * rng.standard_normal(frame.shape)
-    assert measured(frame, "edge-exponential").find("mtf50")[0].status != "ok"
-
-
-def test_halos_in_noise_are_told_by_one_form_alone():
-    """Halos of 8 to 22 % of the light at steps of 7 to 42 standard deviations, which smooth departures do not show."""
-    seeds = (1, 63, 68, 240, 726, 781, 791, 812, 842, 869)
-    found = [covered(seed, ["edge-exponential"])[0] for seed in seeds]
-    assert not any(one.silent for one in found), found
 
 
 @pytest.mark.parametrize("gradient", [-0.06, 0.06])
@@ -212,9 +198,7 @@ def test_an_interval_too_wide_for_its_tails_is_flagged(seed):
         assert ("low-signal" in found.flags) == (high - low > 0.3 * found.value) == (noise > 1000.0)
 
 
-@pytest.mark.parametrize(
-    "method", ["edge-parametric", "edge-free", "edge-exponential", "edge-forward", "edge-gradient", "edge-slanted"]
-)
+@pytest.mark.parametrize("method", ["edge-parametric", "edge-free", "edge-forward", "edge-gradient", "edge-slanted"])
 def test_plateaus_that_may_lie_anywhere_between_two_codes_are_told(method, seed):
     """Frames of 30 codes in noise of a tenth of one: MTF50 was up to 3 % off at a told 0.5 %."""
     rng = np.random.default_rng(seed)

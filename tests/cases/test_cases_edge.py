@@ -1,0 +1,187 @@
+"""Edges that others made: the files of the cases, and siblings drawn here with their truth in closed form."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact.method import Context
+from charact.mtf import measure
+from charact.mtf.codes import code_flags
+from labdata.frames import FrameStack
+from labdata.importers import read_frames
+
+ROOT = Path(__file__).resolve().parents[2]
+CASES = ROOT.parent / "shared" / "cases"
+BURNS = ROOT.parent / "shared" / "data" / "burns_sfrmat3"
+QUICK = Context(quick=True)
+
+
+def frames_of(path, **options):
+    if not path.is_file():
+        pytest.skip(f"{path} is not here")
+    return read_frames(path, **options)
+
+
+def mtf50_of(stack, method="auto"):
+    return measure("edge", stack, method=method, context=QUICK).find("mtf50")[0]
+
+
+def diffraction(cut_off):
+    """Transfer of a clear pupil in focus, 2/pi (acos v - v sqrt(1 - v^2))."""
+
+    def transfer(f):
+        v = np.minimum(f / cut_off, 1.0)
+        return 2.0 / np.pi * (np.arccos(v) - v * np.sqrt(1.0 - v * v))
+
+    return transfer
+
+
+def gaussian(sigma_px):
+    return lambda f: np.exp(-2.0 * (np.pi * sigma_px * f) ** 2)
+
+
+def drawn(transfer, angle_deg, rows=150, cols=140, shift=0.3):
+    """Edge from 0 to 1 of a blur and square pixels, and its MTF50 along the normal, both by sums over frequencies."""
+    turn = np.deg2rad(angle_deg)
+    frequency = (np.arange(32768) + 0.5) / 8192.0
+    modulus = transfer(frequency) * np.sinc(frequency * np.cos(turn)) * np.sinc(frequency * np.sin(turn))
+    place = np.concatenate([np.arange(0.0, 16.0, 0.04), np.arange(16.0, 220.0, 0.5)])
+    kept = np.abs(modulus) > 1e-9
+    weight = (modulus / np.pi / frequency / 8192.0)[kept]
+    spread = np.array([np.sin(2.0 * np.pi * d * frequency[kept]) @ weight for d in place])
+    row, col = np.arange(rows)[:, None] - (rows - 1) / 2, np.arange(cols)[None, :] - (cols - 1) / 2
+    away = col * np.cos(turn) + row * np.sin(turn) - shift
+    half = float(frequency[np.argmax(np.abs(modulus) < 0.5)])
+    return 0.5 + np.sign(away) * np.interp(np.abs(away), place, spread), half
+
+
+def recorded(edge, seed, *, bits=12, full_well_e=1e4, read_noise_e=4.0, levels=(0.1, 0.7), frames=1):
+    """Frames with photon and read noise in whole codes."""
+    rng = np.random.default_rng(seed)
+    top = 2.0**bits - 1.0
+    electrons = (levels[0] + (levels[1] - levels[0]) * edge) * full_well_e
+    noisy = rng.poisson(electrons, (frames, *edge.shape)) + rng.normal(0.0, read_noise_e, (frames, *edge.shape))
+    return np.clip(np.rint(noisy * top / full_well_e), 0, top).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+def holds(found, truth):
+    low, high = found.interval95
+    return low <= truth <= high
+
+
+def test_a_diffraction_limited_edge_at_135_degrees():
+    found = mtf50_of(frames_of(CASES / "g1-edge-at-135" / "e.tif"))
+    assert found.status == "ok"
+    assert holds(found, 0.2012)
+    assert found.interval95[1] - found.interval95[0] < 0.005
+
+
+@pytest.mark.parametrize("angle_deg", [5.0, 44.0, 45.0, 135.0, 225.0])
+def test_diffraction_at_any_angle(angle_deg):
+    edge, truth = drawn(diffraction(0.45), angle_deg)
+    founds = [mtf50_of(FrameStack(data=recorded(edge, seed, bits=10))) for seed in range(5)]
+    assert all(one.status == "ok" for one in founds), [one.flags for one in founds]
+    assert sum(holds(one, truth) for one in founds) >= 4
+    assert abs(np.mean([one.value for one in founds]) / truth - 1.0) < 0.01
+
+
+@pytest.mark.parametrize("angle_deg", [45.0, 135.0])
+def test_the_slanted_edge_method_at_45_degrees_where_most_of_its_bins_are_empty(angle_deg):
+    edge, truth = drawn(gaussian(0.8), angle_deg, 180, 170)
+    found = mtf50_of(FrameStack(data=recorded(edge, 3)), "edge-slanted")
+    assert found.status == "ok"
+    assert abs(found.value / truth - 1.0) < 0.03
+
+
+def test_a_clean_12_bit_edge_is_ok():
+    found = mtf50_of(frames_of(CASES / "m3-clean-12-bit-edge" / "e.tif"))
+    assert found.status == "ok"
+    assert found.value == pytest.approx(0.1251, abs=5e-4)
+    assert holds(found, 0.1249)
+
+
+@pytest.mark.parametrize("bits", [8, 12, 16])
+def test_clean_edges_of_other_depths_are_ok(bits):
+    edge, truth = drawn(gaussian(1.3), 7.0)
+    found = mtf50_of(FrameStack(data=recorded(edge, bits, bits=bits, frames=4)))
+    assert found.status == "ok", found.flags
+    assert abs(found.value / truth - 1.0) < 0.01
+
+
+def test_clipping_of_a_left_shifted_picture_is_named():
+    stack = frames_of(CASES / "l1-clipped-left-shifted-12-bit" / "e.tif")
+    shifted, plain = mtf50_of(stack), mtf50_of(FrameStack(data=stack.data // 16, full_scale_dn=4095.0))
+    for found in (shifted, plain):
+        assert "clipped" in found.flags
+        assert any(note.startswith("clipped: ") and ("65520" in note or "4095" in note) for note in found.notes)
+
+
+@pytest.mark.parametrize("kind", ["left-shifted", "float", "below the top"])
+@pytest.mark.parametrize("cut", [0.6, 0.66])
+def test_clipping_at_the_data_s_own_ceiling(kind, cut):
+    edge, _ = drawn(gaussian(1.2), 5.0)
+    data = np.minimum(recorded(edge, 1), np.uint16(cut * 4095))
+    data = {"left-shifted": data * np.uint16(16), "float": data / 4095.0, "below the top": data}[kind]
+    assert code_flags(data, None) == ("clipped",)
+
+
+@pytest.mark.parametrize("kind", ["float", "rounded", "averaged"])
+def test_the_flat_plateau_of_a_picture_without_noise_is_no_clipping(kind):
+    """Blurred so little that both plateaus are one value each, as simulated and much averaged pictures are."""
+    edge, truth = drawn(gaussian(0.7), 5.0)
+    data = 400.0 + 2000.0 * edge
+    if kind == "averaged":
+        data = recorded(edge, 4, frames=400).mean(axis=0)
+    data = np.rint(data) if kind == "rounded" else data
+    found = mtf50_of(FrameStack(data=data[None]))
+    assert "clipped" not in found.flags
+    assert abs(found.value / truth - 1.0) < 0.01
+
+
+@pytest.mark.parametrize("amount", [0.5, 1.2])
+def test_a_sharpened_edge_is_told(amount):
+    from scipy.ndimage import gaussian_filter
+
+    edge, _ = drawn(gaussian(1.1), 8.0)
+    plain = recorded(edge, 2).astype(float)
+    sharpened = np.rint(plain + amount * (plain - gaussian_filter(plain, (0.0, 1.2, 1.2))))
+    assert "processed" not in mtf50_of(FrameStack(data=plain)).flags
+    for method in ("auto", "edge-slanted"):
+        found = mtf50_of(FrameStack(data=sharpened), method)
+        assert "processed" in found.flags
+        assert any(note.startswith("processed: ") for note in found.notes)
+
+
+def test_where_no_form_fits_the_answer_needs_none_and_is_wider():
+    """Light smeared evenly over 4 px along the normal, as a target that moves through the exposure has it."""
+    transfer = lambda f: gaussian(0.5)(f) * np.sinc(4.0 * f)  # noqa: E731
+    edge, truth = drawn(transfer, 6.0)
+    stack = FrameStack(data=recorded(edge, 5, frames=4))
+    assert "model-misfit" in mtf50_of(stack, "edge-parametric").flags
+    found = mtf50_of(stack)
+    assert found.method == "edge-free"
+    assert found.status == "ok"
+    assert holds(found, truth)
+
+
+@pytest.mark.parametrize(("plane", "theirs"), [("r", 0.1978), ("g", 0.1978), ("b", 0.1946), ("luminance", 0.1978)])
+def test_burns_edge_explains_gamma_and_its_number_is_his(plane, theirs):
+    stack = frames_of(BURNS / "h_edge.tif", plane=plane)
+    assert mtf50_of(stack, "edge-slanted").value == pytest.approx(theirs, rel=0.01)
+    found = mtf50_of(stack)
+    assert found.value == pytest.approx(theirs, rel=0.01)
+    assert found.flags in ((), ("gamma",))
+    for said in (note for note in found.notes if note.startswith("gamma: ")):
+        assert "%" in said
+        assert "--black-dn" in said
+    if plane in ("g", "luminance"):
+        assert found.flags == ("gamma",)
+
+
+def test_stating_less_never_earns_a_better_verdict():
+    edge, _ = drawn(gaussian(1.0), 5.0)
+    stack = FrameStack(data=recorded(edge, 6))
+    stated = replace(stack, black_level_dn=0.0, full_scale_dn=4095.0)
+    assert mtf50_of(stated).status == mtf50_of(stack).status == "ok"
