@@ -166,9 +166,6 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
         flags += ("model-misfit",)
     if own is None:
         return flags
-    if np.quantile(posterior["elastic_share"], 0.025) < 0.0:
-        # Without electrons that keep their energy a halo has no rim: it fades out, and wings shift where it ends.
-        flags += ("prior-bound",)
     diameter = float(np.median(posterior["halo_diameter"]))
     if diameter / 2.0 > WHOLE * series.radius_px[-1]:
         flags += ("window-too-small",)

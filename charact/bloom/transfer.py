@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 # Log-arguments and orders at which the transform of Moffat wings is tabulated.
 ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
 ORDERS = np.linspace(0.02, 3.2, 160)
+# Fractions of a halo's light whose density rises to a rim as 1/sqrt(1 - x^2), peaks in the middle as arccos(x)/x, and
+# rises evenly as x^2, x its radius over the disc's.
+PROFILE = ("elastic_share", "even_share", "rising_share")
 # Frequency that stands for 0 where a formula divides by it.
 LEAST_CY_PER_PX = 1e-9
 
@@ -46,17 +49,30 @@ def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
     return np.where(log_argument < ARGUMENTS[-1], out, 0.0)
 
 
-def disc(frequency: Array, diameter_px: Array, elastic: Array) -> Array:
-    """Transform of electrons that bounced off the plate.
+def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
+    """Transform of a halo's disc, whose light ends at its edge and may take any even profile inside.
 
-    Those that keep their energy fall with the density 1/sqrt(1 - x^2) at the share x of the halo's radius, those that
-    keep an even share of it with arccos(x)/x: sin(u)/u and Si(u)/u, u = pi f D (physics of the gap: range 2 d e sin 2t,
-    cosine law).
+    Parameters
+    ----------
+    frequency, diameter_px
+        As above.
+    profile
+        Fractions of its light with the radial densities of `PROFILE`, shape (draw, 3); the rest is flat.
+
+    Notes
+    -----
+    With x the radius over that of the disc and u = pi f D, a flat disc becomes 2 J1(u)/u and the density x^2
+    4 J1(u)/u - 8 J2(u)/u^2. Electrons that bounce off a plate and keep their energy fall with the density
+    1/sqrt(1 - x^2), those that keep an even fraction of it with arccos(x)/x (range 2 d e sin 2t in the gap, cosine law):
+    sin(u)/u and Si(u)/u.
     """
-    from scipy.special import sici
+    from scipy.special import j1, jv, sici
 
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
-    return elastic[:, None] * np.sinc(u / np.pi) + (1.0 - elastic[:, None]) * sici(u)[0] / u
+    first = j1(u) / u
+    # J2 by recurrence, 2 J1(u)/u - J0(u), would cancel at small arguments.
+    parts = (np.sinc(u / np.pi), sici(u)[0] / u, 4.0 * first - 8.0 * jv(2, u) / u**2)
+    return sum((part - 2.0 * first) * profile[:, one, None] for one, part in enumerate(parts)) + 2.0 * first
 
 
 @lru_cache(maxsize=1)

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 CORES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 # Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
 STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
+# Numbers of a disc, and where it is first looked for: in equal parts flat, rimmed and peaked, with a little of the light.
+HALO, FIRST_HALO = 5, (0.3, 0.3, 0.0, 0.08)
 # Shares of electrons that keep their energy from which a disc is climbed to again.
 SHAKEN = (0.15, 0.6)
 # Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
@@ -109,12 +111,12 @@ def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Ca
     diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, STARTS)
     if np.isfinite(first_diameter_px):
         diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
-    halos = [*(one.peak.point[-3:] for one in found), *([diameter, 0.4, 0.08] for diameter in diameters)]
+    halos = [*(one.peak.point[-HALO:] for one in found), *([diameter, *FIRST_HALO] for diameter in diameters)]
     cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
     out = [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
     if form.core == "moffat":
         plain = found[0].peak.point
-        out.append(np.array([plain[0], *cores[1][1:], *plain[-3:]]))
+        out.append(np.array([plain[0], *cores[1][1:], *plain[-HALO:]]))
     return out
 
 
@@ -130,7 +132,7 @@ def fitted(series: Series, form: Form, starts: list[Array]) -> Candidate:
 def shaken(candidate: Candidate) -> Candidate:
     """Climb again from other mixes of energies, with the core as it is and as cores are at first: wings hide halos."""
     form, point = candidate.form, candidate.peak.point
-    at, core = form.names.index("elastic_share"), len(point) - 3
+    at, core = form.names.index("elastic_share"), len(point) - HALO
     starts = [point]
     for share in SHAKEN:
         for first in (point[:core], form.first[:core]):

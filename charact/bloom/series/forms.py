@@ -4,6 +4,7 @@ A form is a list of parameters with priors and the transforms they make. Which f
 `charact.bloom.series.choice`, never by hand.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal
@@ -46,8 +47,12 @@ WING_SHARE = Parameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.0
 WING_RADIUS = Parameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0)
 WING_EXPONENT = Parameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0)
 LEAST_DIAMETER_PX = 12.0
-# Beyond 0..1 by a little: a wall at 0 would push the diameter of a halo without rim to one side.
-ELASTIC_SHARE = Parameter(name="elastic_share", unit="1", low=-0.15, high=1.15, start=0.4)
+# Fractions of a disc's light by its profile: anything between a rim of electrons that keep their energy, an even disc and
+# a peak is as likely. Beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
+PROFILE = tuple(
+    Parameter(name=name, unit="1", low=-0.6, high=1.2, mean=mean, sd=0.4)
+    for name, mean in zip(transfer.PROFILE, (0.3, 0.3, 0.1), strict=True)
+)
 HALO_FRACTION = Parameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
 HALO_SD = Parameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0)
 
@@ -91,7 +96,7 @@ class Form:
             return HALO_SD, HALO_FRACTION
         widest = Parameter(name="halo_diameter", unit="px", low=LEAST_DIAMETER_PX, high=1.7 * self.reach_px,
                            start=0.8 * self.reach_px)  # fmt: skip
-        return widest, ELASTIC_SHARE, HALO_FRACTION
+        return widest, *PROFILE, HALO_FRACTION
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -161,8 +166,13 @@ class Form:
         """Transform of the bare halo, shape (draw, frequency); None where there is none."""
         of = self.at(points)
         if self.halo == "disc":
-            return transfer.disc(frequencies(), of["halo_diameter"], of["elastic_share"])
+            return transfer.disc(frequencies(), of["halo_diameter"], profile_of(of))
         return transfer.gaussian(frequencies(), of["halo_sd"] ** 2) if self.halo == "gaussian" else None
+
+
+def profile_of(of: Mapping[str, Array]) -> Array:
+    """Return the profile of a disc, shape (draw, fraction), from named parameters."""
+    return np.stack([of[name] for name in transfer.PROFILE], axis=-1)
 
 
 @lru_cache(maxsize=4)
