@@ -110,8 +110,9 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
         return _Told(measurements=_refused(found, fields), evidence={})
     series, group = found
     context.progress("forms of the source's light", 0.9)
+    has_tube = context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
     radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
-    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor,
+    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor, has_tube=has_tube,
                        first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
     best = forms[0]
     context.progress("posterior of the series", 0.95)
@@ -127,7 +128,7 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     flags += several_flag(group)
     said += spread_told(best, posterior, flags, notes, fields)
     said += glare_told(best, posterior, group, flags, notes, fields)
-    said += plate_told(forms, posterior, flags, notes, fields)
+    said += plate_told(forms, posterior, flags, notes, fields) if has_tube else []
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
     return _Told(measurements=said, evidence=evidence, best=best, group=group)
 

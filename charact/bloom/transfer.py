@@ -14,9 +14,12 @@ Array = NDArray[np.float64]
 # Log-arguments and orders at which the transform of Moffat wings is tabulated.
 ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
 ORDERS = np.linspace(0.02, 3.2, 160)
-# Fractions of a halo's light whose density rises to a rim as 1/sqrt(1 - x^2), peaks in the middle as arccos(x)/x, and
-# rises evenly as x^2, x its radius over the disc's.
-PROFILE = ("elastic_share", "even_share", "rising_share")
+# Fractions of a halo's light whose density rises to a rim as 1/sqrt(1 - x^2), peaks in the middle as arccos(x)/x, rises
+# evenly as x^2, and lies in a rim of finite width as x^12, x its radius over the disc's; half the powers.
+PROFILE = ("elastic_share", "even_share", "rising_share", "rim_share")
+RISE, RIM = 1, 6
+# Arguments at which the transforms of discs are tabulated: 160 px at 1.25 cycles a pixel.
+DISC_ARGUMENTS = np.arange(0.0, 650.0, 0.04)
 # Frequency that stands for 0 where a formula divides by it.
 LEAST_CY_PER_PX = 1e-9
 
@@ -49,6 +52,12 @@ def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
     return np.where(log_argument < ARGUMENTS[-1], out, 0.0)
 
 
+def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
+    """(1 + p (2 pi f s)^2/2)^(-1/p) of variance s^2 along each axis: Gaussian at p = 0, exp(-r/L) at 2/3, s^2 = 3 L^2."""
+    power = np.maximum(peak, 1e-6)[:, None]
+    return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
+
+
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     """Transform of a halo's disc, whose light ends at its edge and may take any even profile inside.
 
@@ -57,22 +66,33 @@ def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     frequency, diameter_px
         As above.
     profile
-        Fractions of its light with the radial densities of `PROFILE`, shape (draw, 3); the rest is flat.
+        Fractions of its light with the radial densities of `PROFILE`, shape (draw, fraction); the rest is flat.
 
     Notes
     -----
-    With x the radius over that of the disc and u = pi f D, a flat disc becomes 2 J1(u)/u and the density x^2
-    4 J1(u)/u - 8 J2(u)/u^2. Electrons that bounce off a plate and keep their energy fall with the density
-    1/sqrt(1 - x^2), those that keep an even fraction of it with arccos(x)/x (range 2 d e sin 2t in the gap, cosine law):
-    sin(u)/u and Si(u)/u.
+    With x the radius over that of the disc and u = pi f D: electrons that bounce off a plate and keep their energy fall
+    with the density 1/sqrt(1 - x^2), those that keep an even fraction of it with arccos(x)/x (range 2 d e sin 2t in the
+    gap, cosine law), of transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, whose transforms are
+    Sonine's, Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
     """
-    from scipy.special import j1, jv, sici
-
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
-    first = j1(u) / u
-    # J2 by recurrence, 2 J1(u)/u - J0(u), would cancel at small arguments.
-    parts = (np.sinc(u / np.pi), sici(u)[0] / u, 4.0 * first - 8.0 * jv(2, u) / u**2)
-    return sum((part - 2.0 * first) * profile[:, one, None] for one, part in enumerate(parts)) + 2.0 * first
+    first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
+    flat, *parts = (sum(weight[..., one] * part[first[..., one]] for one in range(4)) for part in _disc_table())
+    return flat + sum(profile[:, one, None] * (part - flat) for one, part in enumerate(parts))
+
+
+@lru_cache(maxsize=1)
+def _disc_table() -> tuple[Array, ...]:
+    """Transforms of a flat disc and of the densities of `PROFILE` at `DISC_ARGUMENTS`."""
+    from scipy.special import comb, gamma, jv, sici
+
+    u = np.maximum(DISC_ARGUMENTS, LEAST_CY_PER_PX)
+    sonine = [gamma(k + 2) * (2.0 / u) ** (k + 1) * jv(k + 1, u) for k in range(RIM + 1)]
+
+    def power(n: int) -> Array:
+        return (n + 1) * sum((-1) ** k * comb(n, k) / (k + 1) * sonine[k] for k in range(n + 1))
+
+    return sonine[0], np.sinc(u / np.pi), sici(u)[0] / u, power(RISE), power(RIM)
 
 
 @lru_cache(maxsize=1)

@@ -17,7 +17,10 @@ from charact.bloom.series.hankel import frequencies
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
-Core = Literal["gaussian", "tube", "moffat"]
+Core = Literal["gaussian", "tube", "moffat", "matern"]
+# Cores that are tried: of any camera, and of one whose session shows that it has a tube.
+CORES: tuple[Core, ...] = ("gaussian", "matern", "moffat")
+CORES_OF_TUBES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 Halo = Literal["none", "disc", "gaussian"]
 
 
@@ -46,12 +49,15 @@ CORE_EXPONENT = Parameter(name="core_exponent", unit="1", low=0.7, high=2.5, mea
 WING_SHARE = Parameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.05)
 WING_RADIUS = Parameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0)
 WING_EXPONENT = Parameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0)
+WING_SD = Parameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0)
+WING_PEAK = Parameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5)
+WINGS = {"moffat": (WING_SHARE, WING_RADIUS, WING_EXPONENT), "matern": (WING_SHARE, WING_SD, WING_PEAK)}
 LEAST_DIAMETER_PX = 12.0
 # Fractions of a disc's light by its profile: anything between a rim of electrons that keep their energy, an even disc and
 # a peak is as likely. Beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
 PROFILE = tuple(
     Parameter(name=name, unit="1", low=-0.6, high=1.2, mean=mean, sd=0.4)
-    for name, mean in zip(transfer.PROFILE, (0.3, 0.3, 0.1), strict=True)
+    for name, mean in zip(transfer.PROFILE, (0.3, 0.3, 0.1, 0.1), strict=True)
 )
 HALO_FRACTION = Parameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
 HALO_SD = Parameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0)
@@ -87,7 +93,7 @@ class Form:
     def _core_parameters(self) -> tuple[Parameter, ...]:
         if self.core == "tube":
             return (*_tube_priors(self.sensor), CORE_SD)
-        return (CORE_SD, WING_SHARE, WING_RADIUS, WING_EXPONENT) if self.core == "moffat" else (CORE_SD,)
+        return CORE_SD, *WINGS.get(self.core, ())
 
     def _halo_parameters(self) -> tuple[Parameter, ...]:
         if self.halo == "none":
@@ -137,12 +143,16 @@ class Form:
         return self.winged(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
 
     def winged(self, blur: Array, points: Array) -> Array:
-        """Give a blur the wing of a Moffat core, shape (draw, frequency)."""
-        if self.core != "moffat":
+        """Give a blur the wing of its core, shape (draw, frequency)."""
+        if self.core not in WINGS:
             return blur
         of = self.at(points)
         share = of["wing_share"][:, None]
-        return blur * (1.0 - share) + share * transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
+        if self.core == "matern":
+            wing = transfer.matern(frequencies(), of["wing_sd"], of["wing_peak"])
+        else:
+            wing = transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
+        return blur * (1.0 - share) + share * wing
 
     def haloed(self, points: Array) -> Array:
         """What the halo does to the transform of a core, shape (draw, frequency), or 1."""

@@ -52,7 +52,7 @@ def halo_of(form: Form, points: Array) -> Halo:
 def _within(x: float) -> Array:
     """Fractions of light within x of the disc's radius for each density of `transfer.PROFILE`, and of a flat disc."""
     root = float(np.sqrt(1.0 - x**2))
-    return np.array([1.0 - root, x * np.arccos(x) - root + 1.0, x**4, x**2])
+    return np.array([1.0 - root, x * np.arccos(x) - root + 1.0, x**4, x**14, x**2])
 
 
 def encircled(form: Form, points: Array, shares: tuple[float, ...], reach_px: float) -> Array:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.bloom import transfer
 from charact.bloom.series.choice import Candidate
 from charact.bloom.series.likelihood import Solved
 from charact.bloom.series.plate import TiringProblem
@@ -39,6 +40,9 @@ LEAKS = "light that leaks through the target beside its pinhole counts as glare"
 DERIVED = 400
 # Share of a halo's diameter by which another's that overlaps it moves its edge.
 OVERLAPPED = 0.005
+# Fraction by which a diameter is off, as a standard error, where a rim on a flat disc is a ring: noise-free discs with
+# rings of 5 to 30 % of their radius are at most 0.8 % off.
+RIM_WIDTH = 0.004
 # Degrees of freedom that the noise has at least: rings of single frames tell it, too.
 LEAST_FREEDOM = 3
 # Standard error below which a level's own diameter counts as no better.
@@ -84,6 +88,7 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
         draws["halo_diameter"] += OVERLAPPED * middle * rng.standard_normal(len(posterior.draws))
+    draws["halo_diameter"] += _rim_unknown(posterior) * middle
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": halo.plateau, "halo_rim": halo.rim}
     draws |= {name: one * _as_told(best, name, len(one), posterior) for name, one in of_light.items()}
@@ -100,6 +105,14 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
         )
         for quantity, unit in OF_THE_HALO
     ]
+
+
+def _rim_unknown(posterior: Posterior) -> Array:
+    """Errors of a diameter, as fractions, by the unknown width of a rim that lies on a flat disc, shape (draw,)."""
+    profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
+    elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
+    rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
+    return RIM_WIDTH * rimmed * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
 
 
 def _noise_unknown(group: tuple[Spot, ...], draws: int, seed: int | None) -> Array:
