@@ -1,13 +1,16 @@
 """Halo and blooming around a point source that is far too bright."""
 
-from charact.bloom import extended, gaussian, radial_profile, series_forward, threshold
+from dataclasses import replace
+
+from charact.bloom import extended, series_forward
+from charact.bloom.defects import with_sound_pixels
 from charact.bloom.frame import measure_frame
 from charact.method import Context, choose
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
-__all__ = ["gaussian", "measure", "measure_frame", "radial_profile", "series_forward", "threshold"]
+__all__ = ["measure", "measure_frame", "series_forward"]
 
 
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
@@ -31,7 +34,12 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     """
     if method == extended.METHOD or (method == "auto" and session.of_kind("edge") and not session.of_kind("point")):
         return extended.lit_edge(session, context=context)
+    session, bad = with_sound_pixels(session)
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
         raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")
-    return chosen.function(session, context=context)
+    result = chosen.function(session, context=context)
+    if not bad:
+        return result
+    note = f"{bad} stuck, hot or hit pixels are replaced by the mean of their neighbours"
+    return replace(result, measurements=tuple(one.with_(notes=(*one.notes, note)) for one in result.measurements))

@@ -13,7 +13,6 @@ from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.series.agreement import MISFIT, compared
 from charact.bloom.series.choice import Candidate, candidates
 from charact.bloom.series.gather import gathered
-from charact.bloom.series.plate import TiringProblem
 from charact.bloom.series.shown import forms_evidence, profile_evidence
 from charact.bloom.series.telling import (
     OF_THE_HALO,
@@ -28,7 +27,7 @@ from charact.bloom.series.telling import (
 from charact.bloom.series.trust import MISFIT_SHARE, is_uneven, own_diameters, why_no_halo
 from charact.bloom.spot import DETECTED, Spot, read_spots
 from charact.method import Context, register
-from charact.posterior import laplace, sample, weighed
+from charact.posterior import laplace, weighed
 from labdata.measurement import Measurement, Posterior, Result, refused
 from labdata.session import Session
 
@@ -38,11 +37,7 @@ METHOD = "series-forward"
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 # Share of the farthest ring beyond which a halo is not seen whole.
 WHOLE = 0.92
-# Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
-WALKERS = 16
-# Steps after which a chain is given up: one parameter that the rings hardly know makes it crawl.
-MOST_STEPS = 300
-# Draws by importance, where a point or a chain takes too long, and how many must be effective.
+# Draws by importance of the first density, and how many must be effective.
 FIRST_DRAWS, ENOUGH = 2000, 1000.0
 # Chance of levels' own diameters scattering as they do below which geometry does not hold.
 CONSTANT = 1e-4
@@ -149,11 +144,6 @@ def _posterior(best: Candidate, context: Context) -> Posterior:
     }
     if context.quick:
         return laplace(best.problem.log_probability, **asked)
-    if not isinstance(best.problem, TiringProblem):
-        walkers = max(WALKERS, 2 * len(best.form.names))
-        chain = sample(best.problem.log_probability, walkers=walkers, max_steps=MOST_STEPS, **asked)
-        if "not-converged" not in chain.flags:
-            return chain
     return weighed(best.problem.log_probability, enough=ENOUGH, first_draws=FIRST_DRAWS, **asked)
 
 

@@ -58,6 +58,11 @@ def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
     return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
 
+def bounced(elastic: Array) -> Array:
+    """Return the profile of electrons that bounced off a plate, shape (draw, fraction), by the fraction that is elastic."""
+    return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
+
+
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     """Transform of a halo's disc, whose light ends at its edge and may take any even profile inside.
 

@@ -95,7 +95,7 @@ def test_the_transform_of_the_halo_is_that_of_thrown_electrons(thrown, seed):
     for share in (1.0, 0.3, 0.0):
         x, _ = thrown(rng, count, 40.0, share)
         waves = np.cos(2.0 * np.pi * frequency * x[:, None])
-        expected = disc(frequency, np.array([40.0]), np.array([share]))[0]
+        expected = disc(frequency, np.array([40.0]), bounced(np.array([share])))[0]
         assert np.all(np.abs(waves.mean(axis=0) - expected) < 4.5 * waves.std(axis=0) / np.sqrt(count))
 
 
