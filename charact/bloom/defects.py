@@ -8,7 +8,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.thresholds import DARK_DEFECT_SD, DEFECT_SD, LEAST_DEFECT_DN, LIT_NEIGHBOURS, MOST_DEFECTS
+from charact.bloom.thresholds import (
+    DARK_DEFECT_SD,
+    DEFECT_SD,
+    LEAST_DEFECT_DN,
+    LIT_NEIGHBOURS,
+    MOST_DEFECTS,
+    NEIGHBOUR_SD,
+)
 from labdata.frames import FrameStack
 from labdata.session import Session, StackEntry
 
@@ -60,6 +67,11 @@ def with_sound_pixels(session: Session) -> tuple[Session, int]:
     return (replace(session, stacks=tuple(entries)), len(every)) if every else (session, 0)
 
 
+def bad_pixels(entry: StackEntry, shape: tuple[int, ...]) -> Mask:
+    """Return the pixels of a stack that are replaced, shape (row, col)."""
+    return entry.bad if isinstance(entry, SoundEntry) else np.zeros(shape, bool)
+
+
 def _hot(session: Session) -> Mask:
     """Pixels that stand out of a dark and of the faintest point stack: pulses of a tube stand out of one of both."""
     points = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
@@ -81,20 +93,20 @@ def lone_pixels(image: Array) -> Mask:
 
     Notes
     -----
-    A Gaussian of 0.35 px, sharper than any lens behind a pixel, still gives two pixels beside its brightest one or two
-    18 % of their light.
+    A Gaussian of 0.35 px, sharper than any lens behind a pixel, still gives those beside its brightest one or two
+    30 % of their light.
     """
     excess, sd = _excess(image)
     out = np.zeros(image.shape, bool)
     padded = np.pad(excess, 1)
     for row, col in np.argwhere(np.abs(excess) > max(DEFECT_SD * sd, LEAST_DEFECT_DN)):
-        own = excess[row, col]
-        beside = np.sign(own) * padded[[row, row + 2, row + 1, row + 1], [col + 1, col + 1, col, col + 2]]
+        own = abs(excess[row, col])
+        beside = np.sort(np.abs(np.delete(padded[row : row + 3, col : col + 3], 4)))
         # Two defects may touch.
-        lit = beside.sum() - beside.max()
+        lit = beside[:-1].sum()
         near = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
         local = 1.4826 * float(np.median(np.abs(near)))
-        out[row, col] = abs(own) > DEFECT_SD * local and lit < LIT_NEIGHBOURS * abs(own) + 4.0 * local
+        out[row, col] = own > DEFECT_SD * local and lit < LIT_NEIGHBOURS * own + NEIGHBOUR_SD * local
     # Single pixels all over a frame are the noise of the light: pulses that nothing blurs.
     return out if out.mean() < MOST_DEFECTS else np.zeros(image.shape, bool)
 

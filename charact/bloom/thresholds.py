@@ -6,7 +6,8 @@ DARK_DEFECT_SD = 8.0
 DEFECT_SD = 30.0
 # Least excess of a misbehaving pixel, DN: rounding leaves darks without noise.
 LEAST_DEFECT_DN = 2.0
-# Light of a pixel's fainter three neighbours over its own below which no optics lit it; a Gaussian of 0.35 px gives 0.18.
-LIT_NEIGHBOURS = 0.12
+# Light of a pixel's neighbours but the brightest over its own below which no optics lit it (a Gaussian of 0.35 px gives
+# 0.30), and what noise makes of the sum of seven, in standard deviations.
+LIT_NEIGHBOURS, NEIGHBOUR_SD = 0.15, 9.0
 # Fraction of the pixels from which on single bright ones are noise: twice what sensors on sale have.
 MOST_DEFECTS = 0.01
