@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from charact.bloom import extended, series_forward
 from charact.bloom.defects import with_sound_pixels
+from charact.bloom.findings import explained
 from charact.bloom.frame import measure_frame
 from charact.method import Context, choose
 from labdata.errors import BadInput
@@ -33,13 +34,18 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
         If the session has no point source, or the method is unknown.
     """
     if method == extended.METHOD or (method == "auto" and session.of_kind("edge") and not session.of_kind("point")):
-        return extended.lit_edge(session, context=context)
+        return _explained(extended.lit_edge(session, context=context))
     session, bad = with_sound_pixels(session)
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
         raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")
-    result = chosen.function(session, context=context)
-    if not bad:
-        return result
-    note = f"{bad} stuck, hot or hit pixels are replaced by the mean of their neighbours"
-    return replace(result, measurements=tuple(one.with_(notes=(*one.notes, note)) for one in result.measurements))
+    notes = (f"{bad} stuck, hot or hit pixels are left out or replaced by their neighbours' mean",) if bad else ()
+    return _explained(chosen.function(session, context=context), notes)
+
+
+def _explained(result: Result, notes: tuple[str, ...] = ()) -> Result:
+    """Return a result whose flags come with their effects and remedies."""
+    forms = result.evidence.get("bloom-forms", {}).get("table", [])
+    effects = {"model-misfit": f"rings are off by {forms[0]['off_percent']:.2g} % of their light"} if forms else {}
+    out = (explained(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements)
+    return replace(result, measurements=tuple(out))

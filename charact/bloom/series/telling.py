@@ -10,7 +10,8 @@ from charact.bloom.series.choice import Candidate
 from charact.bloom.series.likelihood import Solved
 from charact.bloom.series.plate import TiringProblem
 from charact.bloom.series.spread import encircled, glare, halo_of
-from charact.bloom.spot import Spot
+from charact.bloom.spot import CUT_SHARE, Spot
+from charact.bloom.thresholds import BEYOND_PX, EVEN, LEAK_SD, LEAST_FAR, LEAST_LEVEL_DN
 from charact.posterior.diagnostics import leans_on_bound
 from labdata.measurement import Measurement, Posterior, from_draws, refused
 
@@ -173,11 +174,37 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     told = np.array([one for one in found if one is not None])
     if not len(told):
         return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
+    leak = _leak(best, solved, group, area, (float(np.median(told[:, 0])), float(np.median(told[:, 1]))))
+    if leak is not None:
+        return [refused("veiling_glare", "%", leak, **fields)]
     rng = np.random.default_rng([posterior.seed, 1])
     beside = told[:, 0] + told[:, 1] * rng.standard_normal(len(told))
     beside = beside * _as_told(best, "veiling_glare", len(beside), posterior)
     draws = 100.0 * beside / (1.0 + np.maximum(beside, 0.0))
     return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
+
+
+def _leak(best: Candidate, solved: Solved, group: tuple[Spot, ...], area: float, near: tuple[float, float]) -> str | None:
+    """Why light that grows with the source is no glare, as it does not fill the frame; None where it does, or may."""
+    rows, cols = np.indices(group[0].image.shape)
+    reach = float(best.problem.series.radius_px[-1]) + BEYOND_PX
+    far = np.hypot((rows - group[0].row) * best.form.pitch_ratio, cols - group[0].col) > reach
+    if far.sum() < LEAST_FAR:
+        return None
+    # Light that the highest code cuts says nothing.
+    whole = np.array([one.image[far].max() < CUT_SHARE * one.full_scale_dn for one in group])
+    level = np.array([(one.image[far].mean(), one.image[far].std() / np.sqrt(far.sum())) for one in group])[whole]
+    light = np.median(solved.amplitudes[:, 0], axis=-1)[whole]
+    found = glare(light, level[:, 0], np.hypot(level[:, 1], LEAST_LEVEL_DN), area)
+    if found is None:
+        return None
+    less, more = sorted((near[0], found[0]))
+    if more - less < LEAK_SD * np.hypot(near[1], found[1]) or less > EVEN * more:
+        return None
+    return (
+        f"the light that grows with the source does not fill the frame: {100.0 * near[0]:.3g} % of it by the {reach:.0f} px "
+        f"about the source, {100.0 * found[0]:.3g} % by what lies beyond, as of a mask that leaks"
+    )
 
 
 def plate_told(forms: list[Candidate], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
