@@ -250,7 +250,9 @@ def main() -> None:
         (found,), (share,) = result.find("halo_diameter"), result.find("halo_fraction")
         rows.append((halo, found, share))
         if asked.each and (found.status != "ok" or not is_within(halo, found) or not holds(halo, found)):
-            print(number, halo, found.value, found.interval95, found.status, found.flags, found.reason or "", flush=True)
+            print(
+                number, halo, found.value, found.interval95, found.status, found.flags, found.reason or "", flush=True
+            )
     print("             series  within   ok ok+within  95 %  silent  refused   rms px  95 % px  fraction")
     print(row_of("all", rows))
     for name in RIMS:

@@ -40,7 +40,7 @@ class SoundEntry(StackEntry):
 
     def read(self, plane: str | None = None) -> FrameStack:
         """Return the frames, misbehaving pixels replaced."""
-        stack = self.entry.read(plane)
+        stack = self.entry.read() if plane is None else self.entry.read(plane)
         return replace(stack, data=repaired(np.asarray(stack.data), self.bad))
 
 

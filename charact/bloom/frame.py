@@ -82,7 +82,9 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     for other in spot.others[:MOST_OTHERS]:
         beside = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
         out += [m.with_(region=_box(beside)) for m in _extents(beside, context, fields)]
-    return Result(measurements=tuple(explained(one) for one in out), evidence={"bloom-series": series_evidence((spot,))})
+    return Result(
+        measurements=tuple(explained(one) for one in out), evidence={"bloom-series": series_evidence((spot,))}
+    )
 
 
 def _extents(spot: Spot, context: Context, fields: dict[str, Any]) -> list[Measurement]:

@@ -184,7 +184,9 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     return [from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)]
 
 
-def _leak(best: Candidate, solved: Solved, group: tuple[Spot, ...], area: float, near: tuple[float, float]) -> str | None:
+def _leak(
+    best: Candidate, solved: Solved, group: tuple[Spot, ...], area: float, near: tuple[float, float]
+) -> str | None:
     """Why light that grows with the source is no glare, as it does not fill the frame; None where it does, or may."""
     rows, cols = np.indices(group[0].image.shape)
     reach = float(best.problem.series.radius_px[-1]) + BEYOND_PX
