@@ -192,7 +192,7 @@ def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayL
         # A pixel's aperture is as wide as a Gaussian of a twelfth of its pitch squared; rows and columns are averaged.
         found["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
     if "even_share" in posterior.names:
-        found["flat_share"] = 1.0 - sum(posterior[name] for name in transfer.PROFILE)
+        found["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
     if "halo_sd" in posterior.names:
         raise BadInput("a spread needs a halo with an edge; the one that was fitted fades out like a Gaussian")
     tube = "core_frequency" in posterior.names

@@ -53,13 +53,13 @@ def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
 
 
 def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
-    """(1 + p (2 pi f s)^2/2)^(-1/p) of variance s^2 along each axis: Gaussian at p = 0, exp(-r/L) at 2/3, s^2 = 3 L^2."""
+    """(1 + p (2 pi f s)^2/2)^(-1/p): variance s^2 along each axis, Gaussian at p = 0, exp(-r/L) at 2/3, s^2 = 3 L^2."""
     power = np.maximum(peak, 1e-6)[:, None]
     return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
 
 def bounced(elastic: Array) -> Array:
-    """Return the profile of electrons that bounced off a plate, shape (draw, fraction), by the fraction that is elastic."""
+    """Return the profile of electrons that bounced off a plate, shape (draw, fraction), by their elastic fraction."""
     return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
 
 
@@ -83,7 +83,7 @@ def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
     first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
     flat, *parts = (sum(weight[..., one] * part[first[..., one]] for one in range(4)) for part in _disc_table())
-    return flat + sum(profile[:, one, None] * (part - flat) for one, part in enumerate(parts))
+    return flat + np.einsum("dp,pdf->df", profile, np.stack(parts) - flat)
 
 
 @lru_cache(maxsize=1)
@@ -95,7 +95,8 @@ def _disc_table() -> tuple[Array, ...]:
     sonine = [gamma(k + 2) * (2.0 / u) ** (k + 1) * jv(k + 1, u) for k in range(RIM + 1)]
 
     def power(n: int) -> Array:
-        return (n + 1) * sum((-1) ** k * comb(n, k) / (k + 1) * sonine[k] for k in range(n + 1))
+        weight = np.array([(-1) ** k * comb(n, k) / (k + 1) for k in range(n + 1)])
+        return (n + 1) * (weight @ np.array(sonine[: n + 1]))
 
     return sonine[0], np.sinc(u / np.pi), sici(u)[0] / u, power(RISE), power(RIM)
 

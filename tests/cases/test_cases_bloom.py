@@ -29,7 +29,7 @@ class HeldStack(StackEntry):
 
 
 def light_of(diameter_px, fraction, core_px, *, rise=1.0, wing=0.0, row=79.3, col=80.2):
-    """Light of a source at pixels, its core's highest 1: a disc that rises evenly to its edge, a core, an exponential."""
+    """Light of a source at pixels, its highest 1: a disc that rises evenly to its edge, a core, an exponential."""
     count = FINE * SIDE
     at = np.fft.fftfreq(count, 1.0 / count) / FINE
     far = np.hypot(at[:, None], at[None, :])

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 # Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
 STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
-# Numbers of a disc, and where it is first looked for: in equal parts flat, rimmed and peaked, with a little of the light.
+# Numbers of a disc, and where it is first looked for: flat, rimmed and peaked in equal parts.
 HALO, FIRST_HALO = 6, (0.3, 0.3, 0.0, 0.0, 0.08)
 # Shares of electrons that keep their energy from which a disc is climbed to again.
 SHAKEN = (0.15, 0.6)

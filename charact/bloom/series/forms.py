@@ -53,8 +53,8 @@ WING_SD = Parameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0)
 WING_PEAK = Parameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5)
 WINGS = {"moffat": (WING_SHARE, WING_RADIUS, WING_EXPONENT), "matern": (WING_SHARE, WING_SD, WING_PEAK)}
 LEAST_DIAMETER_PX = 12.0
-# Fractions of a disc's light by its profile: anything between rim, even disc and peak is as likely. Those that make a rim
-# go beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
+# Fractions of a disc's light by its profile: anything between rim, even disc and peak is as likely. Rims go
+# beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
 PROFILE = tuple(
     Parameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
     for name, low, mean in zip(transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True)

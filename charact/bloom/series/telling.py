@@ -191,7 +191,8 @@ def _leak(
     rows, cols = np.indices(group[0].image.shape)
     reach = float(best.problem.series.radius_px[-1]) + BEYOND_PX
     far = np.hypot((rows - group[0].row) * best.form.pitch_ratio, cols - group[0].col) > reach
-    if far.sum() < LEAST_FAR:
+    # Light of another source that lies there is not this one's.
+    if far.sum() < LEAST_FAR or np.isfinite(nearest_px(group)):
         return None
     # Light that the highest code cuts says nothing.
     whole = np.array([one.image[far].max() < CUT_SHARE * one.full_scale_dn for one in group])
@@ -204,8 +205,8 @@ def _leak(
     if more - less < LEAK_SD * np.hypot(near[1], found[1]) or less > EVEN * more:
         return None
     return (
-        f"the light that grows with the source does not fill the frame: {100.0 * near[0]:.3g} % of it by the {reach:.0f} px "
-        f"about the source, {100.0 * found[0]:.3g} % by what lies beyond, as of a mask that leaks"
+        "the light that grows with the source does not fill the frame, as of a mask that leaks: it would be "
+        f"{100.0 * near[0]:.3g} % of the source's by the {reach:.0f} px about it and {100.0 * found[0]:.3g} % beyond"
     )
 
 
