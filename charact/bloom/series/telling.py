@@ -44,6 +44,8 @@ OVERLAPPED = 0.005
 # Fraction by which a diameter is off, as a standard error, where a rim on a flat disc is a ring: noise-free discs with
 # rings of 5 to 30 % of their radius are at most 0.8 % off.
 RIM_WIDTH = 0.004
+# What the diameter of any disc is off by besides, px: drawn flat discs whose noise leaves 0.03 px scatter by so much.
+DISC_PX = 0.05
 # Degrees of freedom that the noise has at least: rings of single frames tell it, too.
 LEAST_FREEDOM = 3
 # Standard error below which a level's own diameter counts as no better.
@@ -89,7 +91,7 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
         draws["halo_diameter"] += OVERLAPPED * middle * rng.standard_normal(len(posterior.draws))
-    draws["halo_diameter"] += _rim_unknown(posterior) * middle
+    draws["halo_diameter"] += _form_unknown(posterior, middle)
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": halo.plateau, "halo_rim": halo.rim}
     draws |= {name: one * _as_told(best, name, len(one), posterior) for name, one in of_light.items()}
@@ -108,12 +110,13 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
     ]
 
 
-def _rim_unknown(posterior: Posterior) -> Array:
-    """Errors of a diameter, as fractions, by the unknown width of a rim that lies on a flat disc, shape (draw,)."""
+def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
+    """Errors of a diameter by the unknown width of a rim that lies on a flat disc, and of any disc, px, shape (draw,)."""
     profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
     elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
     rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
-    return RIM_WIDTH * rimmed * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
+    sd = np.hypot(RIM_WIDTH * rimmed * diameter_px, DISC_PX)
+    return sd * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
 
 
 def _noise_unknown(group: tuple[Spot, ...], draws: int, seed: int | None) -> Array:

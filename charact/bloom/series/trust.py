@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom import transfer
 from charact.bloom.series.choice import Candidate
 from charact.bloom.series.climb import climb, slopes_at
 from charact.bloom.series.likelihood import Problem, Series, some
@@ -51,7 +50,7 @@ def edge_is_tied(best: Candidate) -> bool:
 
 
 def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
-    """Diameter and standard error that each level alone gives, core as all have it, and how clearly it shows a halo.
+    """Diameter and standard error that each level alone gives, core and profile as all have them, and how clearly.
 
     Returns
     -------
@@ -59,7 +58,7 @@ def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
         Shape (level,) each; NaN where a level does not show the halo.
     """
     names = best.form.names
-    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", *transfer.PROFILE, "halo_fraction"))
+    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction"))
     at, share = names.index("halo_diameter"), names.index("halo_fraction")
     number = np.arange(len(best.problem.series.data))
     out = np.full((3, len(number)), np.nan)

@@ -32,7 +32,7 @@ def test_the_diameter_before_blur_is_found_behind_a_saturated_core(point, in_mem
     rng = np.random.default_rng(seed)
     session = series(point, in_memory, rng, diameter_px=diameter_px, elastic_share=elastic_share)
     halo = halo_of(bloom.measure(session, method="series-forward", context=QUICK))
-    assert halo.status == "ok", halo
+    assert halo.status == "ok", (halo.flags, halo.notes, halo.interval95)
     assert abs(errors(halo, diameter_px)) < 4.5
     assert (halo.interval68[1] - halo.interval68[0]) / 2 < 0.03 * diameter_px
 
