@@ -111,7 +111,7 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
 
 
 def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
-    """Errors of a diameter by the unknown width of a rim that lies on a flat disc, and of any disc, px, shape (draw,)."""
+    """Errors of a diameter by the unknown width of a rim on a flat disc, and of any disc, px, shape (draw,)."""
     profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
     elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
     rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
