@@ -54,8 +54,8 @@ def reach_of(spot: Spot, most_px: int = REACH_PX) -> int:
 def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
     """Average a stack's mean frame over rings one column pitch wide.
 
-    Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels and by
-    successive frames is in them, and are smoothed over rings.
+    Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
+    and by successive frames is in them, and are smoothed over rings.
     """
     rows = np.arange(spot.image.shape[0])[:, None]
     cols = np.arange(spot.image.shape[1])[None, :]
