@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map bar-map bar-pulse-map spectrum-map gain-map bloom-map bloom-study gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map bar-map bar-pulse-map spectrum-map gain-map gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -125,19 +125,6 @@ spectrum-map: $(READY)
 gain-map: $(READY)
 	$(BIN)/python -m charact.study.flats.gain_map
 	$(BIN)/python -m charact.study.flats.gain_map_figure
-
-# How well bloom methods measure halo and blooms, and how often their intervals hold, over 400 series of known truth, 300
-# without a halo and 100 whose halo is hidden; half an hour on one core.
-bloom-study: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bloom.coverage
-
-# Where halo and bloom diameters break: 2,000 series of known truth; half an hour on two cores. Broken off, it goes on from
-# build/bloom_map.json.
-bloom-map: $(READY)
-	mkdir -p build
-	$(BIN)/python -m charact.study.bloom.map --out build/bloom_map.json
-	mv build/bloom_map.json charact/study/tables/bloom_map.json
-	$(BIN)/python -m charact.study.bloom.map_figure
 
 # Edge methods beside other programs and the Cramer-Rao bound, on the edge that those were measured on: table and chart.
 mtf-peers: $(READY)

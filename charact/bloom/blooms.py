@@ -18,6 +18,7 @@ from labdata.sensor import Sensor
 COUNTING = 0.84
 # Width of a 95 % interval, px and share of the diameter, from which on the noise all but hides where light ends.
 VAGUE_PX, VAGUE = 3.0, 0.3
+NO_DARKS = "the level without light is unknown, between 0 DN and the frame's median: a dark stack narrows the interval"
 # Codes from dark to the highest below which steps hide where light ends.
 LEAST_CODES = 20
 LEVELS = {
@@ -41,6 +42,7 @@ def bloom_measurements(spots: tuple[Spot, ...], *, square: bool, sensor: Sensor 
         The camera, where known: areas are told at its cathode and in the field of view as well.
     """
     notes = ("the row pitch is unknown: pixels are taken as square",) if square else ()
+    notes += () if all(spot.dark_known for spot in spots) else (NO_DARKS,)
     # Where blooms have run into one, only fainter levels show that there are two sources.
     beside = tuple(place for spot in spots for place in spot.others)
     out: list[Measurement] = []
@@ -56,8 +58,7 @@ def bloom_measurements(spots: tuple[Spot, ...], *, square: bool, sensor: Sensor 
 
 def flags_of(spot: Spot, extent: Extent) -> tuple[str, ...]:
     """What is to be distrusted of an extent."""
-    flags = () if spot.dark_known else ("no-darks",)
-    flags += coarse(spot)
+    flags = coarse(spot)
     flags += ("window-too-small",) if extent.touches_border else ()
     wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(VAGUE_PX, VAGUE * extent.diameter_px)
     flags += ("low-signal",) if wide or not (extent.determined or extent.pulled) else ()

@@ -149,7 +149,7 @@ class Problem:
         frequency = nodes()[0]
         blur = self._core(points) * np.sinc(frequency)
         if self.halo:
-            halo = transfer.disc(frequency, diameter, elastic)
+            halo = transfer.disc(frequency, diameter, transfer.bounced(elastic))
             blur = blur * (1.0 - fraction[:, None] + fraction[:, None] * halo)
         near = self._step(one, blur, offset)
         if not np.isfinite(self.width_px):

@@ -84,9 +84,9 @@ def _measured(
         return _refused("the edge tells the halo's diameter to no better than a tenth: a fainter level, not cut, says "
                         "where the edge is", fields), evidence  # fmt: skip
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(found)
-    flags += () if session.of_kind("dark") else ("no-darks",)
     flags += ("window-too-small",) if float(np.median(diameter)) > 2 * WHOLE * _room(line) else ()
     notes = ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
+    notes += () if session.of_kind("dark") else ("the level without light is taken from the darkest pixels",)
     common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}
     out = [from_draws("halo_diameter", "px", diameter, **common)]
     if all(one.cut for one in strips):

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from charact.bloom.blooms import bloom_measurements, provenance, series_evidence
+from charact.bloom.defects import with_sound_pixels
 from charact.bloom.edge import STEP_SEEN, edge_radius
 from charact.bloom.encircled import REACH_PX, SHARES, encircled
+from charact.bloom.findings import explained
 from charact.bloom.place import Place
 from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.spot import DETECTED, Spot, read_spots, spot_of
@@ -69,6 +71,7 @@ def measure_frame(session: Session, *, context: Context) -> Result:
         Seed and settings.
     """
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    session, _ = with_sound_pixels(session)
     (spot,) = read_spots(session, context=context)
     (entry,) = session.of_kind("point")
     stack = entry.read()
@@ -79,7 +82,9 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     for other in spot.others[:MOST_OTHERS]:
         beside = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
         out += [m.with_(region=_box(beside)) for m in _extents(beside, context, fields)]
-    return Result(measurements=tuple(out), evidence={"bloom-series": series_evidence((spot,))})
+    return Result(
+        measurements=tuple(explained(one) for one in out), evidence={"bloom-series": series_evidence((spot,))}
+    )
 
 
 def _extents(spot: Spot, context: Context, fields: dict[str, Any]) -> list[Measurement]:

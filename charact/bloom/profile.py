@@ -1,7 +1,6 @@
-"""Brightness around the source against radius, with the covariance that correlated noise gives neighbouring rings."""
+"""Brightness around the source against radius, with standard errors that hold noise shared by neighbours."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,15 +10,12 @@ from charact.method import Context
 
 Array = NDArray[np.float64]
 
-Along = Literal["all", "rows", "columns"]
-
 SECTORS = 16
 # Columns on either side of the source that smear and overflow fill, px; beyond this radius they are left out.
 STREAK_PX = 2.5
 STREAK_FROM_PX = 6.0
 # Rings inside which the source's own light spoils its neighbours, beyond the last saturated one.
 MARGIN_PX = 2
-RINGS_CORRELATED = 6
 # Farthest ring looked at, px.
 REACH_PX = 60
 
@@ -38,8 +34,6 @@ class Profile:
         Ring means, shape (ring,), DN.
     sd_dn
         Their standard errors, shape (ring,), DN.
-    correlation
-        Correlation of rings 1, 2, ... apart, shape (lag,).
     used
         Rings that are neither saturated nor next to one that is, shape (ring,).
     """
@@ -48,20 +42,7 @@ class Profile:
     radius_px: Array
     mean_dn: Array
     sd_dn: Array
-    correlation: Array
     used: NDArray[np.bool_]
-
-    def covariance(self) -> Array:
-        """Covariance of the used rings, shape (used, used), DN^2."""
-        count = int(self.used.sum())
-        apart = np.abs(np.subtract.outer(np.flatnonzero(self.used), np.flatnonzero(self.used)))
-        padded = np.concatenate([[1.0], self.correlation, np.zeros(max(1, len(self.used) - len(self.correlation)))])
-        correlation = padded[apart]
-        # Estimated correlations need not make a covariance: the smallest eigenvalues are lifted.
-        values, vectors = np.linalg.eigh(correlation)
-        lifted = (vectors * np.maximum(values, 0.05)) @ vectors.T
-        sd = self.sd_dn[self.used]
-        return lifted * np.outer(sd, sd) + 1e-9 * np.eye(count)
 
 
 def reach_of(spot: Spot, most_px: int = REACH_PX) -> int:
@@ -70,20 +51,17 @@ def reach_of(spot: Spot, most_px: int = REACH_PX) -> int:
     return int(max(8, min(most_px, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
 
 
-def profile_of(spot: Spot, reach_px: int, *, context: Context, along: Along = "all") -> Profile:
+def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
     """Average a stack's mean frame over rings one column pitch wide.
 
-    `along` takes only their parts left and right of the source ("rows"), or above and below it ("columns"). Standard
-    errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels and by
-    successive frames is in them, and are smoothed over rings.
+    Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
+    and by successive frames is in them, and are smoothed over rings.
     """
     rows = np.arange(spot.image.shape[0])[:, None]
     cols = np.arange(spot.image.shape[1])[None, :]
     dx, dy = np.broadcast_arrays(cols - spot.col, (rows - spot.row) * context.pitch_ratio)
     radius = np.hypot(dx, dy)
     inside = (radius < reach_px) & ((np.abs(dx) > STREAK_PX) | (radius < STREAK_FROM_PX))
-    if along != "all":
-        inside &= (np.abs(dx) > np.abs(dy)) == (along == "rows")
     ring = radius[inside].astype(int)
     sector = ((np.arctan2(dy[inside], dx[inside]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     value = spot.image[inside]
@@ -102,7 +80,6 @@ def profile_of(spot: Spot, reach_px: int, *, context: Context, along: Along = "a
         radius_px=centre,
         mean_dn=mean,
         sd_dn=np.maximum(sd, 1e-3),
-        correlation=_correlation(residual * np.sqrt(share)),
         used=_used(mean, value, ring, spot, reach_px) & (count > 0),
     )
 
@@ -112,16 +89,6 @@ def _smoothed(values: Array) -> Array:
     logs = np.log(np.maximum(values, 1e-9))
     padded = np.pad(logs, 2, mode="edge")
     return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + 0.06)
-
-
-def _correlation(residual: Array) -> Array:
-    """Correlation of the sectors' residuals between rings up to `RINGS_CORRELATED` apart, outside the core."""
-    outer = residual[8:] / np.maximum(np.sqrt((residual[8:] ** 2).mean(axis=1, keepdims=True)), 1e-12)
-    # A source near the border has few rings, and none that are so far apart.
-    return np.array([
-        float(np.clip((outer[lag:] * outer[:-lag]).mean(), 0.0, 0.95)) if len(outer) > lag else 0.0
-        for lag in range(1, RINGS_CORRELATED + 1)
-    ])  # fmt: skip
 
 
 def _used(mean: Array, value: Array, ring: NDArray[np.int64], spot: Spot, reach_px: int) -> NDArray[np.bool_]:

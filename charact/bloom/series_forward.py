@@ -13,7 +13,6 @@ from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.series.agreement import MISFIT, compared
 from charact.bloom.series.choice import Candidate, candidates
 from charact.bloom.series.gather import gathered
-from charact.bloom.series.plate import TiringProblem
 from charact.bloom.series.shown import forms_evidence, profile_evidence
 from charact.bloom.series.telling import (
     OF_THE_HALO,
@@ -28,7 +27,7 @@ from charact.bloom.series.telling import (
 from charact.bloom.series.trust import MISFIT_SHARE, is_uneven, own_diameters, why_no_halo
 from charact.bloom.spot import DETECTED, Spot, read_spots
 from charact.method import Context, register
-from charact.posterior import laplace, sample, weighed
+from charact.posterior import laplace, weighed
 from labdata.measurement import Measurement, Posterior, Result, refused
 from labdata.session import Session
 
@@ -38,11 +37,7 @@ METHOD = "series-forward"
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 # Share of the farthest ring beyond which a halo is not seen whole.
 WHOLE = 0.92
-# Walkers of an ensemble: a series takes its time, and its posterior is nearly Gaussian.
-WALKERS = 16
-# Steps after which a chain is given up: one parameter that the rings hardly know makes it crawl.
-MOST_STEPS = 300
-# Draws by importance, where a point or a chain takes too long, and how many must be effective.
+# Draws by importance of the first density, and how many must be effective.
 FIRST_DRAWS, ENOUGH = 2000, 1000.0
 # Chance of levels' own diameters scattering as they do below which geometry does not hold.
 CONSTANT = 1e-4
@@ -110,8 +105,9 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
         return _Told(measurements=_refused(found, fields), evidence={})
     series, group = found
     context.progress("forms of the source's light", 0.9)
+    has_tube = context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
     radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
-    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor,
+    forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor, has_tube=has_tube,
                        first_diameter_px=2 * radius if seen > STEP_SEEN else float("nan"))  # fmt: skip
     best = forms[0]
     context.progress("posterior of the series", 0.95)
@@ -127,7 +123,7 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     flags += several_flag(group)
     said += spread_told(best, posterior, flags, notes, fields)
     said += glare_told(best, posterior, group, flags, notes, fields)
-    said += plate_told(forms, posterior, flags, notes, fields)
+    said += plate_told(forms, posterior, flags, notes, fields) if has_tube else []
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
     return _Told(measurements=said, evidence=evidence, best=best, group=group)
 
@@ -148,11 +144,6 @@ def _posterior(best: Candidate, context: Context) -> Posterior:
     }
     if context.quick:
         return laplace(best.problem.log_probability, **asked)
-    if not isinstance(best.problem, TiringProblem):
-        walkers = max(WALKERS, 2 * len(best.form.names))
-        chain = sample(best.problem.log_probability, walkers=walkers, max_steps=MOST_STEPS, **asked)
-        if "not-converged" not in chain.flags:
-            return chain
     return weighed(best.problem.log_probability, enough=ENOUGH, first_draws=FIRST_DRAWS, **asked)
 
 
@@ -166,9 +157,6 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
         flags += ("model-misfit",)
     if own is None:
         return flags
-    if np.quantile(posterior["elastic_share"], 0.025) < 0.0:
-        # Without electrons that keep their energy a halo has no rim: it fades out, and wings shift where it ends.
-        flags += ("prior-bound",)
     diameter = float(np.median(posterior["halo_diameter"]))
     if diameter / 2.0 > WHOLE * series.radius_px[-1]:
         flags += ("window-too-small",)

@@ -1,6 +1,6 @@
 """Where the point source is, how bright it stands against its surroundings, and how far it blooms."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,6 +213,11 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Pla
     found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
     if place.significance >= DETECTED:
         found["half"] = extent_at(view, half, seed=context.seed)
+        if _recorded(stack, dark) is None and found["half"] is not None:
+            # Where nothing tells the level without light it lies between 0 and what most pixels show.
+            lowest = extent_at(view, 0.5 * full, seed=context.seed)
+            draws = found["half"].draws if lowest is None else np.concatenate([found["half"].draws, lowest.draws])
+            found["half"] = replace(found["half"], draws=draws)
         found["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
         if light.lit and light.even:
             found["background"] = extent_at(

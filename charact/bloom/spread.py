@@ -28,6 +28,10 @@ NAMES = {
     "wing_share": "wing_share",
     "wing_radius": "wing_radius_px",
     "wing_exponent": "wing_exponent",
+    "wing_sd": "wing_sd_px",
+    "wing_peak": "wing_peak",
+    "rising_share": "rising_share",
+    "rim_share": "rim_share",
     "glare_fraction": "glare_fraction",
 }
 GAUSSIAN = {"core_frequency_cy_per_px": np.inf, "core_exponent": 2.0}
@@ -52,6 +56,11 @@ class Spread:
         s^2 of the core, px^2.
     wing_share, wing_radius_px, wing_exponent
         Share of the light outside halo and glare that lies in a Moffat wing (1 + r^2/a^2)^-b, its a and its b.
+    wing_sd_px, wing_peak
+        Width of a wing of Matern's form instead, and its p (`charact.bloom.transfer.matern`); 0 px: Moffat's.
+    flat_share, rising_share, rim_share
+        Fractions of the halo that are flat, rise as x^2 and as x^12 to its edge; what is left bounced with an even
+        fraction of its energy.
     glare_fraction
         Share of all light that is spread evenly, dimensionless.
     glare_area_px
@@ -72,6 +81,11 @@ class Spread:
     wing_share: ArrayLike = 0.0
     wing_radius_px: ArrayLike = 3.0
     wing_exponent: ArrayLike = 2.0
+    wing_sd_px: ArrayLike = 0.0
+    wing_peak: ArrayLike = 0.5
+    flat_share: ArrayLike = 0.0
+    rising_share: ArrayLike = 0.0
+    rim_share: ArrayLike = 0.0
     glare_fraction: ArrayLike = 0.0
     glare_area_px: float | None = None
 
@@ -111,10 +125,19 @@ class Spread:
         core = core * transfer.gaussian(frequency, self.core_spread_px2)
         wing, share = np.asarray(self.wing_share)[:, None], self.halo_share[:, None]
         if wing.any():
-            of = transfer.moffat(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
+            if np.any(self.wing_sd_px):
+                of = transfer.matern(frequency, np.asarray(self.wing_sd_px), np.asarray(self.wing_peak))
+            else:
+                of = transfer.moffat(frequency, np.asarray(self.wing_radius_px), np.asarray(self.wing_exponent))
             core = core * (1.0 - wing) + wing * of
-        halo = transfer.disc(frequency, self.halo_diameter_px, self.elastic_share)
+        halo = transfer.disc(frequency, self.halo_diameter_px, self.halo_profile)
         return core * (1.0 - share + share * halo)
+
+    @property
+    def halo_profile(self) -> Array:
+        """Profile of the halo's disc, shape (draw, fraction)."""
+        flat, rising, rim = (np.asarray(one) for one in (self.flat_share, self.rising_share, self.rim_share))
+        return np.stack([self.elastic_share, 1.0 - self.elastic_share - flat - rising - rim, rising, rim], axis=-1)
 
     @property
     def halo_share(self) -> Array:
@@ -168,6 +191,8 @@ def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayL
     if "core_sd" in posterior.names:
         # A pixel's aperture is as wide as a Gaussian of a twelfth of its pitch squared; rows and columns are averaged.
         found["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
+    if "even_share" in posterior.names:
+        found["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
     if "halo_sd" in posterior.names:
         raise BadInput("a spread needs a halo with an edge; the one that was fitted fades out like a Gaussian")
     tube = "core_frequency" in posterior.names

@@ -144,15 +144,21 @@ def streak_measurements(spot: Spot, context: Context, **fields: Any) -> list[Mea
         names = (("streak_length", "px"), ("streak_level", "DN"))
         return [refused(name, unit, reason, **common) for name, unit in names]
     streak = streak_of(spot, context)
-    flags = () if spot.dark_known else ("no-darks",)
-    flags += ("window-too-small",) if streak.meets_border or spot.touches_border else ()
+    flags = ("window-too-small",) if streak.meets_border or spot.touches_border else ()
     flags += ("several-targets",) if streak.uneven else ()
     if streak.length_px < 0.5:
         reason = f"the source stays below half of full scale, {level:.4g} DN"
         length = refused("streak_length", "px", reason, **common)
     else:
-        length = from_sd("streak_length", "px", streak.length_px, streak.length_sd_px, flags=flags, **common)
+        sd = streak.length_sd_px if spot.dark_known else float(np.hypot(streak.length_sd_px, _lower_rows(spot) / 1.96))
+        length = from_sd("streak_length", "px", streak.length_px, sd, flags=flags, **common)
     return [length, _level(streak, flags, **common)]
+
+
+def _lower_rows(spot: Spot) -> float:
+    """Rows by which a streak is longer where the level without light is 0 and not what most pixels show."""
+    column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
+    return float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
 
 
 def _level(streak: Streak, flags: tuple[str, ...], **common: Any) -> Measurement:

@@ -14,6 +14,12 @@ Array = NDArray[np.float64]
 # Log-arguments and orders at which the transform of Moffat wings is tabulated.
 ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
 ORDERS = np.linspace(0.02, 3.2, 160)
+# Fractions of a halo's light whose density rises to a rim as 1/sqrt(1 - x^2), peaks in the middle as arccos(x)/x, rises
+# evenly as x^2, and lies in a rim of finite width as x^12, x its radius over the disc's; half the powers.
+PROFILE = ("elastic_share", "even_share", "rising_share", "rim_share")
+RISE, RIM = 1, 6
+# Arguments at which the transforms of discs are tabulated: 160 px at 1.25 cycles a pixel.
+DISC_ARGUMENTS = np.arange(0.0, 650.0, 0.04)
 # Frequency that stands for 0 where a formula divides by it.
 LEAST_CY_PER_PX = 1e-9
 
@@ -46,17 +52,53 @@ def moffat(frequency: Array, radius_px: Array, exponent: Array) -> Array:
     return np.where(log_argument < ARGUMENTS[-1], out, 0.0)
 
 
-def disc(frequency: Array, diameter_px: Array, elastic: Array) -> Array:
-    """Transform of electrons that bounced off the plate.
+def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
+    """(1 + p (2 pi f s)^2/2)^(-1/p): variance s^2 along each axis, Gaussian at p = 0, exp(-r/L) at 2/3, s^2 = 3 L^2."""
+    power = np.maximum(peak, 1e-6)[:, None]
+    return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
-    Those that keep their energy fall with the density 1/sqrt(1 - x^2) at the share x of the halo's radius, those that
-    keep an even share of it with arccos(x)/x: sin(u)/u and Si(u)/u, u = pi f D (physics of the gap: range 2 d e sin 2t,
-    cosine law).
+
+def bounced(elastic: Array) -> Array:
+    """Return the profile of electrons that bounced off a plate, shape (draw, fraction), by their elastic fraction."""
+    return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
+
+
+def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
+    """Transform of a halo's disc, whose light ends at its edge and may take any even profile inside.
+
+    Parameters
+    ----------
+    frequency, diameter_px
+        As above.
+    profile
+        Fractions of its light with the radial densities of `PROFILE`, shape (draw, fraction); the rest is flat.
+
+    Notes
+    -----
+    With x the radius over that of the disc and u = pi f D: electrons that bounce off a plate and keep their energy fall
+    with the density 1/sqrt(1 - x^2), those that keep an even fraction of it with arccos(x)/x (range 2 d e sin 2t in the
+    gap, cosine law), of transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, whose transforms are
+    Sonine's, Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
     """
-    from scipy.special import sici
-
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
-    return elastic[:, None] * np.sinc(u / np.pi) + (1.0 - elastic[:, None]) * sici(u)[0] / u
+    first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
+    flat, *parts = (sum(weight[..., one] * part[first[..., one]] for one in range(4)) for part in _disc_table())
+    return flat + np.einsum("dp,pdf->df", profile, np.stack(parts) - flat)
+
+
+@lru_cache(maxsize=1)
+def _disc_table() -> tuple[Array, ...]:
+    """Transforms of a flat disc and of the densities of `PROFILE` at `DISC_ARGUMENTS`."""
+    from scipy.special import comb, gamma, jv, sici
+
+    u = np.maximum(DISC_ARGUMENTS, LEAST_CY_PER_PX)
+    sonine = [gamma(k + 2) * (2.0 / u) ** (k + 1) * jv(k + 1, u) for k in range(RIM + 1)]
+
+    def power(n: int) -> Array:
+        weight = np.array([(-1) ** k * comb(n, k) / (k + 1) for k in range(n + 1)])
+        return (n + 1) * (weight @ np.array(sonine[: n + 1]))
+
+    return sonine[0], np.sinc(u / np.pi), sici(u)[0] / u, power(RISE), power(RIM)
 
 
 @lru_cache(maxsize=1)

@@ -33,10 +33,7 @@ MODULES: dict[str, dict[str, str]] = {
         "variance": "charact.noise.gain.variance",
     },
     "bloom": {
-        "gaussian": "charact.bloom.gaussian",
-        "radial-profile": "charact.bloom.radial_profile",
         "series-forward": "charact.bloom.series_forward",
-        "threshold": "charact.bloom.threshold",
     },
     "lit-edge": {"lit-edge": "charact.bloom.extended"},
 }

@@ -234,7 +234,7 @@ def test_blooms_step_up_to_the_halo_where_its_share_the_gap_and_the_threshold_sa
     near_lux = foretold_lux * np.geomspace(0.86, 1.14, 15)
     session = series(sensor, tuple(near_lux), seed, frames=6, darks=True)
     context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
-    found = bloom.measure(session, method="threshold", context=context).find("bloom_diameter")
+    found = bloom.measure(session, context=context).find("bloom_diameter")
     reaches = np.array([one.value for one in found]) >= 0.8 * diameter_px
     trough = np.abs(radius_px - trough_px) < 0.5
     trough_dn = np.array([stack.read().data[:, trough].mean() - dark_dn for stack in session.stacks[: len(near_lux)]])

@@ -38,7 +38,7 @@ JUDGED = "bloom_diameter"
 # Times the contour's own error that the mean of both keeps, by the quantity where the contour is long, and where it is
 # short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
 # pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
-LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.3, "bloom_diameter_background": 0.6}
+LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.5, "bloom_diameter_background": 0.6}
 SHORT, SHORT_PX = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}, 6.0
 # Where the light falls slowly both err alike: what the mean keeps besides of a contour much less sure than this, px.
 SLOW, SLOW_PX = {"bloom_diameter": 0.35}, 0.06

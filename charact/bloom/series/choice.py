@@ -6,16 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.climb import Peak, climb, climbs
-from charact.bloom.series.forms import LEAST_DIAMETER_PX, Core, Form, Halo
+from charact.bloom.series.forms import CORES, CORES_OF_TUBES, LEAST_DIAMETER_PX, WINGS, Core, Form, Halo
 from charact.bloom.series.likelihood import Problem, Series
 from charact.bloom.series.plate import TiringForm, tired
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-CORES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 # Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
 STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
+# Numbers of a disc, and where it is first looked for: flat, rimmed and peaked in equal parts.
+HALO, FIRST_HALO = 6, (0.3, 0.3, 0.0, 0.0, 0.08)
 # Shares of electrons that keep their energy from which a disc is climbed to again.
 SHAKEN = (0.15, 0.6)
 # Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
@@ -60,16 +61,28 @@ class Candidate:
 
 
 def candidates(
-    series: Series, *, pitch_ratio: float, sensor: Sensor | None, first_diameter_px: float
+    series: Series, *, pitch_ratio: float, sensor: Sensor | None, has_tube: bool, first_diameter_px: float
 ) -> list[Candidate]:
-    """Fit all forms, the one that the data bear best first."""
+    """Fit all forms, the one that the data bear best first.
+
+    Parameters
+    ----------
+    series
+        Ring means of all levels.
+    pitch_ratio, sensor
+        Row pitch over column pitch; description of the camera, None if unknown.
+    has_tube
+        Whether the session shows that the camera has one, whose gain may saturate where it is bright.
+    first_diameter_px
+        Diameter of the clearest step of the rings; NaN where there is none.
+    """
     reach = float(series.radius_px[-1])
 
     def form(core: Core, halo: Halo) -> Form:
         return Form(core=core, halo=halo, reach_px=reach, pitch_ratio=pitch_ratio, sensor=sensor)
 
     out: list[Candidate] = []
-    for core in CORES:
+    for core in CORES_OF_TUBES if has_tube else CORES:
         bare = fitted(series, form(core, "none"), [])
         found = [one for one in out if one.form.halo == "disc"]
         out += [bare, fitted(series, form(core, "disc"), _discs(form(core, "disc"), first_diameter_px, bare, found))]
@@ -78,6 +91,8 @@ def candidates(
     least = min(one.bic for one in out)
     out = [shaken(one) if one.form.halo == "disc" and one.bic < least + WORTHWHILE else one for one in out]
     out = sorted((refined(one) if one.bic < least + WORTHWHILE else one for one in out), key=lambda one: one.bic)
+    if not has_tube:
+        return out
     # A plate that tires changes which core fits best: each is tried with one; a described tube's core is known.
     near = [one for one in reversed(out) if one.bic < least + WORTHWHILE]
     cores = {one.form.core: one for one in near if sensor is None or one.form.core == "tube"}
@@ -109,12 +124,12 @@ def _discs(form: Form, first_diameter_px: float, bare: Candidate, found: list[Ca
     diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, STARTS)
     if np.isfinite(first_diameter_px):
         diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
-    halos = [*(one.peak.point[-3:] for one in found), *([diameter, 0.4, 0.08] for diameter in diameters)]
+    halos = [*(one.peak.point[-HALO:] for one in found), *([diameter, *FIRST_HALO] for diameter in diameters)]
     cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
     out = [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
-    if form.core == "moffat":
+    if form.core in WINGS:
         plain = found[0].peak.point
-        out.append(np.array([plain[0], *cores[1][1:], *plain[-3:]]))
+        out.append(np.array([plain[0], *cores[1][1:], *plain[-HALO:]]))
     return out
 
 
@@ -130,7 +145,7 @@ def fitted(series: Series, form: Form, starts: list[Array]) -> Candidate:
 def shaken(candidate: Candidate) -> Candidate:
     """Climb again from other mixes of energies, with the core as it is and as cores are at first: wings hide halos."""
     form, point = candidate.form, candidate.peak.point
-    at, core = form.names.index("elastic_share"), len(point) - 3
+    at, core = form.names.index("elastic_share"), len(point) - HALO
     starts = [point]
     for share in SHAKEN:
         for first in (point[:core], form.first[:core]):

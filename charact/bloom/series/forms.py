@@ -4,6 +4,7 @@ A form is a list of parameters with priors and the transforms they make. Which f
 `charact.bloom.series.choice`, never by hand.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Literal
@@ -16,7 +17,10 @@ from charact.bloom.series.hankel import frequencies
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
-Core = Literal["gaussian", "tube", "moffat"]
+Core = Literal["gaussian", "tube", "moffat", "matern"]
+# Cores that are tried: of any camera, and of one whose session shows that it has a tube.
+CORES: tuple[Core, ...] = ("gaussian", "matern", "moffat")
+CORES_OF_TUBES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 Halo = Literal["none", "disc", "gaussian"]
 
 
@@ -45,9 +49,16 @@ CORE_EXPONENT = Parameter(name="core_exponent", unit="1", low=0.7, high=2.5, mea
 WING_SHARE = Parameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.05)
 WING_RADIUS = Parameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0)
 WING_EXPONENT = Parameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0)
+WING_SD = Parameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0)
+WING_PEAK = Parameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5)
+WINGS = {"moffat": (WING_SHARE, WING_RADIUS, WING_EXPONENT), "matern": (WING_SHARE, WING_SD, WING_PEAK)}
 LEAST_DIAMETER_PX = 12.0
-# Beyond 0..1 by a little: a wall at 0 would push the diameter of a halo without rim to one side.
-ELASTIC_SHARE = Parameter(name="elastic_share", unit="1", low=-0.15, high=1.15, start=0.4)
+# Fractions of a disc's light by its profile: anything between rim, even disc and peak is as likely. Rims go
+# beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
+PROFILE = tuple(
+    Parameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
+    for name, low, mean in zip(transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True)
+)
 HALO_FRACTION = Parameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
 HALO_SD = Parameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0)
 
@@ -82,7 +93,7 @@ class Form:
     def _core_parameters(self) -> tuple[Parameter, ...]:
         if self.core == "tube":
             return (*_tube_priors(self.sensor), CORE_SD)
-        return (CORE_SD, WING_SHARE, WING_RADIUS, WING_EXPONENT) if self.core == "moffat" else (CORE_SD,)
+        return CORE_SD, *WINGS.get(self.core, ())
 
     def _halo_parameters(self) -> tuple[Parameter, ...]:
         if self.halo == "none":
@@ -91,7 +102,7 @@ class Form:
             return HALO_SD, HALO_FRACTION
         widest = Parameter(name="halo_diameter", unit="px", low=LEAST_DIAMETER_PX, high=1.7 * self.reach_px,
                            start=0.8 * self.reach_px)  # fmt: skip
-        return widest, ELASTIC_SHARE, HALO_FRACTION
+        return widest, *PROFILE, HALO_FRACTION
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -132,12 +143,16 @@ class Form:
         return self.winged(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
 
     def winged(self, blur: Array, points: Array) -> Array:
-        """Give a blur the wing of a Moffat core, shape (draw, frequency)."""
-        if self.core != "moffat":
+        """Give a blur the wing of its core, shape (draw, frequency)."""
+        if self.core not in WINGS:
             return blur
         of = self.at(points)
         share = of["wing_share"][:, None]
-        return blur * (1.0 - share) + share * transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
+        if self.core == "matern":
+            wing = transfer.matern(frequencies(), of["wing_sd"], of["wing_peak"])
+        else:
+            wing = transfer.moffat(frequencies(), of["wing_radius"], of["wing_exponent"])
+        return blur * (1.0 - share) + share * wing
 
     def haloed(self, points: Array) -> Array:
         """What the halo does to the transform of a core, shape (draw, frequency), or 1."""
@@ -161,8 +176,13 @@ class Form:
         """Transform of the bare halo, shape (draw, frequency); None where there is none."""
         of = self.at(points)
         if self.halo == "disc":
-            return transfer.disc(frequencies(), of["halo_diameter"], of["elastic_share"])
+            return transfer.disc(frequencies(), of["halo_diameter"], profile_of(of))
         return transfer.gaussian(frequencies(), of["halo_sd"] ** 2) if self.halo == "gaussian" else None
+
+
+def profile_of(of: Mapping[str, Array]) -> Array:
+    """Return the profile of a disc, shape (draw, fraction), from named parameters."""
+    return np.stack([of[name] for name in transfer.PROFILE], axis=-1)
 
 
 @lru_cache(maxsize=4)

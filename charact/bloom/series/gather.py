@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.columns import spoiled
+from charact.bloom.defects import bad_pixels
 from charact.bloom.series.centre import centred
 from charact.bloom.series.levels import BESIDE, Level, level_of, noise_of
 from charact.bloom.series.likelihood import Series, series_of
@@ -52,9 +53,10 @@ def gathered(session: Session, spots: tuple[Spot, ...], *, context: Context) -> 
     full = min(one.full_scale_dn for one in group)
     aside = nearer_to_others(group, clearest, context.pitch_ratio)
     masks = [spoiled(one, context) | aside for one in group]
+    bad = [bad_pixels(session.stack(one.label), one.image.shape) for one in group]
     row, col = centred([one.image for one in group], clearest.row, clearest.col, pitch_ratio=context.pitch_ratio,
-                       full_dn=full, spoiled=masks)  # fmt: skip
-    levels = _levels(session, group, masks, (row, col), full, context)
+                       full_dn=full, spoiled=[one | other for one, other in zip(masks, bad, strict=True)])  # fmt: skip
+    levels = _levels(session, group, masks, bad, (row, col), full, context)
     whole = min(len(level.mean_dn) for level in levels)
     if whole < LEAST_RINGS:
         return f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}"
@@ -77,16 +79,17 @@ def nearer_to_others(group: tuple[Spot, ...], own: Spot, pitch_ratio: float) -> 
 
 
 def _levels(
-    session: Session, group: tuple[Spot, ...], masks: list[Mask], place: tuple[float, float], full_dn: float,
-    context: Context,
+    session: Session, group: tuple[Spot, ...], masks: list[Mask], bad: list[Mask], place: tuple[float, float],
+    full_dn: float, context: Context,
 ) -> tuple[Level, ...]:  # fmt: skip
     """Rings of every stack, each without the pixels that something else makes bright there."""
     entries = {entry.label: entry for entry in session.of_kind("point")}
     of_place = partial(geometry_of, group[0].image.shape, *place, pitch_ratio=context.pitch_ratio)
     whole = of_place(spoiled=None)
     out = []
-    for one, mask in zip(group, masks, strict=True):
-        geometry = of_place(spoiled=mask) if mask.any() else whole
+    for one, mask, defects in zip(group, masks, bad, strict=True):
+        lost = mask | defects
+        geometry = of_place(spoiled=lost) if lost.any() else whole
         level = level_of(one.label, entries[one.label].read().data, geometry, full_dn=full_dn)
         upright = _upright_px(one.image, place, full_dn, context.pitch_ratio)
         out.append(level.without_core(upright) if mask.any() or upright > 0 else level)

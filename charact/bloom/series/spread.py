@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series.forms import Form, pixel_of
+from charact.bloom.series.forms import Form, pixel_of, profile_of
 from charact.bloom.series.hankel import onto_nodes
 
 Array = NDArray[np.float64]
@@ -35,10 +35,10 @@ class Halo:
 def halo_of(form: Form, points: Array) -> Halo:
     """Return plateau and rim of a disc at draws of its parameters, shape (draw, parameter)."""
     of = form.at(points)
-    radius, elastic = of["halo_diameter"] / 2.0, of["elastic_share"]
+    radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
     inner, outer = PLATEAU
-    share = elastic * (_elastic_within(outer) - _elastic_within(inner))
-    share = share + (1.0 - elastic) * (_even_within(outer) - _even_within(inner))
+    within = _within(outer) - _within(inner)
+    share = profile @ within[:-1] + (1.0 - profile.sum(axis=1)) * within[-1]
     per_px2 = share / (np.pi * radius**2 * (outer**2 - inner**2))
     at = np.arange(RIM[0] * radius.min(), RIM[1] * radius.max(), 0.2)
     halo = form.halo_transform(points)
@@ -49,14 +49,10 @@ def halo_of(form: Form, points: Array) -> Halo:
     return Halo(plateau=of["halo_fraction"] * per_px2, rim=rim / per_px2)
 
 
-def _elastic_within(x: float) -> float:
-    """Share of the electrons of one energy within the share x of the halo's radius: density 1/sqrt(1 - x^2)."""
-    return 1.0 - float(np.sqrt(1.0 - x**2))
-
-
-def _even_within(x: float) -> float:
-    """The same of energies evenly spread: density arccos(x)/x."""
-    return float(x * np.arccos(x) - np.sqrt(1.0 - x**2) + 1.0)
+def _within(x: float) -> Array:
+    """Fractions of light within x of the disc's radius for each density of `transfer.PROFILE`, and of a flat disc."""
+    root = float(np.sqrt(1.0 - x**2))
+    return np.array([1.0 - root, x * np.arccos(x) - root + 1.0, x**4, x**14, x**2])
 
 
 def encircled(form: Form, points: Array, shares: tuple[float, ...], reach_px: float) -> Array:

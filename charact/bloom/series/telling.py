@@ -5,12 +5,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.bloom import transfer
 from charact.bloom.series.choice import Candidate
 from charact.bloom.series.leak import leak
 from charact.bloom.series.likelihood import Solved
 from charact.bloom.series.plate import TiringProblem
 from charact.bloom.series.spread import encircled, glare, halo_of
-from charact.bloom.spot import Spot
+from charact.bloom.spot import CUT_SHARE, Spot
+from charact.bloom.thresholds import BEYOND_PX, EVEN, LEAK_SD, LEAST_FAR, LEAST_LEVEL_DN
 from charact.posterior.diagnostics import leans_on_bound
 from labdata.measurement import Measurement, Posterior, from_draws, refused
 
@@ -40,6 +42,11 @@ LEAKS = "light that leaks through the target beside its pinhole counts as glare"
 DERIVED = 400
 # Share of a halo's diameter by which another's that overlaps it moves its edge.
 OVERLAPPED = 0.005
+# Fraction by which a diameter is off, as a standard error, where a rim on a flat disc is a ring: noise-free discs with
+# rings of 5 to 30 % of their radius are at most 0.8 % off.
+RIM_WIDTH = 0.004
+# What the diameter of any disc is off by besides, px: drawn flat discs whose noise leaves 0.03 px scatter by so much.
+DISC_PX = 0.05
 # Degrees of freedom that the noise has at least: rings of single frames tell it, too.
 LEAST_FREEDOM = 3
 # Standard error below which a level's own diameter counts as no better.
@@ -85,6 +92,7 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
         draws["halo_diameter"] += OVERLAPPED * middle * rng.standard_normal(len(posterior.draws))
+    draws["halo_diameter"] += _form_unknown(posterior, middle)
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": halo.plateau, "halo_rim": halo.rim}
     draws |= {name: one * _as_told(best, name, len(one), posterior) for name, one in of_light.items()}
@@ -101,6 +109,15 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
         )
         for quantity, unit in OF_THE_HALO
     ]
+
+
+def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
+    """Errors of a diameter by the unknown width of a rim on a flat disc, and of any disc, px, shape (draw,)."""
+    profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
+    elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
+    rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
+    sd = np.hypot(RIM_WIDTH * rimmed * diameter_px, DISC_PX)
+    return sd * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
 
 
 def _noise_unknown(group: tuple[Spot, ...], draws: int, seed: int | None) -> Array:
@@ -161,6 +178,9 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     told = np.array([one for one in found if one is not None])
     if not len(told):
         return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
+    leak = _leak(best, solved, group, area, (float(np.median(told[:, 0])), float(np.median(told[:, 1]))))
+    if leak is not None:
+        return [refused("veiling_glare", "%", leak, **fields)]
     rng = np.random.default_rng([posterior.seed, 1])
     beside = told[:, 0] + told[:, 1] * rng.standard_normal(len(told))
     beside = beside * _as_told(best, "veiling_glare", len(beside), posterior)
@@ -170,6 +190,32 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     near = (float(np.median(beside)), float(np.hypot(beside.std(), np.median(told[:, 1]))))
     number = from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)
     return [number.with_(findings=leak(group, light, reach, area, near))]
+
+
+def _leak(
+    best: Candidate, solved: Solved, group: tuple[Spot, ...], area: float, near: tuple[float, float]
+) -> str | None:
+    """Why light that grows with the source is no glare, as it does not fill the frame; None where it does, or may."""
+    rows, cols = np.indices(group[0].image.shape)
+    reach = float(best.problem.series.radius_px[-1]) + BEYOND_PX
+    far = np.hypot((rows - group[0].row) * best.form.pitch_ratio, cols - group[0].col) > reach
+    # Light of another source that lies there is not this one's.
+    if far.sum() < LEAST_FAR or np.isfinite(nearest_px(group)):
+        return None
+    # Light that the highest code cuts says nothing.
+    whole = np.array([one.image[far].max() < CUT_SHARE * one.full_scale_dn for one in group])
+    level = np.array([(one.image[far].mean(), one.image[far].std() / np.sqrt(far.sum())) for one in group])[whole]
+    light = np.median(solved.amplitudes[:, 0], axis=-1)[whole]
+    found = glare(light, level[:, 0], np.hypot(level[:, 1], LEAST_LEVEL_DN), area)
+    if found is None:
+        return None
+    less, more = sorted((near[0], found[0]))
+    if more - less < LEAK_SD * np.hypot(near[1], found[1]) or less > EVEN * more:
+        return None
+    return (
+        "the light that grows with the source does not fill the frame, as of a mask that leaks: it would be "
+        f"{100.0 * near[0]:.3g} % of the source's by the {reach:.0f} px about it and {100.0 * found[0]:.3g} % beyond"
+    )
 
 
 def plate_told(forms: list[Candidate], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],

@@ -50,7 +50,7 @@ def edge_is_tied(best: Candidate) -> bool:
 
 
 def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
-    """Diameter and standard error that each level alone gives, core as all have it, and how clearly it shows a halo.
+    """Diameter and standard error that each level alone gives, core and profile as all have them, and how clearly.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def own_diameters(best: Candidate) -> tuple[Array, Array, Array]:
         Shape (level,) each; NaN where a level does not show the halo.
     """
     names = best.form.names
-    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "elastic_share", "halo_fraction"))
+    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction"))
     at, share = names.index("halo_diameter"), names.index("halo_fraction")
     number = np.arange(len(best.problem.series.data))
     out = np.full((3, len(number)), np.nan)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact import bloom
-from charact.bloom.transfer import disc
+from charact.bloom.transfer import bounced, disc
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -32,15 +32,15 @@ def test_the_diameter_before_blur_is_found_behind_a_saturated_core(point, in_mem
     rng = np.random.default_rng(seed)
     session = series(point, in_memory, rng, diameter_px=diameter_px, elastic_share=elastic_share)
     halo = halo_of(bloom.measure(session, method="series-forward", context=QUICK))
-    assert halo.status == "ok"
+    assert halo.status == "ok", (halo.flags, halo.notes, halo.interval95)
     assert abs(errors(halo, diameter_px)) < 4.5
     assert (halo.interval68[1] - halo.interval68[0]) / 2 < 0.03 * diameter_px
 
 
-def test_the_chain_finds_it_too(point, in_memory, seed):
+def test_draws_by_importance_find_it_too(point, in_memory, seed):
     session = series(point, in_memory, np.random.default_rng(seed))
     halo = halo_of(bloom.measure(session, method="series-forward", context=Context(seed=1)))
-    assert halo.posterior.sampler == "emcee"
+    assert halo.posterior.sampler == "importance"
     assert abs(errors(halo, 40.0)) < 4.5
 
 
@@ -54,19 +54,13 @@ def test_geometry_not_light_sets_the_diameter(point, in_memory, seed):
         assert abs(own - levels["joint_px"]) < 4.5 * (high - low) / 3.92
 
 
-def test_the_steepest_step_lies_near_the_edge(point, in_memory, seed):
-    session = series(point, in_memory, np.random.default_rng(seed))
-    halo = halo_of(bloom.measure(session, method="radial-profile", context=QUICK))
-    assert halo.value == pytest.approx(40.0, abs=3.0)
-
-
-@pytest.mark.parametrize("method", ["series-forward", "radial-profile", "threshold", "gaussian"])
+@pytest.mark.parametrize("method", ["series-forward"])
 def test_a_source_without_halo_is_refused_one(point, in_memory, seed, method):
     session = series(point, in_memory, np.random.default_rng(seed), halo_fraction=0.0)
     assert halo_of(bloom.measure(session, method=method, context=QUICK)).status == "refused"
 
 
-@pytest.mark.parametrize("method", ["series-forward", "radial-profile", "threshold", "gaussian"])
+@pytest.mark.parametrize("method", ["series-forward"])
 @pytest.mark.parametrize("kind", ["uniform", "normal", "sparse"])
 def test_pure_noise_has_neither_halo_nor_bloom(in_memory, seed, method, kind):
     rng = np.random.default_rng(seed)
@@ -95,7 +89,7 @@ def test_the_transform_of_the_halo_is_that_of_thrown_electrons(thrown, seed):
     for share in (1.0, 0.3, 0.0):
         x, _ = thrown(rng, count, 40.0, share)
         waves = np.cos(2.0 * np.pi * frequency * x[:, None])
-        expected = disc(frequency, np.array([40.0]), np.array([share]))[0]
+        expected = disc(frequency, np.array([40.0]), bounced(np.array([share])))[0]
         assert np.all(np.abs(waves.mean(axis=0) - expected) < 4.5 * waves.std(axis=0) / np.sqrt(count))
 
 
