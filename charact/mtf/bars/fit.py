@@ -51,6 +51,8 @@ class Fit:
         Which pixels were used, shape (row, col).
     noise
         Noise of the pixels.
+    strip
+        Whether the bars run through the window.
     """
 
     target: BarTarget
@@ -68,6 +70,7 @@ class Fit:
     precision: Array
     window: Mask
     noise: Noise
+    strip: bool
 
     def __getitem__(self, name: str) -> float:
         return float(self.value[self.names.index(name)])
@@ -185,6 +188,7 @@ def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached,
         precision=here.precision,
         window=problem.window,
         noise=noise,
+        strip=problem.strip,
     )
 
 
@@ -212,15 +216,15 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
         Factor by which light that lingers widens the error of the mean, on its square.
     """
     first = fitted(problem, target, start_of(problem, target, START_EXPONENT, START_CORE), tolerance=ROUGHLY)
-    window = problem.window
+    window, ground = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
-        noise = noise_of(frames, first.model_dn, window, inflation=inflation)
+        noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
     else:
         # As much as white noise of what is left over would make of it.
         spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
             absorbed = _root(spread).T @ first.slope
-            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window)
+            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=ground)
             spread = noise.spread(first.estimator, window)
         # What rounding shifts alike stays in the picture: it is not in what a fit leaves over.
         if frames.dtype.kind in "ui":

@@ -70,7 +70,7 @@ def priors(problem: Problem, mtf: float) -> tuple[Array, Array]:
 def start_of(problem: Problem, target: BarTarget, exponent: float, mtf: float) -> dict[str, float]:
     """Return the parameters to begin with at a target found."""
     pixels = problem.image[problem.window]
-    low, high = np.quantile(pixels, [0.1, 0.95])
+    ground, far = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
     return {
         "log_attenuation": float(np.log(-np.log(mtf))),
         "log_exponent": float(np.log(exponent)),
@@ -81,8 +81,8 @@ def start_of(problem: Problem, target: BarTarget, exponent: float, mtf: float) -
         "across_px": 0.0,
         "along_px": 0.0,
         "angle_rad": target.angle_rad,
-        "level_dn": 1.3 * float(high - low),
-        "pedestal_dn": float(low),
+        "level_dn": 1.3 * float(far - ground),
+        "pedestal_dn": float(ground),
         "slope_across": 0.0,
         "slope_along": 0.0,
     }

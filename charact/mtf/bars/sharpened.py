@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 WIDTHS_PX, MISSED, LEAST_SHARE = (2.0, 4.0, 8.0), 3.5, 3e-3
 
 
-def is_sharpened(fit: Fit) -> bool:
-    """Tell whether a blurred copy of the bars is taken off them."""
+def sharpening(fit: Fit) -> float:
+    """Return the share of a blurred copy of the bars that is taken off them, 0 where none is for sure."""
     weight = 1.0 / np.maximum(fit.noise.variance, LEAST_VARIANCE * fit["level_dn"] ** 2)
     basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
     spread = np.array([_blurred(fit, width) for width in WIDTHS_PX]) * np.sqrt(weight)
@@ -25,7 +25,8 @@ def is_sharpened(fit: Fit) -> bool:
     missing = -(apart @ fit.residual_dn)
     sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(apart, fit.window)), 0.0))
     whole = np.sum(apart * spread / np.sqrt(weight), axis=1)
-    return bool(np.any((missing > MISSED * sd) & (missing > LEAST_SHARE * whole)))
+    sure = (missing > MISSED * sd) & (missing > LEAST_SHARE * whole)
+    return float(np.max(np.where(sure, missing / whole, 0.0)))
 
 
 def _blurred(fit: Fit, width_px: float) -> Array:
