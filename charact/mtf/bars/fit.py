@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.forms import FORMS
 from charact.mtf.bars.model import Shape
 from charact.mtf.bars.noise import Noise, noise_of, noise_of_one
-from charact.mtf.bars.picture import BOUNDS, START_CORE, START_EXPONENT, Picture, Problem, priors, start_of
+from charact.mtf.bars.picture import Picture, Problem, priors, start_of
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.rounding import rounding_shifts
 
@@ -17,8 +18,10 @@ Mask = NDArray[np.bool_]
 ITERATIONS, SETTLED, ROUGHLY = 12, 3e-3, 0.1
 # Shares of a step that are tried until one betters the fit.
 SHARES = (1.0, 0.4, 0.1, 0.02)
-# Standard errors by which the pixels must ask for a second form before there is one: it costs others their certainty.
-ASKED_SD = 3.0
+# A form of less weight than this changes no interval.
+LEAST_WEIGHT = 0.01
+# Forms begin where they are most like the one fitted, over these multiples of the bars' frequency.
+LIKE, LIKE_PLACES = (0.02, 3.0), 40
 # Least variance of a pixel, on the square of the bars' height: the table of the picture is no better.
 LEAST_VARIANCE = 1e-8
 
@@ -53,6 +56,8 @@ class Fit:
         Noise of the pixels.
     strip
         Whether the bars run through the window.
+    cost
+        Chi squared, and what the priors add to it.
     """
 
     target: BarTarget
@@ -71,6 +76,7 @@ class Fit:
     window: Mask
     noise: Noise
     strip: bool
+    cost: float
 
     def __getitem__(self, name: str) -> float:
         return float(self.value[self.names.index(name)])
@@ -112,7 +118,7 @@ def fitted(
     picture, names = Picture(problem, target), problem.names
     theta = np.array([start[name] for name in names])
     here = _reached(picture, theta, picture.shape(start).pixel)
-    bounds = np.array([BOUNDS.get(name, (-np.inf, np.inf)) for name in names])
+    bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
     for _ in range(ITERATIONS):
         there, expected = _stepped(picture, here, bounds)
         if there is None:
@@ -189,6 +195,7 @@ def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached,
         window=problem.window,
         noise=noise,
         strip=problem.strip,
+        cost=here.cost,
     )
 
 
@@ -215,7 +222,7 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
     inflation
         Factor by which light that lingers widens the error of the mean, on its square.
     """
-    first = fitted(problem, target, start_of(problem, target, START_EXPONENT, START_CORE), tolerance=ROUGHLY)
+    first = fitted(problem, target, start_of(problem, target), tolerance=ROUGHLY)
     window, ground = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
         noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
@@ -232,22 +239,53 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
     # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
     least = max(float(noise.variance.mean()), LEAST_VARIANCE * first["level_dn"] ** 2)
     weighed = replace(problem, variance=np.maximum(noise.variance, least))
-    fit = fitted(weighed, target, first.values, noise)
-    if not _of_several_stages(fit, weighed):
-        return fit, weighed
-    weighed = replace(weighed, several_stages=True)
-    return fitted(weighed, target, fit.values, noise), weighed
+    return fitted(weighed, target, first.values, noise), weighed
 
 
-def _of_several_stages(fit: Fit, problem: Problem) -> bool:
-    """Tell whether the pixels ask for a second form in the transfer, all else free to give way."""
-    share = fit.names.index("gaussian_share")
-    others = np.delete(fit.slope, share, axis=0) / np.sqrt(problem.variance)
-    basis = np.linalg.qr(others.T)[0]
-    wanted = fit.slope[share] / np.sqrt(problem.variance)
-    apart = (wanted - (wanted @ basis) @ basis.T) / np.sqrt(problem.variance)
-    sd = np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))
-    return float(apart @ fit.residual_dn) > max(ASKED_SD * sd, 1e-12)
+def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]:
+    """Return the fits of all forms, the weight of each and what it fits, the best first.
+
+    Parameters
+    ----------
+    fit
+        A fit of one form.
+    problem
+        What is fitted; its MTF may be asked for at another frequency than that of the fit.
+
+    Notes
+    -----
+    exp(-chi^2 / 2), of noise that neighbours share as much less, is how likely each makes the picture: where several
+    describe it alike, their answers are all to be had.
+    """
+    shape, ratio = fit.shape, problem.asked / fit.shape.reference
+    places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
+    now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
+    core = np.exp(shape.form.ln(places, *now))
+    attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
+    fits = []
+    for form in FORMS:
+        own = replace(problem, form=form)
+        if form is shape.form and ratio == 1.0:
+            fits.append((fit, own))
+            continue
+        scale, (log_attenuation, one, two) = form.nearest(places - np.log(ratio), core, attenuation)
+        start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
+        start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
+        fits.append((fitted(own, fit.target, start, fit.noise, tolerance=ROUGHLY), own))
+    kept = [
+        (fitted(own, one.target, {**one.values, "across_px": 0.0, "along_px": 0.0}, one.noise), own)
+        for share, (one, own) in zip(_weights(fits), fits, strict=True)
+        if share > LEAST_WEIGHT
+    ]
+    ranked = sorted(zip(_weights(kept), kept, strict=True), key=lambda one: -one[0])
+    return [(share, *one) for share, one in ranked]
+
+
+def _weights(fits: list[tuple[Fit, Problem]]) -> list[float]:
+    """Return how likely each fit makes the picture, over their sum."""
+    least = min(one.cost for one, _ in fits)
+    weight = np.exp([-0.5 * (one.cost - least) / one.noise.tied for one, _ in fits])
+    return (weight / weight.sum()).tolist()
 
 
 def _root(covariance: Array) -> Array:

@@ -15,7 +15,7 @@ from charact.mtf.bars.checks import (
     light_in_standard_errors,
     not_identifiable,
 )
-from charact.mtf.bars.fit import Fit, fitted, measured
+from charact.mtf.bars.fit import Fit, measured, of_all_forms
 from charact.mtf.bars.light import ground_of, second_harmonic
 from charact.mtf.bars.number import other_number
 from charact.mtf.bars.picture import Problem
@@ -170,18 +170,20 @@ def _of_fit(
     given: list[Finding],
 ) -> Found:
     """Draw the posterior of a fitted picture."""
-    own = fit.target.frequency
-    notes = []
+    own, notes = fit.target.frequency, []
     if asked.frequency is None:
-        fit, problem = _told_at(fit, problem, own)
+        problem = replace(problem, asked=own)
     elif abs(np.log(own / problem.asked)) > max(TOLD_FREQUENCY, 3.0 * fit.sd("log_frequency")):
         notes.append(f"The bars repeat at {own:.4g} cy/px, told is the MTF at {problem.asked:.4g}.")
     if asked.bars is None:
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
         notes.append(f"The picture shows {fit.target.bars} {kind} ground.")
-    posterior = of_fit(fit, problem, context)
+    forms = of_all_forms(fit, problem)
+    posteriors = [of_fit(one, its, context) for _, one, its in forms]
+    drawn = [mtf_of(posterior, one, context) for posterior, (_, one, _) in zip(posteriors, forms, strict=True)]
+    fit, problem, posterior = *forms[0][1:], posteriors[0]
     response = response_of(used, fit)
-    mtf = straightened(mtf_of(posterior, fit, context), response, context.seed)
+    mtf = straightened(_together(drawn, [share for share, _, _ in forms]), response, context.seed)
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
     notes.append("Bars taken to be half a period wide: of bars 1 % of that wider the MTF is told 1 % too low.")
     if context.sensor is None:
@@ -206,14 +208,14 @@ def _of_fit(
     )
 
 
-def _told_at(fit: Fit, problem: Problem, frequency: float) -> tuple[Fit, Problem]:
-    """Return the fit told at the bars' own frequency, and its problem."""
-    target = replace(fit.target, frequency=frequency)
-    moved = {"across_px": 0.0, "along_px": 0.0}
-    start = {**fit.values, **{name: 0.0 for name in moved if name in fit.names}}
-    start["log_attenuation"] += np.exp(fit["log_exponent"]) * float(np.log(frequency / problem.asked))
-    problem = replace(problem, asked=frequency)
-    return fitted(problem, target, start, fit.noise), problem
+def _together(drawn: list[Array], shares: list[float]) -> Array:
+    """Return the draws of all forms, of each as many as its share."""
+    count = max(len(one) for one in drawn)
+    parts = [
+        one[np.linspace(0, len(one) - 1, round(share * count)).astype(np.intp)]
+        for one, share in zip(drawn, shares, strict=True)
+    ]
+    return np.concatenate(parts)
 
 
 def _whole(used: FrameStack, mean: Array, target: BarTarget, asked: Asked, context: Context) -> Found | Nothing:

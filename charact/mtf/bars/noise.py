@@ -43,6 +43,11 @@ class Noise:
     rounding: Array | None = None
     of_rows: float = 0.0
 
+    @property
+    def tied(self) -> float:
+        """By how much chi squared of pixels that share noise exceeds that of independent ones."""
+        return max(float(np.abs(self.correlation).sum()), 1.0)
+
     def spread(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance that the noise gives to linear estimates, shape (estimate, estimate).
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.forms import TUBE
 from charact.mtf.bars.model import Shape, table_of
 from charact.mtf.bars.target import BarTarget, blank_target
 
@@ -16,7 +17,7 @@ BIN_PX = 0.5
 LEAST_LIKENESS_SD = 6.0
 # Light at both ends of a region over that in its middle from which the bars run through, and the depth of an end.
 RUNS_THROUGH, END_SHARE = 0.6, 8
-TYPICAL = {"log_attenuation": -0.4, "exponent": 1.6, "departure": 0.0, "gaussian_share": 0.0}
+TYPICAL = {"log_attenuation": -0.4, "form": TUBE, "form_one": TUBE.start[0], "form_two": 0.0, "departure": 0.0}
 
 
 def runs_through(image: Array, *, bars: int, frequency: float) -> bool:

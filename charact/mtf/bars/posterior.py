@@ -10,7 +10,7 @@ from charact.mtf.bars.amplitudes import Amplitudes
 from charact.mtf.bars.bias import mtf_bias
 from charact.mtf.bars.compressed import compressed
 from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.picture import BOUNDS, Problem
+from charact.mtf.bars.picture import Problem
 from charact.posterior import draw, laplace, sample, weighed
 from labdata.measurement import Posterior
 
@@ -23,7 +23,7 @@ TABLE_SD = 3e-4
 QUICK_ENOUGH = 500.0
 # Standard deviations of its draws by which a full posterior may lie beside the fit that it began from.
 APART_SD = 2.0
-SHAPE = ("log_attenuation", "log_exponent", "departure")
+SHAPE = ("log_attenuation", "form_one", "departure")
 
 
 def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
@@ -41,7 +41,7 @@ def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
         "units": ("1", "1", "1"),
         "start": fit.value[own] + shift,
         "covariance": fit.covariance[np.ix_(own, own)],
-        "bounds": np.array([BOUNDS[name] for name in SHAPE]),
+        "bounds": np.array([problem.bounds[name] for name in SHAPE]),
         "seed": context.seed,
     }
     if context.quick:
