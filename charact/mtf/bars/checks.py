@@ -6,11 +6,9 @@ from numpy.typing import NDArray
 from charact.mtf.bars.amplitudes import Amplitudes
 from charact.mtf.bars.findings import REGION, misfit
 from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.forms import STAGES, TUBE
 from charact.mtf.bars.sharpened import sharpening
 from charact.mtf.bars.target import BarTarget, core_margin_px
 from charact.mtf.bars.thresholds import (
-    BEYOND_SD,
     DEPARTED,
     DOUBTFUL,
     FIELD_OFFSET_PX,
@@ -19,8 +17,6 @@ from charact.mtf.bars.thresholds import (
     LOBES_APART,
     MISFIT,
     SIGNIFICANT,
-    SLOWEST,
-    STEEPEST,
     STRAIGHT,
     STRAIGHT_SD,
     UPRIGHT,
@@ -58,9 +54,6 @@ def findings_of_fit(fit: Fit) -> list[Finding]:
     if left > 0.0:
         share = 100.0 * left / abs(fit["level_dn"])
         found.append(misfit(f"the profile departs by {share:.1f} % of the bars' height: the MTF may be off by as much"))
-    least, most = fit["form_one"] + BEYOND_SD * fit.sd("form_one") * np.array([-1.0, 1.0])
-    if fit.shape.form in (TUBE, STAGES) and (least > np.log(STEEPEST) or most < np.log(SLOWEST)):
-        found.append(misfit(f"exponent {np.exp(fit['form_one']):.1f}"))
     away, known = abs(fit["departure"]), 1.0 / np.sqrt(fit.precision[fit.names.index("departure")])
     if away > DEPARTED * known:
         found.append(

@@ -10,8 +10,8 @@ from charact.mtf.bars.picture import Picture, Problem
 
 Array = NDArray[np.float64]
 
-# Attenuation and the form's first number are tabulated over this many standard deviations at so many places each, and drawn through
-# polynomials of this degree.
+# Attenuation and the form's first number are tabulated over this many standard deviations at so many places each, and
+# drawn through polynomials of this degree.
 REACH_SD, PLACES, DEGREE = 4.0, 7, 4
 TABULATED, PLACE = ("log_attenuation", "form_one"), ("across_px", "along_px")
 # What has no prior is as good as unknown over so many of its standard deviations.

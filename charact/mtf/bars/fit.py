@@ -15,7 +15,7 @@ from charact.mtf.rounding import rounding_shifts
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ITERATIONS, SETTLED, ROUGHLY = 12, 3e-3, 0.1
+ITERATIONS, SETTLED, ROUGHLY, NEAR_END = 12, 3e-3, 0.1, 2
 # Shares of a step that are tried until one betters the fit.
 SHARES = (1.0, 0.4, 0.1, 0.02)
 # A form of less weight than this changes no interval.
@@ -107,8 +107,11 @@ def fitted(
     noise: Noise | None = None,
     *,
     tolerance: float = SETTLED,
+    hopeless: float = np.inf,
 ) -> Fit:
-    """Fit the picture by damped Gauss-Newton steps; the noise, if known, tells the covariance.
+    """Fit the picture by damped Gauss-Newton steps, given up where they lead to no less than a hopeless cost.
+
+    The noise, if known, tells the covariance.
 
     Notes
     -----
@@ -119,12 +122,13 @@ def fitted(
     theta = np.array([start[name] for name in names])
     here = _reached(picture, theta, picture.shape(start).pixel)
     bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
-    for _ in range(ITERATIONS):
+    for step in range(ITERATIONS):
         there, expected = _stepped(picture, here, bounds)
         if there is None:
             break
-        here = there
-        if expected < tolerance:
+        gained, here = here.cost - there.cost, there
+        # Near its end a fit gains by a step at least as much as by all that follow it.
+        if expected < tolerance or (step >= NEAR_END and here.cost - max(gained, expected) > hopeless):
             break
     return _told(problem, target, picture, here, noise)
 
@@ -254,15 +258,15 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
 
     Notes
     -----
-    exp(-chi^2 / 2), of noise that neighbours share as much less, is how likely each makes the picture: where several
-    describe it alike, their answers are all to be had.
+    Weights are evidences (Laplace): exp(-chi^2 / 2), of noise that neighbours share as much less, times what the pixels
+    leave of the priors of a form's numbers. Where several forms describe a picture alike, their answers are all drawn.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
     places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
     core = np.exp(shape.form.ln(places, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
-    fits = []
+    fits, least = [], fit.cost
     for form in FORMS:
         own = replace(problem, form=form)
         if form is shape.form and ratio == 1.0:
@@ -271,21 +275,27 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
         scale, (log_attenuation, one, two) = form.nearest(places - np.log(ratio), core, attenuation)
         start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
         start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
-        fits.append((fitted(own, fit.target, start, fit.noise, tolerance=ROUGHLY), own))
-    kept = [
-        (fitted(own, one.target, {**one.values, "across_px": 0.0, "along_px": 0.0}, one.noise), own)
-        for share, (one, own) in zip(_weights(fits), fits, strict=True)
-        if share > LEAST_WEIGHT
-    ]
-    ranked = sorted(zip(_weights(kept), kept, strict=True), key=lambda one: -one[0])
-    return [(share, *one) for share, one in ranked]
+        hopeless = least - 2.0 * fit.noise.tied * np.log(LEAST_WEIGHT)
+        fits.append((fitted(own, fit.target, start, fit.noise, hopeless=hopeless), own))
+        least = min(least, fits[-1][0].cost)
+    ranked = sorted(zip(_weights(fits), fits, strict=True), key=lambda one: -one[0])
+    return [(share, *one) for share, one in ranked if share > LEAST_WEIGHT]
 
 
 def _weights(fits: list[tuple[Fit, Problem]]) -> list[float]:
-    """Return how likely each fit makes the picture, over their sum."""
-    least = min(one.cost for one, _ in fits)
-    weight = np.exp([-0.5 * (one.cost - least) / one.noise.tied for one, _ in fits])
+    """Return the evidence of each fit over their sum."""
+    ln_evidence = np.array([_ln_evidence(fit, problem) for fit, problem in fits])
+    weight = np.exp(ln_evidence - ln_evidence.max())
     return (weight / weight.sum()).tolist()
+
+
+def _ln_evidence(fit: Fit, problem: Problem) -> float:
+    """Return ln of how likely the picture is, and of what the pixels leave of the priors of its form."""
+    left = [
+        min(fit.sd(name) / prior[1], 1.0)
+        for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
+    ]
+    return -0.5 * fit.cost / fit.noise.tied + float(np.sum(np.log(np.maximum(left, 1e-6))))
 
 
 def _root(covariance: Array) -> Array:

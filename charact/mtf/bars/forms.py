@@ -171,8 +171,8 @@ STAGES = Form(
 )
 PUPIL = Form("a lens", one=(0.2, 0.4), two=NONE, bounds=((0.0, 0.95), (-1.0, 1.0)), start=(0.1, 0.0), ln=_pupil)
 MOFFAT = Form(
-    "a Moffat", one=(float(np.log(2.5)), 0.7), two=NONE, bounds=((float(np.log(0.2)), float(np.log(15.0))), (-1.0, 1.0)),
-    start=(float(np.log(2.5)), 0.0), ln=_moffat,
+    "a Moffat", one=(float(np.log(2.5)), 0.7), two=NONE,
+    bounds=((float(np.log(0.2)), float(np.log(15.0))), (-1.0, 1.0)), start=(float(np.log(2.5)), 0.0), ln=_moffat,
 )  # fmt: skip
 WINGS = Form(
     "two Gaussians", one=(0.1, 0.2), two=(float(np.log(3.0)), 0.5),

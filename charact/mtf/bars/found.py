@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.bars import findings
 from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation
+from charact.mtf.bars.bias import mtf_bias
 from charact.mtf.bars.checks import (
     findings_of_fit,
     findings_of_sums,
@@ -179,9 +180,13 @@ def _of_fit(
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
         notes.append(f"The picture shows {fit.target.bars} {kind} ground.")
     forms = of_all_forms(fit, problem)
-    posteriors = [of_fit(one, its, context) for _, one, its in forms]
-    drawn = [mtf_of(posterior, one, context) for posterior, (_, one, _) in zip(posteriors, forms, strict=True)]
-    fit, problem, posterior = *forms[0][1:], posteriors[0]
+    _, fit, problem = forms[0]
+    # Forms that describe the picture alike bend alike; a full posterior is drawn of the best.
+    bias = mtf_bias(fit, problem)
+    posterior = of_fit(fit, problem, context, bias)
+    quick = replace(context, quick=True)
+    drawn = [mtf_of(posterior, fit, context)]
+    drawn += [mtf_of(of_fit(one, its, quick, bias), one, quick) for _, one, its in forms[1:]]
     response = response_of(used, fit)
     mtf = straightened(_together(drawn, [share for share, _, _ in forms]), response, context.seed)
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")

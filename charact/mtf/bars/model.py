@@ -118,7 +118,8 @@ def table_of(shape: Shape, half_across_px: float, half_along_px: float) -> Table
     Notes
     -----
     Across the bars, u, the spectrum of N bars is w sinc(u w) sin(pi N u P) / sin(pi u P), along them L sinc(L v). The
-    transfer is that of a form at r = |(u, v)|, c at f, times the pixel's two sincs in its own directions. It may depart from that by a share about f, over the width f/N in which the bars have light.
+    transfer is that of a form at r = |(u, v)|, c at f, times the pixel's two sincs in its own directions. It may depart
+    from that by a share about f, over the width f/N in which the bars have light.
     """
     from scipy.fft import irfft, next_fast_len
 

@@ -17,7 +17,8 @@ NAMES = (
     "along_px", "angle_rad", "level_dn", "pedestal_dn", "slope_across", "slope_along",
 )  # fmt: skip
 ALONG = ("log_length", "along_px")
-# Priors, standard deviations: the bars' frequency is known to a few percent (STANAG 4349: 5 %), their length to a third.
+# Priors, standard deviations: the bars' frequency is known to a few percent (STANAG 4349: 5 %), their length to a
+# third.
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
 # How far a transfer may depart from the family at the bars' frequency: share of itself, and of the whole.
 DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002

@@ -50,7 +50,7 @@ def _modelled(distance: Array, target: BarTarget, mtf: float) -> Array:
     core = float(np.clip(mtf / pixel, 1e-3, 0.999))
     shape = Shape(
         bars=target.bars, frequency=frequency, length_px=np.inf, reference=frequency, form=TUBE,
-        log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(TUBE_EXPONENT)), form_two=0.0, departure=0.0,
-        angle_rad=target.angle_rad,
+        log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(TUBE_EXPONENT)), form_two=0.0,
+        departure=0.0, angle_rad=target.angle_rad,
     )  # fmt: skip
     return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]

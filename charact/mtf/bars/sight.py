@@ -11,6 +11,7 @@ from charact.mtf.bars.target import BarTarget, find, ground_level, settled
 from charact.mtf.bars.thresholds import (
     LEAST_EXPLAINED,
     MOST_BARS,
+    NEARLY,
     NUMBERS_BESIDE,
     PATCH_LEVEL,
     PEAKS,
@@ -26,6 +27,8 @@ Mask = NDArray[np.bool_]
 BLURS, FREQUENCIES = (0.08, 0.16, 0.24, 0.34, 0.44), np.linspace(0.92, 1.08, 9)
 # Points of the profile a period, ground beside the bars and the inner share of their length that are looked at.
 POINTS_A_PERIOD, BESIDE_PERIODS, INNER = 12.0, 1.2, 0.4
+# Ground that must be seen beyond the last gap on either side, periods: without it nobody can count.
+LEAST_BESIDE = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +53,10 @@ def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ra
     -----
     The strongest waves of the picture's spectrum are looked at one after the other: where the picture, demodulated
     with one, keeps half of its amplitude lie the bars; their profile is compared with those of N blurred bars on an
-    even ground by least squares, N, frequency, blur, middle and sign free.
+    even ground by least squares, N, frequency, blur, middle and sign free. Of those that explain about as much of it
+    the strongest wave is the bars': the others are side lobes of the patch's own light.
     """
-    best, most = None, LEAST_EXPLAINED
+    looked: list[tuple[float, Seen]] = []
     for wave, angle_rad in _waves(image, frequency, pitch_ratio):
         blank = BarTarget(
             bars=bars or 0, frequency=wave, angle_rad=angle_rad, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
@@ -60,9 +64,10 @@ def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ra
         )  # fmt: skip
         patch = _patch(image, blank)
         found = _counted(image, patch, blank, bars)
-        if found is not None and found[0] > most:
-            most, best = found[0], Seen(target=found[1], through=_runs_through(patch, angle_rad))
-    return best
+        if found is not None:
+            looked.append((found[0], Seen(target=found[1], through=_runs_through(patch, angle_rad))))
+    most = max((explained for explained, _ in looked), default=0.0)
+    return next((seen for explained, seen in looked if explained > max(LEAST_EXPLAINED, NEARLY * most)), None)
 
 
 def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterator[tuple[float, float]]:
@@ -144,6 +149,9 @@ def _counted(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tu
     explained, number, ratio, shift, sign = max(
         (_compared(place, value, number, phase / (2.0 * np.pi)) for number in numbers), key=lambda one: one[0]
     )
+    seen = 0.5 * number / ratio + LEAST_BESIDE
+    if place[0] > shift - seen or place[-1] < shift + seen:
+        return None
     x = middle[0] + shift / wave.frequency
     cosine, sine = np.cos(wave.angle_rad), np.sin(wave.angle_rad)
     target = replace(

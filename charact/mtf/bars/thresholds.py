@@ -8,6 +8,8 @@ LENGTH_MATTERS = 0.9
 MOST_BARS = 60
 # Share of a profile's variance that N blurred bars explain at least; an edge or a spot leaves more than half.
 LEAST_EXPLAINED = 0.6
+# Share of the best explanation from which on a stronger wave is preferred: side lobes explain as much at times.
+NEARLY = 0.9
 # Peaks of a spectrum that are looked at: the bars', their harmonics', those of the patch along and across them.
 PEAKS = 8
 # A stated frequency and that of the peak differ by so much at most: the width f/N of the peak of three bars' rim.
@@ -51,8 +53,5 @@ LEAST_TRAVEL_PX = 0.8
 STRAIGHT, STRAIGHT_SD = 0.006, 3.5
 # A fit's misfit over the bars' height, and its departure from the family over that expected.
 MISFIT, DEPARTED = 0.02, 3.5
-# Blurs fall no steeper than a Gaussian; one wide bar looks like narrow ones under a blur that does. Nor do those of
-# lenses and tubes fall so slowly as a halo makes it look.
-STEEPEST, SLOWEST, BEYOND_SD = 2.2, 1.0, 1.5
 # An MTF of fewer standard errors is an upper limit: of those that chance lifts over two, too many would be ok.
 LEAST_FUNDAMENTAL_SD = 3.0
