@@ -11,7 +11,7 @@ from charact.mtf.bars.amplitudes import Amplitudes
 from charact.mtf.bars.bias import rounding_sd
 from charact.mtf.bars.fit import Fit
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.bars.thresholds import COARSE, OTHER_SHARE, TOLD_FREQUENCY
+from charact.mtf.bars.thresholds import COARSE, OTHER_SHARE, STILL_DN, STILL_SHARE, TOLD_FREQUENCY
 from charact.mtf.codes import code_flags
 from charact.mtf.wander import Wander
 from labdata.flags import Finding
@@ -70,13 +70,25 @@ def rounding(fit: Fit) -> list[Finding]:
     return [Finding(flag="quantised", effect=effect, remedy="more gain or light, so that noise spans a code")]
 
 
-def codes(used: FrameStack, windows: Iterable[Mask], context: Context) -> list[Finding]:
-    """Return that pixels of a window pile up at an end of the scale."""
+def codes(used: FrameStack, windows: Iterable[Mask], context: Context, fit: Fit | None = None) -> list[Finding]:
+    """Return that pixels of a window pile up at an end of the scale.
+
+    Where a fit shows that the picture has hardly any noise its plateaus are still by themselves: only a scale that is
+    stated tells then that they are cut off.
+    """
     full_scale_dn = context.full_scale_dn or used.full_scale_dn
+    if fit is not None and _quiet(used, fit) and (full_scale_dn is None or used.data.max() < full_scale_dn):
+        return []
     if not any(chain.from_iterable(code_flags(used.data[:, one], full_scale_dn) for one in windows)):
         return []
     effect = "levels beyond the scale are lost: the MTF may be off by the share of the bars' height that is cut off"
     return [Finding(flag="clipped", effect=effect, remedy="less light or gain, or a higher black level")]
+
+
+def _quiet(used: FrameStack, fit: Fit) -> bool:
+    """Tell whether a frame's noise is hidden by whole codes, or is as small as what the picture's table is off by."""
+    sd = float(np.sqrt(np.median(fit.noise.variance) * len(used.data)))
+    return sd < (STILL_DN if used.data.dtype.kind in "ui" else STILL_SHARE * abs(fit["level_dn"]))
 
 
 def motion(wander: Wander, frequency: float) -> Finding:

@@ -206,7 +206,7 @@ def _of_fit(
             *findings.rounding(fit),
             *response_findings(response),
             # White is cut off where there is light, black mostly where there is none.
-            *findings.codes(used, (near, problem.window), context),
+            *findings.codes(used, (near, problem.window), context, fit),
         ),
         notes=tuple(notes),
         margin_px=margin,

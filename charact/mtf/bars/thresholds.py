@@ -37,6 +37,8 @@ COARSE = 0.1
 FITTED_PX, FITTED_PERIODS = 20.0, 1.5
 # Light elsewhere: over this share of the target's height.
 OTHER_SHARE = 0.04
+# Noise of a frame that whole codes hide, DN, and that floats hide, of the bars' height: the table is off by as much.
+STILL_DN, STILL_SHARE = 0.4, 1e-3
 # The zeros beside the fundamental, over it: more is bars of another frequency.
 DOUBTFUL = 0.15
 # Half way to the lower zero as many bars have at least their fundamental's share of light; twice as many have none.
