@@ -259,17 +259,18 @@ def main() -> None:
     parser.add_argument("--said", choices=("roi", "file", "all"), default="roi", help="what is said of each target")
     parser.add_argument("--list", action="store_true", help="print each target that is not ok, or misses")
     asked = parser.parse_args()
-    outcomes = [outcome(number, asked.seed, asked.said) for number in range(asked.count)]
-    if asked.list:
-        for number, one in enumerate(outcomes):
-            if one.status != "ok" or one.off > 1.0:
-                s = one.stranger
-                print(
-                    f"{number:4d} {one.status:8} {one.off:6.2f} {100 * one.error:7.2f}% {s.form:13} N {s.bars:2d} "
-                    f"f {s.frequency:.3f} {'dark' if s.dark else 'bright':6} {'square' if s.square else '5:1':6} "
-                    f"{s.angle_deg:6.1f} deg, MTF {s.mtf(s.frequency):.3f}, {s.frames} frames of {s.bits} bits, "
-                    f"{s.bright_e:.0f} e: {', '.join(one.flags)}"
-                )
+    outcomes = []
+    for number in range(asked.count):
+        outcomes.append(one := outcome(number, asked.seed, asked.said))
+        if asked.list and (one.status != "ok" or one.off > 1.0):
+            s = one.stranger
+            print(
+                f"{number:4d} {one.status:8} {one.off:6.2f} {100 * one.error:7.2f}% {s.form:13} N {s.bars:2d} "
+                f"f {s.frequency:.3f} {'dark' if s.dark else 'bright':6} {'square' if s.square else '5:1':6} "
+                f"{s.angle_deg:6.1f} deg, MTF {s.mtf(s.frequency):.3f}, {s.frames} frames of {s.bits} bits, "
+                f"{s.bright_e:.0f} e: {', '.join(one.flags)}",
+                flush=True,
+            )
     print("\n".join(table(outcomes)))
 
 

@@ -23,14 +23,14 @@ METHOD = "bars-forward"
     quantities=("mtf",),
     preferred=True,
     scope=(
-        "Two to forty bars, brighter than an even ground and as wide as their gaps, in any direction, whole with their "
-        "blur inside the region and about seven times as long as wide, or running through it within 12 degrees of an "
-        "axis; fundamental over 5 standard errors. A camera that is not described is taken to have a transfer near "
-        "exp(-(f/fc)^n), a Gaussian behind it or not, and no halo. Broken by clipping and motion between fields (not "
-        "told of bars along rows). A curved response is told by the picture and by noise that does not grow as the "
-        "light, and what neither tells of it is in the interval. "
-        "A camera that sharpens its pictures is told where what it takes off stands over 3.5 standard errors. "
-        "Untilted bars near the sampling limit are refused; one bar more or fewer than asked for is told where each "
+        "Two to sixty bars, brighter or darker than an even ground and as wide as their gaps, in any direction, whole "
+        "with their blur inside the region, or running through it within 12 degrees of an axis; fundamental over 5 "
+        "standard errors. Number and frequency are found from three bars on where they are not stated. A camera that "
+        "is not described is taken to blur as a tube, a lens, a Moffat or two Gaussians do. Broken by clipping and "
+        "motion between fields (not seen of bars along rows). A curved response is seen in the picture and in noise "
+        "that does not grow as the light, and what neither shows of it is in the interval. A camera that sharpens is "
+        "flagged where what it takes off stands over 3.5 standard errors. "
+        "Untilted bars near the sampling limit are refused; one bar more or fewer than stated is flagged where each "
         "can be seen."
     ),
 )

@@ -1,24 +1,19 @@
-"""The maps of bars, points, spectra and edges of pulses: cells are what the methods still do, and what they show."""
+"""The maps of points, spectra and edges of pulses: cells are what the methods still do, and what they show."""
 
 import json
 
 import numpy as np
 import pytest
 
-from charact.study.bars import map as bars
-from charact.study.bars import pulse_map as pulsed_bars
 from charact.study.edge import pulse_map as pulses
 from charact.study.flats import spectrum_map as spectra
 from charact.study.point import map as points
 
 # What a method says of itself that it does not tell, by the axis of the map.
-UNTOLD = {bars: (), pulsed_bars: (), points: ("gamma", "neighbour_px"), spectra: (), pulses: ()}
+UNTOLD = {points: ("gamma", "neighbour_px"), spectra: (), pulses: ()}
 
 
-@pytest.fixture(
-    params=[bars, pulsed_bars, points, spectra, pulses],
-    ids=["bars", "bars of pulses", "points", "spectra", "edges of pulses"],
-)
+@pytest.fixture(params=[points, spectra, pulses], ids=["points", "spectra", "edges of pulses"])
 def study(request):
     return request.param
 
