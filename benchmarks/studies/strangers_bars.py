@@ -133,7 +133,7 @@ def _psf(form: str, rng: np.random.Generator) -> Psf:
     if form == "two Gaussians":
         wing, share = float(rng.uniform(2.0, 4.0)), float(rng.uniform(0.05, 0.3))
         core = galsim.Gaussian(sigma=sigma_px, flux=1.0 - share)
-        return core + galsim.Gaussian(sigma=wing * sigma_px, flux=share)
+        return galsim.Sum([core, galsim.Gaussian(sigma=wing * sigma_px, flux=share)])
     if form == "Airy":
         return galsim.Airy(lam_over_diam=float(rng.uniform(1.0, 3.0)))
     return galsim.Moffat(beta=float(rng.uniform(2.5, 5.0)), fwhm=2.355 * sigma_px)

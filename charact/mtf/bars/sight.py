@@ -89,7 +89,7 @@ def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterato
     top = (height == maximum_filter(height, 5)) & (height > 0.0)
     rows, cols = np.nonzero(top)
     for place in np.argsort(-height[rows, cols])[:PEAKS]:
-        row, col = rows[place], cols[place]
+        row, col = int(rows[place]), int(cols[place])
         down = (row + _vertex(height[:, col], row) + size[0] / 2) % size[0] - size[0] / 2
         right = col + _vertex(height[row], col)
         wave = np.array([right / size[1], down / size[0] / pitch_ratio])
@@ -116,8 +116,9 @@ def _patch(image: Array, wave: BarTarget) -> Mask:
         return np.asarray(gaussian_filter(part, sigma, mode="constant"))
 
     amplitude = np.hypot(smoothed(np.real(turned)), smoothed(np.imag(turned))) / smoothed(np.ones(image.shape))
-    parts, _ = label(amplitude > PATCH_LEVEL * amplitude.max())
-    return np.asarray(parts == parts[np.unravel_index(int(np.argmax(amplitude)), image.shape)], bool)
+    parts = np.zeros(image.shape, np.int32)
+    label(amplitude > PATCH_LEVEL * amplitude.max(), output=parts)
+    return parts == parts.flat[int(np.argmax(amplitude))]
 
 
 def _runs_through(patch: Mask, angle_rad: float) -> bool:

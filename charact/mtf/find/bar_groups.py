@@ -210,18 +210,20 @@ def _verified(picture: Array, answer: _Answer, bars: int | None) -> _Group | Non
     for number, col in [(bars, answer.col)] if bars else _numbers(picture, answer):
         at = replace(answer, col=col)
         strip = _strip(picture, at, number)
-        for sign in (1.0, -1.0) if strip is not None else ():
+        if strip is None:
+            continue
+        for sign in (1.0, -1.0):
             fitted = combed(strip[0], sign * strip[1], answer.frequency, number)
             if fitted is not None:
                 looked.append((fitted, number, at))
     if not looked:
         return None
-    (_, centre, frequency), bars, answer = max(looked, key=lambda one: one[0][0])
-    top, bottom = _length(picture, answer.row, answer.col + centre, frequency, bars)
+    (_, centre, frequency), number, answer = max(looked, key=lambda one: one[0][0])
+    top, bottom = _length(picture, answer.row, answer.col + centre, frequency, number)
     if (bottom - top) * frequency < LEAST_ASPECT / 2:
         return None
     return _Group(
-        row=0.5 * (top + bottom), col=answer.col + centre, frequency=frequency, bars=bars, length_px=bottom - top,
+        row=0.5 * (top + bottom), col=answer.col + centre, frequency=frequency, bars=number, length_px=bottom - top,
         transposed=False, significance=answer.significance,
     )  # fmt: skip
 

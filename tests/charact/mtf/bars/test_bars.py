@@ -1,7 +1,5 @@
 """Bars of known blur: the finite target is recovered, what is no target is refused, and intervals cover."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
