@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 ITERATIONS, SETTLED, ROUGHLY, NEAR_END = 12, 3e-3, 0.1, 2
 # Shares of a step that are tried until one betters the fit.
 SHARES = (1.0, 0.4, 0.1, 0.02)
+# Standard errors by which the pixels must ask for another form before there is one: it costs others their certainty.
+ASKED_SD = 3.0
 # A form of less weight than this changes no interval.
 LEAST_WEIGHT = 0.01
 # Forms begin where they are most like the one fitted, over these multiples of the bars' frequency.
@@ -260,6 +262,7 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
     -----
     Weights are evidences (Laplace): exp(-chi^2 / 2), of noise that neighbours share as much less, times what the pixels
     leave of the priors of a form's numbers. Where several forms describe a picture alike, their answers are all drawn.
+    A tube's form, which can be almost any blur's to first order, stands until the pixels ask for another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
     places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
@@ -278,6 +281,9 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
         hopeless = least - 2.0 * fit.noise.tied * np.log(LEAST_WEIGHT)
         fits.append((fitted(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
+    plain, others = fits[0], fits[1:]
+    if min(one.cost for one, _ in others) > plain[0].cost - ASKED_SD**2 * fit.noise.tied:
+        return [(1.0, *plain)]
     ranked = sorted(zip(_weights(fits), fits, strict=True), key=lambda one: -one[0])
     return [(share, *one) for share, one in ranked if share > LEAST_WEIGHT]
 
