@@ -249,7 +249,7 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
 
 
 def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]:
-    """Return the fits of all forms, the weight of each and what it fits, the best first.
+    """Return the fits of all forms that count, the weight of each and what it fits, the one that stands first.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
     -----
     Weights are evidences (Laplace): exp(-chi^2 / 2), of noise that neighbours share as much less, times what the pixels
     leave of the priors of a form's numbers. Where several forms describe a picture alike, their answers are all drawn.
-    A tube's form, which can be almost any blur's to first order, stands until the pixels ask for another.
+    A tube's form, which can be almost any blur's to first order, is the first until the pixels ask for another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
     places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
@@ -281,11 +281,13 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
         hopeless = least - 2.0 * fit.noise.tied * np.log(LEAST_WEIGHT)
         fits.append((fitted(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
-    plain, others = fits[0], fits[1:]
-    if min(one.cost for one, _ in others) > plain[0].cost - ASKED_SD**2 * fit.noise.tied:
-        return [(1.0, *plain)]
-    ranked = sorted(zip(_weights(fits), fits, strict=True), key=lambda one: -one[0])
-    return [(share, *one) for share, one in ranked if share > LEAST_WEIGHT]
+    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - ASKED_SD**2 * fit.noise.tied
+    weighed = [(share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > LEAST_WEIGHT]
+    if not asked:
+        return [(share, *fits[0]) for share in _weights(fits)[:1]] + [
+            one for one in weighed if one[2].form is not FORMS[0]
+        ]
+    return sorted(weighed, key=lambda one: -one[0])
 
 
 def _weights(fits: list[tuple[Fit, Problem]]) -> list[float]:

@@ -17,6 +17,7 @@ from charact.mtf.bars.checks import (
     not_identifiable,
 )
 from charact.mtf.bars.fit import Fit, measured, of_all_forms
+from charact.mtf.bars.forms import TUBE
 from charact.mtf.bars.light import ground_of, second_harmonic
 from charact.mtf.bars.number import other_number
 from charact.mtf.bars.picture import Problem
@@ -184,11 +185,8 @@ def _of_fit(
     # Forms that describe the picture alike bend alike; a full posterior is drawn of the best.
     bias = mtf_bias(fit, problem)
     posterior = of_fit(fit, problem, context, bias)
-    quick = replace(context, quick=True)
-    drawn = [mtf_of(posterior, fit, context)]
-    drawn += [mtf_of(of_fit(one, its, quick, bias), one, quick) for _, one, its in forms[1:]]
     response = response_of(used, fit)
-    mtf = straightened(_together(drawn, [share for share, _, _ in forms]), response, context.seed)
+    mtf = straightened(_of_forms(forms, mtf_of(posterior, fit, context), context, bias), response, context.seed)
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
     notes.append("Bars taken to be half a period wide: of bars 1 % of that wider the MTF is told 1 % too low.")
     if context.sensor is None:
@@ -213,14 +211,21 @@ def _of_fit(
     )
 
 
-def _together(drawn: list[Array], shares: list[float]) -> Array:
-    """Return the draws of all forms, of each as many as its share."""
-    count = max(len(one) for one in drawn)
-    parts = [
-        one[np.linspace(0, len(one) - 1, round(share * count)).astype(np.intp)]
-        for one, share in zip(drawn, shares, strict=True)
-    ]
-    return np.concatenate(parts)
+def _of_forms(forms: list[tuple[float, Fit, Problem]], drawn: Array, context: Context, bias: float) -> Array:
+    """Return draws over all forms, given those of the first.
+
+    Where the pixels ask for no other form than a tube's, what others would answer is doubt about its answer; where they
+    do, of each form as many draws are taken as its share.
+    """
+    (share, fit, _), others = forms[0], forms[1:]
+    if fit.shape.form is TUBE:
+        doubt = np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others))
+        return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
+    quick = replace(context, quick=True)
+    parts = [(share, drawn)]
+    parts += [(part, mtf_of(of_fit(one, its, quick, bias), one, quick)) for part, one, its in others]
+    taken = [np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp) for part, own in parts]
+    return np.concatenate([own[which] for (_, own), which in zip(parts, taken, strict=True)])
 
 
 def _whole(used: FrameStack, mean: Array, target: BarTarget, asked: Asked, context: Context) -> Found | Nothing:
