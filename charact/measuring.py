@@ -195,11 +195,6 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
     if entry.kind == "edge" and stack.black_level_dn is None:
         stack = replace(stack, black_level_dn=session.black_dn(entry))
     asked = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
-    if None in asked.values():
-        raise BadInput(
-            f"the target of bars must have their number, bars, and frequency_cy_per_px; of stack {entry.label!r} got "
-            f"{target.bars} and {target.frequency_cy_per_px}"
-        )
     found = mtf.measure(
         entry.kind, stack, region=target.region, within_percent=within_percent, context=context, **asked
     )

@@ -11,9 +11,3 @@ LEAST_DEFECT_DN = 2.0
 LIT_NEIGHBOURS, NEIGHBOUR_SD = 0.15, 9.0
 # Fraction of the pixels from which on single bright ones are noise: twice what sensors on sale have.
 MOST_DEFECTS = 0.01
-# Light that grows with the source is glare where its level far from the source is at least this fraction of that near
-# it; standard errors by which both must differ to tell.
-EVEN, LEAK_SD = 0.5, 3.0
-# Distance beyond the last ring, px, and number of pixels, from which on the frame has a level far from the source; the
-# mean of whole codes is known no better than this, DN.
-BEYOND_PX, LEAST_FAR, LEAST_LEVEL_DN = 4.0, 400, 0.02

@@ -61,9 +61,9 @@ def bars(
     file: File,
     frequency: Annotated[
         float | None,
-        typer.Option(help="Frequency of the bars, cy/px across them; else groups along rows and columns are found."),
+        typer.Option(help="Frequency of the bars, cy/px across them; else found in the picture."),
     ] = None,
-    bars: Annotated[int, typer.Option(help="Number of bars.", min=2)] = 4,
+    bars: Annotated[int | None, typer.Option(help="Number of bars; else counted in the picture.", min=2)] = None,
     roi: options.Roi = None,
     method: options.MethodName = "auto",
     within: options.Within = 2.0,
@@ -84,7 +84,7 @@ def bars(
 ) -> None:
     """MTF at the frequency of a bar target.
 
-    Example: charact mtf bars four-bar.tif --bars 4 --frequency 0.12
+    Example: charact mtf bars usaf.tif --roi 100,200,80,60
     """
     _measure("bars", **locals())
 

@@ -3,8 +3,6 @@
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from charact.method import Context, Method, choose
 from charact.method.tolerance import beyond_note
 from charact.mtf.region import Region
@@ -49,13 +47,13 @@ def measure(
     context
         Seed, speed and camera.
     target
-        For bars: `bars`, their number, and `frequency_cy_per_px`; for a point, if known, its diameter `pinhole_px` in
-        column pitches.
+        For bars, if known, `bars`, their number, and `frequency_cy_per_px`; for a point, if known, its diameter
+        `pinhole_px` in column pitches.
 
     Raises
     ------
     BadInput
-        If the kind or method is unknown, the region leaves the image, or the bars are not described.
+        If the kind or method is unknown, the region leaves the image, or what is stated of bars cannot be.
     """
     if kind not in ("edge", "bars", "point"):
         raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
@@ -145,7 +143,7 @@ def _of_plane(found: Result, plane: str) -> Result:
 
 
 def _checked_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> None:
-    if bars is None or int(bars) < 2:
+    if bars is not None and int(bars) < 2:
         raise BadInput(f"a bar target must have at least 2 bars, got {bars}")
-    if frequency_cy_per_px is None or not 0 < float(frequency_cy_per_px) <= 1 or not np.isfinite(frequency_cy_per_px):
+    if frequency_cy_per_px is not None and not 0 < float(frequency_cy_per_px) <= 1:
         raise BadInput(f"the frequency of bars must lie in (0, 1] cycles per pixel, got {frequency_cy_per_px}")

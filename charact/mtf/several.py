@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-import charact
 from charact.method import Context
 from charact.method.stopwatch import timed
 from charact.mtf.find import find_bar_groups, find_edges, find_pinholes
@@ -15,7 +14,7 @@ from charact.mtf.measuring import measure
 from charact.mtf.region import Region
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Provenance, Result, refused
+from labdata.measurement import Measurement, Result
 
 # One curve of a region is called so: the curve's own name, then this.
 REGION_NAME = ":{},{},{},{}"
@@ -70,9 +69,7 @@ def measure_all(
     if kind == "bars" and target.get("frequency_cy_per_px") is not None:
         return measure(kind, stack, **asked, **target)
     found = targets(kind, stack, context, **target)
-    if kind == "bars" and not found:
-        return _no_bars(target.get("bars", 4), stack)
-    if len(found) < 2 and kind != "bars":
+    if len(found) < (1 if kind == "bars" else 2):
         return measure(kind, stack, **asked, **target)
     best_first = found if kind == "bars" else by_part_of_frame(found, stack.shape[1:], at_most)
     chosen = sorted(best_first[:at_most], key=lambda one: one.region[:2])
@@ -101,9 +98,12 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
             # Bars that lie along rows repeat so often per row; methods count column pitches.
             Target(
                 region=group.region,
-                told={"frequency_cy_per_px": group.frequency_cy_per_px / ratio[group.orientation_deg]},
+                told={
+                    "bars": group.bars,
+                    "frequency_cy_per_px": group.frequency_cy_per_px / ratio[group.orientation_deg],
+                },
             )
-            for group in find_bar_groups(stack, int(target.get("bars", 4)))
+            for group in find_bar_groups(stack, target.get("bars"))
         ]
     raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
 
@@ -157,15 +157,3 @@ def _distrust(result: Result) -> tuple[int, float]:
         return 2, np.inf
     width = (leading.interval95[1] - leading.interval95[0]) / max(abs(leading.value), 1e-12)
     return int(leading.status != "ok"), width
-
-
-def _no_bars(bars: int, stack: FrameStack) -> Result:
-    reason = (
-        f"no target: no group of {bars} bars along rows or columns was found in the frame; "
-        "a frequency, or a region and a frequency, say where to look"
-    )
-    one = refused(
-        "mtf", "1", reason, method="find", flags=("no-target",), region=(0, 0, *stack.shape[1:]),
-        provenance=Provenance(version=charact.__version__),
-    )  # fmt: skip
-    return Result(measurements=(one,))

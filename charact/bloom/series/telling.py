@@ -11,8 +11,7 @@ from charact.bloom.series.leak import leak
 from charact.bloom.series.likelihood import Solved
 from charact.bloom.series.plate import TiringProblem
 from charact.bloom.series.spread import encircled, glare, halo_of
-from charact.bloom.spot import CUT_SHARE, Spot
-from charact.bloom.thresholds import BEYOND_PX, EVEN, LEAK_SD, LEAST_FAR, LEAST_LEVEL_DN
+from charact.bloom.spot import Spot
 from charact.posterior.diagnostics import leans_on_bound
 from labdata.measurement import Measurement, Posterior, from_draws, refused
 
@@ -178,9 +177,6 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     told = np.array([one for one in found if one is not None])
     if not len(told):
         return [refused("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
-    leak = _leak(best, solved, group, area, (float(np.median(told[:, 0])), float(np.median(told[:, 1]))))
-    if leak is not None:
-        return [refused("veiling_glare", "%", leak, **fields)]
     rng = np.random.default_rng([posterior.seed, 1])
     beside = told[:, 0] + told[:, 1] * rng.standard_normal(len(told))
     beside = beside * _as_told(best, "veiling_glare", len(beside), posterior)
@@ -190,32 +186,6 @@ def glare_told(best: Candidate, posterior: Posterior, group: tuple[Spot, ...], f
     near = (float(np.median(beside)), float(np.hypot(beside.std(), np.median(told[:, 1]))))
     number = from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)
     return [number.with_(findings=leak(group, light, reach, area, near))]
-
-
-def _leak(
-    best: Candidate, solved: Solved, group: tuple[Spot, ...], area: float, near: tuple[float, float]
-) -> str | None:
-    """Why light that grows with the source is no glare, as it does not fill the frame; None where it does, or may."""
-    rows, cols = np.indices(group[0].image.shape)
-    reach = float(best.problem.series.radius_px[-1]) + BEYOND_PX
-    far = np.hypot((rows - group[0].row) * best.form.pitch_ratio, cols - group[0].col) > reach
-    # Light of another source that lies there is not this one's.
-    if far.sum() < LEAST_FAR or np.isfinite(nearest_px(group)):
-        return None
-    # Light that the highest code cuts says nothing.
-    whole = np.array([one.image[far].max() < CUT_SHARE * one.full_scale_dn for one in group])
-    level = np.array([(one.image[far].mean(), one.image[far].std() / np.sqrt(far.sum())) for one in group])[whole]
-    light = np.median(solved.amplitudes[:, 0], axis=-1)[whole]
-    found = glare(light, level[:, 0], np.hypot(level[:, 1], LEAST_LEVEL_DN), area)
-    if found is None:
-        return None
-    less, more = sorted((near[0], found[0]))
-    if more - less < LEAK_SD * np.hypot(near[1], found[1]) or less > EVEN * more:
-        return None
-    return (
-        "the light that grows with the source does not fill the frame, as of a mask that leaks: it would be "
-        f"{100.0 * near[0]:.3g} % of the source's by the {reach:.0f} px about it and {100.0 * found[0]:.3g} % beyond"
-    )
 
 
 def plate_told(forms: list[Candidate], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],

@@ -25,7 +25,7 @@ class Amplitudes:
     Parameters
     ----------
     light
-        Sum of the window's pixels over the pedestal, DN.
+        Sum of the window's pixels over the pedestal, or below it for dark bars, DN.
     fundamental
         Fourier sum at the bars' frequency in the phase of the bars, DN.
     covariance
@@ -84,7 +84,7 @@ def amplitudes_of(
     across, _ = target.coordinates(data.shape[1:])
     wave = np.exp(-2j * np.pi * target.frequency * across[window])
     odd = (np.nonzero(window)[0] % 2).astype(bool)
-    sums = [_sums(frame, window, beyond, wave, odd) for frame in data]
+    sums = [_sums(target.sign * frame.astype(float), window, beyond, wave, odd) for frame in data]
     light, halves = np.array([one[0] for one in sums]), np.array([one[1] for one in sums])
     fundamental = halves.sum(axis=1)
     phase = float(np.angle(fundamental.mean()))
@@ -140,7 +140,7 @@ def _of_frames(light: NDArray, turned: NDArray, lag: float) -> tuple[NDArray, fl
 
 def _sums(frame: NDArray, window, beyond, wave: NDArray, odd: NDArray) -> tuple[float, NDArray]:
     """Return light and the fundamental of even and odd rows of one frame over its own pedestal."""
-    values = frame[window].astype(float) - frame[beyond].mean(dtype=np.float64)
+    values = frame[window] - frame[beyond].mean()
     terms = values * wave
     return float(values.sum()), np.array([terms[~odd].sum(), terms[odd].sum()])
 

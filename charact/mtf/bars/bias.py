@@ -92,7 +92,7 @@ def _steps(fit: Fit, picture: Picture) -> dict[str, float]:
     move = min(STEP_PERIODS / fit.target.frequency, STEP_PX)
     steps = {
         "log_attenuation": STEP_SHAPE,
-        "log_exponent": STEP_SHAPE,
+        "form_one": STEP_SHAPE,
         "log_frequency": STEP_SHAPE / fit.target.bars,
         "log_length": STEP_SHAPE / fit.target.bars,
         "across_px": move,

@@ -3,66 +3,76 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.method import Context
 from charact.mtf.bars.amplitudes import Amplitudes
+from charact.mtf.bars.findings import REGION, misfit
 from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.sharpened import is_sharpened
+from charact.mtf.bars.sharpened import sharpening
 from charact.mtf.bars.target import BarTarget, core_margin_px
-from charact.mtf.codes import code_flags
-from labdata.frames import FrameStack
+from charact.mtf.bars.thresholds import (
+    DEPARTED,
+    DOUBTFUL,
+    FIELD_OFFSET_PX,
+    LEAST_FLANK,
+    LEAST_TRAVEL_PX,
+    LOBES_APART,
+    MISFIT,
+    SIGNIFICANT,
+    STRAIGHT,
+    STRAIGHT_SD,
+    UPRIGHT,
+)
+from labdata.flags import Finding
 
 Array = NDArray[np.float64]
 
-# The zeros beside the fundamental, over it: more is bars of another frequency.
-DOUBTFUL = 0.15
-# Half way to the lower zero as many bars have at least their fundamental's share of light; twice as many have none.
-LEAST_FLANK = 0.6
-FIELD_OFFSET_PX, UPRIGHT = 0.04, 0.5
-SIGNIFICANT = 5.0
-# How far a fundamental and its alias must lie apart, in widths of either: two, of whose rims a tenth does no harm.
-LOBES_APART = 1.8
-# Travel of the bars over the rows that averages the alias away, px.
-LEAST_TRAVEL_PX = 0.8
-# Second harmonic over the fundamental that bars and gaps a little unequal make, and its noise in standard errors.
-STRAIGHT, STRAIGHT_SD = 0.006, 3.5
-# A fit's misfit over the bars' height, and its departure from the family over that expected.
-MISFIT, DEPARTED = 0.02, 3.5
-# Blurs fall no steeper than a Gaussian; one wide bar looks like narrow ones under a blur that does. Nor do those of
-# lenses and tubes fall so slowly as a halo makes it look.
-STEEPEST, SLOWEST, BEYOND_SD = 2.2, 1.0, 1.5
-# An MTF of fewer standard errors is an upper limit: of those that chance lifts over two, too many would be ok.
-LEAST_FUNDAMENTAL_SD = 3.0
 
-
-def flags_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> list[str]:
+def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> list[Finding]:
     """Return what the sums over a whole target give away: other bars, motion between fields, a curved response."""
-    flags = []
+    found = []
     noise = SIGNIFICANT / amplitudes.signal_to_noise
     if amplitudes.zeros > DOUBTFUL + noise or amplitudes.flank < LEAST_FLANK - noise:
-        flags.append("model-misfit")
+        effect = f"{100 * amplitudes.zeros:.0f} % of the fundamental lies where {target.bars} bars have no light"
+        found.append(misfit(f"{effect}: the MTF may be off by as much", f"--bars, --frequency; {REGION}"))
     apart = abs(amplitudes.fields_apart_px)
     # Bars that lie along rows are aliased in each field alone, which looks like motion.
     upright = abs(np.sin(target.angle_rad)) < UPRIGHT
     if upright and apart > max(SIGNIFICANT * amplitudes.fields_apart_sd_px, FIELD_OFFSET_PX):
-        flags.append("interlace-motion")
+        found.append(_of_fields(apart, target.frequency))
     if abs(second) > STRAIGHT + STRAIGHT_SD / amplitudes.signal_to_noise:
-        flags.append("gamma")
-    return flags
+        effect = (
+            f"the second harmonic of the bars is {100 * abs(second):.1f} % of the first: the MTF may be off by as much"
+        )
+        remedy = "frames without gamma; bars wider or narrower than their gaps look alike"
+        found.append(Finding(flag="gamma", effect=effect, remedy=remedy))
+    return found
 
 
-def flags_of_fit(fit: Fit) -> list[str]:
+def findings_of_fit(fit: Fit) -> list[Finding]:
     """Return what a fitted picture gives away: another object, motion between fields, a fundamental under the noise."""
-    flags = []
-    least, most = fit["log_exponent"] + BEYOND_SD * fit.sd("log_exponent") * np.array([-1.0, 1.0])
-    if _misfit(fit) or least > np.log(STEEPEST) or most < np.log(SLOWEST):
-        flags.append("model-misfit")
-    if abs(fit["departure"]) > DEPARTED / np.sqrt(fit.precision[fit.names.index("departure")]):
-        flags.append("model-misfit")
-    if is_sharpened(fit):
-        flags.append("processed")
-    if abs(np.sin(fit.target.angle_rad)) < UPRIGHT and _fields_apart(fit):
-        flags.append("interlace-motion")
-    return flags
+    found = []
+    left = _left_over(fit)
+    if left > 0.0:
+        share = 100.0 * left / abs(fit["level_dn"])
+        found.append(misfit(f"the profile departs by {share:.1f} % of the bars' height: the MTF may be off by as much"))
+    away, known = abs(fit["departure"]), 1.0 / np.sqrt(fit.precision[fit.names.index("departure")])
+    if away > DEPARTED * known:
+        found.append(
+            misfit(f"the MTF of the bars lies {100 * away:.0f} % off the form that fits the rest of the picture")
+        )
+    taken_off = sharpening(fit)
+    if taken_off > 0.0:
+        effect = f"{100 * taken_off:.1f} % of the light about the bars is taken off: the MTF may be too high by as much"
+        found.append(Finding(flag="processed", effect=effect, remedy="frames without sharpening, raw"))
+    upright = abs(np.sin(fit.target.angle_rad)) < UPRIGHT
+    apart = _fields_apart(fit) if fit.strip and upright else 0.0
+    return [*found, _of_fields(apart, fit.target.frequency)] if apart else found
+
+
+def _of_fields(apart_px: float, frequency: float) -> Finding:
+    """Return that odd rows show the bars elsewhere than even ones: their mean is as much lower."""
+    lowered = 1.0 - np.cos(np.pi * frequency * apart_px)
+    effect = f"odd rows show the bars {apart_px:.2f} px beside even ones: the MTF is {100 * lowered:.2g} % too low"
+    return Finding(flag="interlace-motion", effect=effect, remedy="one field alone, or a target that stands still")
 
 
 def light_in_standard_errors(fit: Fit) -> float:
@@ -70,7 +80,7 @@ def light_in_standard_errors(fit: Fit) -> float:
     slope = fit.slope[[fit.names.index("level_dn"), fit.names.index("pedestal_dn")]]
     weighed = slope / fit.noise.variance
     estimator = np.asarray(np.linalg.solve(weighed @ slope.T, weighed), dtype=np.float64)
-    return fit["level_dn"] / float(np.sqrt(fit.noise.spread(estimator, fit.window)[0, 0]))
+    return abs(fit["level_dn"]) / float(np.sqrt(fit.noise.spread(estimator, fit.window)[0, 0]))
 
 
 def fundamental_in_standard_errors(fit: Fit) -> float:
@@ -85,8 +95,8 @@ def fundamental_in_standard_errors(fit: Fit) -> float:
     return modulus / max(sd, 1e-12 * modulus + 1e-30)
 
 
-def _misfit(fit: Fit) -> bool:
-    """Return whether the mean residual across the bars is more than noise and than forms that are not quite exact.
+def _left_over(fit: Fit) -> float:
+    """Return the mean residual across the bars, DN rms, where it is more than noise and forms that are not quite exact.
 
     Residuals of single pixels may have told the noise; along the bars noise averages away and a wrong picture stays.
     """
@@ -99,22 +109,18 @@ def _misfit(fit: Fit) -> bool:
     mean = np.bincount(place, fit.residual_dn[near])[count > 0] / count[count > 0]
     expected = np.bincount(place, fit.noise.variance[near])[count > 0] * shared / count[count > 0] ** 2
     noise = SIGNIFICANT * np.sqrt(2.0 * float(np.sum(expected**2))) / mean.size
-    return float(np.mean(mean**2 - expected)) > (MISFIT * fit["level_dn"]) ** 2 + noise
+    square = float(np.mean(mean**2 - expected))
+    return float(np.sqrt(square)) if square > (MISFIT * fit["level_dn"]) ** 2 + noise else 0.0
 
 
-def _fields_apart(fit: Fit) -> bool:
-    """Return whether odd rows lie elsewhere than even ones across the bars, beyond the noise."""
+def _fields_apart(fit: Fit) -> float:
+    """Return how far odd rows lie from even ones across the bars, px, where it is beyond the noise."""
     odd = 1.0 - 2.0 * (np.nonzero(fit.window)[0] % 2)
     slope = fit.slope[fit.names.index("across_px")] * odd
     weight = 1.0 / float(slope @ slope)
     apart = 2.0 * weight * float(slope @ fit.residual_dn)
     sd = 2.0 * np.sqrt(weight * np.mean(fit.residual_dn**2))
-    return abs(apart) > max(SIGNIFICANT * sd, FIELD_OFFSET_PX)
-
-
-def flags_of_codes(used: FrameStack, window: NDArray[np.bool_], context: Context) -> tuple[str, ...]:
-    """Return `clipped` where the pixels of a target pile up."""
-    return code_flags(used.data[:, window], context.full_scale_dn or used.full_scale_dn)
+    return abs(apart) if abs(apart) > max(SIGNIFICANT * sd, FIELD_OFFSET_PX) else 0.0
 
 
 def not_identifiable(target: BarTarget, length_px: float) -> str | None:

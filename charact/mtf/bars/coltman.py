@@ -1,16 +1,17 @@
 """Coltman's reading of bar targets: the series of square-wave contrasts over groups, or its first term of one group."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import charact
 from charact.method import Context, register
-from charact.mtf.bars.checks import flags_of_codes
-from charact.mtf.bars.place import runs_through, strip_of
-from charact.mtf.bars.target import BarTarget, find
+from charact.mtf.bars.sight import Seen, target_in
+from charact.mtf.bars.target import BarTarget
 from charact.mtf.bars.window import fitting_margin
+from charact.mtf.codes import code_flags
 from charact.mtf.region import Region
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -38,7 +39,12 @@ NEAR, INNER = 0.06, 0.3
     ),
 )
 def bars_coltman(
-    stack: FrameStack, *, region: Region | None = None, bars: int, frequency_cy_per_px: float, context: Context
+    stack: FrameStack,
+    *,
+    region: Region | None = None,
+    bars: int | None = None,
+    frequency_cy_per_px: float | None = None,
+    context: Context,
 ) -> Result:
     """Read (pi/4)(max - min)/step from the inner bars of one group, the step being that of a large area.
 
@@ -58,35 +64,34 @@ def bars_coltman(
     of its bars, N w a unit length.
     """
     used = stack if region is None else stack.region(*region)
-    frequency = float(frequency_cy_per_px)
-    common = {
+    common: dict[str, Any] = {
         "method": METHOD,
         "region": region or (0, 0, *used.shape[1:]),
-        "frequency_cy_per_px": frequency,
+        "frequency_cy_per_px": frequency_cy_per_px,
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars}),
     }
     mean = used.data.mean(axis=0, dtype=np.float64)
-    read = _read(mean, int(bars), frequency, context.pitch_ratio)
+    seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
+    read = None if seen is None else _read(seen.target.sign * mean, seen)
     if read is None or not read[0] > LEAST_SIGNAL * read[1]:
-        reason = f"no target: no modulation by {bars} bars at {frequency:g} cy/px stands out of the noise"
+        reason = "no target: no modulation by bars stands out of the noise; --bars and --frequency say what to look for"
         return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), **common),))
+    common["frequency_cy_per_px"] = read[2].frequency
     value, sd, target = read
     near = target.box((mean.shape[0], mean.shape[1]), 1.0)
+    clipped = code_flags(used.data[:, near], context.full_scale_dn or used.full_scale_dn)
     one = from_sd(
-        "mtf", "1", value, sd, flags=("model-misfit", *flags_of_codes(used, near, context)),
+        "mtf", "1", value, sd, flags=("model-misfit", *clipped),
         notes=("First term of Coltman's series, for comparison only.",),
         orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
     )  # fmt: skip
     return Result(measurements=(one,))
 
 
-def _read(mean: Array, bars: int, frequency: float, pitch_ratio: float) -> tuple[float, float, BarTarget] | None:
-    """Return the reading, its standard error and the target."""
-    through = runs_through(mean, bars=bars, frequency=frequency)
-    look = strip_of if through else find
-    target = look(mean, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
-    if target is None:
-        return None
+def _read(mean: Array, seen: Seen) -> tuple[float, float, BarTarget] | None:
+    """Return the reading from bars that are bright, its standard error and the target."""
+    target, through = seen.target, seen.through
+    bars, frequency = target.bars, target.frequency
     across, along = target.coordinates((mean.shape[0], mean.shape[1]))
     inner = np.ones(mean.shape, bool) if through else np.abs(along) < INNER * target.length_px
     reach = target.width_px / 2.0 + min(12.0, 1.5 / frequency)

@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.picture import BOUNDS, Picture, Problem
+from charact.mtf.bars.picture import Picture, Problem
 
 Array = NDArray[np.float64]
 
-# Attenuation and exponent are tabulated over this many standard deviations at so many places each, and drawn through
-# polynomials of this degree.
+# Attenuation and the form's first number are tabulated over this many standard deviations at so many places each, and
+# drawn through polynomials of this degree.
 REACH_SD, PLACES, DEGREE = 4.0, 7, 4
-TABULATED, PLACE = ("log_attenuation", "log_exponent"), ("across_px", "along_px")
+TABULATED, PLACE = ("log_attenuation", "form_one"), ("across_px", "along_px")
 # What has no prior is as good as unknown over so many of its standard deviations.
 FLAT_SD = 100.0
 
 
 def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
-    """Return the log-probability of (log_attenuation, log_exponent, departure), all else marginalised.
+    """Return the log-probability of (log_attenuation, form_one, departure), all else marginalised.
 
     Notes
     -----
@@ -29,7 +29,7 @@ def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
     """
     picture = Picture(problem, fit.target)
     centre = {**fit.values, **{name: 0.0 for name in PLACE if name in fit.names}}
-    low, high = _ends(fit)
+    low, high = _ends(fit, problem)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     axis = np.cos(np.pi * (np.arange(PLACES) + 0.5) / PLACES)
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -40,12 +40,12 @@ def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
     ]
     polynomial = np.linalg.lstsq(_powers(places), np.array(numbers), rcond=None)[0]
     inverse, response, offset = _marginal(fit)
-    exponent = fit.names.index("log_exponent")
+    exponent = fit.names.index("form_one")
     mean, precision = fit.prior_mean[exponent], fit.precision[[exponent, fit.names.index("departure")]]
 
     def log_probability(theta: Array) -> Array:
         scaled = (theta[:, :2] - middle) / half
-        inside = np.all(np.abs(scaled) <= 1.0, axis=1) & (theta[:, 2] > BOUNDS["departure"][0])
+        inside = np.all(np.abs(scaled) <= 1.0, axis=1) & (theta[:, 2] > problem.bounds["departure"][0])
         off = _powers(np.clip(scaled, -1.0, 1.0)) @ polynomial - offset
         off = off - np.outer(theta[:, 2] - fit["departure"], response)
         chi2 = np.einsum("ni,ij,nj->n", off, inverse, off)
@@ -55,10 +55,10 @@ def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
     return log_probability
 
 
-def _ends(fit: Fit) -> tuple[Array, Array]:
+def _ends(fit: Fit, problem: Problem) -> tuple[Array, Array]:
     """Return lowest and highest attenuation and exponent to tabulate."""
     value, sd = np.array([fit[name] for name in TABULATED]), np.array([fit.sd(name) for name in TABULATED])
-    low, high = np.array([BOUNDS[name] for name in TABULATED]).T
+    low, high = np.array([problem.bounds[name] for name in TABULATED]).T
     return np.maximum(low, value - REACH_SD * sd), np.minimum(high, value + REACH_SD * sd)
 
 

@@ -1,11 +1,14 @@
 """The plain method for bar targets: the contrast of the averaged profile times pi/4, as it is read by eye."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 import charact
 from charact.method import Context, register
-from charact.mtf.bars.target import BarTarget, find
+from charact.mtf.bars.sight import target_in
+from charact.mtf.bars.target import BarTarget
 from charact.mtf.bars.window import fitting_margin
 from charact.mtf.codes import code_flags
 from charact.mtf.region import Region
@@ -29,7 +32,12 @@ LEAST_SIGNAL = 12.0
     ),
 )
 def bars_contrast(
-    stack: FrameStack, *, region: Region | None = None, bars: int, frequency_cy_per_px: float, context: Context
+    stack: FrameStack,
+    *,
+    region: Region | None = None,
+    bars: int | None = None,
+    frequency_cy_per_px: float | None = None,
+    context: Context,
 ) -> Result:
     """Read pi/4 (max - min)/(max + min) over the pedestal from the profile across the bars.
 
@@ -50,20 +58,20 @@ def bars_contrast(
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
-    frequency = float(frequency_cy_per_px)
-    common = {
+    common: dict[str, Any] = {
         "method": METHOD,
         "region": where,
-        "frequency_cy_per_px": frequency,
+        "frequency_cy_per_px": frequency_cy_per_px,
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars}),
     }
     mean = used.data.mean(axis=0, dtype=np.float64)
-    target = find(mean, bars=int(bars), frequency=frequency, pitch_ratio=context.pitch_ratio)
-    read = None if target is None else _read(mean, target)
-    if target is None or read is None or read[0] < LEAST_SIGNAL * read[1]:
-        reason = f"no target: no contrast of {bars} bars at {frequency:g} cy/px stands out of the noise"
+    seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
+    read = None if seen is None else _read(seen.target.sign * mean, seen.target)
+    if seen is None or read is None or read[0] < LEAST_SIGNAL * read[1]:
+        reason = "no target: no contrast of bars stands out of the noise; --bars and --frequency say what to look for"
         return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), **common),))
-    value, sd = read
+    (value, sd), target = read, seen.target
+    common["frequency_cy_per_px"] = target.frequency
     flags = ("model-misfit", *code_flags(used.data[:, target.box(mean.shape, 1.0)], context.full_scale_dn))
     one = from_sd(
         "mtf", "1", value, sd, flags=flags, notes=("Contrast reading, for comparison only.",),

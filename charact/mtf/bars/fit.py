@@ -5,20 +5,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.forms import FORMS
 from charact.mtf.bars.model import Shape
 from charact.mtf.bars.noise import Noise, noise_of, noise_of_one
-from charact.mtf.bars.picture import BOUNDS, START_CORE, START_EXPONENT, Picture, Problem, priors, start_of
+from charact.mtf.bars.picture import Picture, Problem, priors, start_of
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.rounding import rounding_shifts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ITERATIONS, SETTLED, ROUGHLY = 12, 3e-3, 0.1
+ITERATIONS, SETTLED, ROUGHLY, NEAR_END = 12, 3e-3, 0.1, 2
 # Shares of a step that are tried until one betters the fit.
 SHARES = (1.0, 0.4, 0.1, 0.02)
-# Standard errors by which the pixels must ask for a second form before there is one: it costs others their certainty.
+# Standard errors by which the pixels must ask for another form before there is one: it costs others their certainty.
 ASKED_SD = 3.0
+# A form of less weight than this changes no interval.
+LEAST_WEIGHT = 0.01
+# Forms begin where they are most like the one fitted, over these multiples of the bars' frequency.
+LIKE, LIKE_PLACES = (0.02, 3.0), 40
 # Least variance of a pixel, on the square of the bars' height: the table of the picture is no better.
 LEAST_VARIANCE = 1e-8
 
@@ -51,6 +56,10 @@ class Fit:
         Which pixels were used, shape (row, col).
     noise
         Noise of the pixels.
+    strip
+        Whether the bars run through the window.
+    cost
+        Chi squared, and what the priors add to it.
     """
 
     target: BarTarget
@@ -68,6 +77,8 @@ class Fit:
     precision: Array
     window: Mask
     noise: Noise
+    strip: bool
+    cost: float
 
     def __getitem__(self, name: str) -> float:
         return float(self.value[self.names.index(name)])
@@ -98,8 +109,11 @@ def fitted(
     noise: Noise | None = None,
     *,
     tolerance: float = SETTLED,
+    hopeless: float = np.inf,
 ) -> Fit:
-    """Fit the picture by damped Gauss-Newton steps; the noise, if known, tells the covariance.
+    """Fit the picture by damped Gauss-Newton steps, given up where they lead to no less than a hopeless cost.
+
+    The noise, if known, tells the covariance.
 
     Notes
     -----
@@ -109,13 +123,14 @@ def fitted(
     picture, names = Picture(problem, target), problem.names
     theta = np.array([start[name] for name in names])
     here = _reached(picture, theta, picture.shape(start).pixel)
-    bounds = np.array([BOUNDS.get(name, (-np.inf, np.inf)) for name in names])
-    for _ in range(ITERATIONS):
+    bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
+    for step in range(ITERATIONS):
         there, expected = _stepped(picture, here, bounds)
         if there is None:
             break
-        here = there
-        if expected < tolerance:
+        gained, here = here.cost - there.cost, there
+        # Near its end a fit gains by a step at least as much as by all that follow it.
+        if expected < tolerance or (step >= NEAR_END and here.cost - max(gained, expected) > hopeless):
             break
     return _told(problem, target, picture, here, noise)
 
@@ -185,6 +200,8 @@ def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached,
         precision=here.precision,
         window=problem.window,
         noise=noise,
+        strip=problem.strip,
+        cost=here.cost,
     )
 
 
@@ -211,16 +228,16 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
     inflation
         Factor by which light that lingers widens the error of the mean, on its square.
     """
-    first = fitted(problem, target, start_of(problem, target, START_EXPONENT, START_CORE), tolerance=ROUGHLY)
-    window = problem.window
+    first = fitted(problem, target, start_of(problem, target), tolerance=ROUGHLY)
+    window, ground = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
-        noise = noise_of(frames, first.model_dn, window, inflation=inflation)
+        noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
     else:
         # As much as white noise of what is left over would make of it.
         spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
             absorbed = _root(spread).T @ first.slope
-            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window)
+            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=ground)
             spread = noise.spread(first.estimator, window)
         # What rounding shifts alike stays in the picture: it is not in what a fit leaves over.
         if frames.dtype.kind in "ui":
@@ -228,22 +245,65 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
     # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
     least = max(float(noise.variance.mean()), LEAST_VARIANCE * first["level_dn"] ** 2)
     weighed = replace(problem, variance=np.maximum(noise.variance, least))
-    fit = fitted(weighed, target, first.values, noise)
-    if not _of_several_stages(fit, weighed):
-        return fit, weighed
-    weighed = replace(weighed, several_stages=True)
-    return fitted(weighed, target, fit.values, noise), weighed
+    return fitted(weighed, target, first.values, noise), weighed
 
 
-def _of_several_stages(fit: Fit, problem: Problem) -> bool:
-    """Tell whether the pixels ask for a second form in the transfer, all else free to give way."""
-    share = fit.names.index("gaussian_share")
-    others = np.delete(fit.slope, share, axis=0) / np.sqrt(problem.variance)
-    basis = np.linalg.qr(others.T)[0]
-    wanted = fit.slope[share] / np.sqrt(problem.variance)
-    apart = (wanted - (wanted @ basis) @ basis.T) / np.sqrt(problem.variance)
-    sd = np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))
-    return float(apart @ fit.residual_dn) > max(ASKED_SD * sd, 1e-12)
+def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]:
+    """Return the fits of all forms that count, the weight of each and what it fits, the one that stands first.
+
+    Parameters
+    ----------
+    fit
+        A fit of one form.
+    problem
+        What is fitted; its MTF may be asked for at another frequency than that of the fit.
+
+    Notes
+    -----
+    Weights are evidences (Laplace): exp(-chi^2 / 2), of noise that neighbours share as much less, times what the pixels
+    leave of the priors of a form's numbers. Where several forms describe a picture alike, their answers are all drawn.
+    A tube's form, which can be almost any blur's to first order, is the first until the pixels ask for another.
+    """
+    shape, ratio = fit.shape, problem.asked / fit.shape.reference
+    places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
+    now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
+    core = np.exp(shape.form.ln(places, *now))
+    attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
+    fits, least = [], fit.cost
+    for form in FORMS:
+        own = replace(problem, form=form)
+        if form is shape.form and ratio == 1.0:
+            fits.append((fit, own))
+            continue
+        scale, (log_attenuation, one, two) = form.nearest(places - np.log(ratio), core, attenuation)
+        start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
+        start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
+        hopeless = least - 2.0 * fit.noise.tied * np.log(LEAST_WEIGHT)
+        fits.append((fitted(own, fit.target, start, fit.noise, hopeless=hopeless), own))
+        least = min(least, fits[-1][0].cost)
+    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - ASKED_SD**2 * fit.noise.tied
+    weighed = [(share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > LEAST_WEIGHT]
+    if not asked:
+        return [(share, *fits[0]) for share in _weights(fits)[:1]] + [
+            one for one in weighed if one[2].form is not FORMS[0]
+        ]
+    return sorted(weighed, key=lambda one: -one[0])
+
+
+def _weights(fits: list[tuple[Fit, Problem]]) -> list[float]:
+    """Return the evidence of each fit over their sum."""
+    ln_evidence = np.array([_ln_evidence(fit, problem) for fit, problem in fits])
+    weight = np.exp(ln_evidence - ln_evidence.max())
+    return (weight / weight.sum()).tolist()
+
+
+def _ln_evidence(fit: Fit, problem: Problem) -> float:
+    """Return ln of how likely the picture is, and of what the pixels leave of the priors of its form."""
+    left = [
+        min(fit.sd(name) / prior[1], 1.0)
+        for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
+    ]
+    return -0.5 * fit.cost / fit.noise.tied + float(np.sum(np.log(np.maximum(left, 1e-6))))
 
 
 def _root(covariance: Array) -> Array:

@@ -4,10 +4,11 @@ import numpy as np
 
 import charact
 from charact.method import Context, register
-from charact.mtf.bars.checks import LEAST_FUNDAMENTAL_SD
-from charact.mtf.bars.found import found_in
+from charact.mtf.bars import findings
+from charact.mtf.bars.found import Asked, Nothing, found_in
 from charact.mtf.bars.motion import wander_of_bars
 from charact.mtf.bars.profile import profile
+from charact.mtf.bars.thresholds import LEAST_FUNDAMENTAL_SD
 from charact.mtf.region import Region
 from charact.mtf.wander import UNTOLD
 from labdata.frames import FrameStack
@@ -22,19 +23,24 @@ METHOD = "bars-forward"
     quantities=("mtf",),
     preferred=True,
     scope=(
-        "Two to forty bars, brighter than an even ground and as wide as their gaps, in any direction, whole with their "
-        "blur inside the region and about seven times as long as wide, or running through it within 12 degrees of an "
-        "axis; fundamental over 5 standard errors. A camera that is not described is taken to have a transfer near "
-        "exp(-(f/fc)^n), a Gaussian behind it or not, and no halo. Broken by clipping and motion between fields (not "
-        "told of bars along rows). A curved response is told by the picture and by noise that does not grow as the "
-        "light, and what neither tells of it is in the interval. "
-        "A camera that sharpens its pictures is told where what it takes off stands over 3.5 standard errors. "
-        "Untilted bars near the sampling limit are refused; one bar more or fewer than asked for is told where each "
+        "Two to sixty bars, brighter or darker than an even ground and as wide as their gaps, in any direction, whole "
+        "with their blur inside the region, or running through it within 12 degrees of an axis; fundamental over 5 "
+        "standard errors. Number and frequency are found from three bars on where they are not stated. A camera that "
+        "is not described is taken to blur as a tube, a lens, a Moffat or two Gaussians do. Broken by clipping and "
+        "motion between fields (not seen of bars along rows). A curved response is seen in the picture and in noise "
+        "that does not grow as the light, and what neither shows of it is in the interval. A camera that sharpens is "
+        "flagged where what it takes off stands over 3.5 standard errors. "
+        "Untilted bars near the sampling limit are refused; one bar more or fewer than stated is flagged where each "
         "can be seen."
     ),
 )
 def bars_forward(
-    stack: FrameStack, *, region: Region | None = None, bars: int, frequency_cy_per_px: float, context: Context
+    stack: FrameStack,
+    *,
+    region: Region | None = None,
+    bars: int | None = None,
+    frequency_cy_per_px: float | None = None,
+    context: Context,
 ) -> Result:
     """Measure the MTF at the frequency of a bar target.
 
@@ -46,9 +52,9 @@ def bars_forward(
         ROW, COL, HEIGHT, WIDTH that holds the whole target and its blur, or a strip across all bars; None: the whole
         frame.
     bars
-        Number of bars.
+        Number of bars; None: counted in the picture.
     frequency_cy_per_px
-        Their frequency, cycles per column pitch across them.
+        Their frequency, cycles per column pitch across them; None: found in the picture, where the MTF is told.
     context
         Seed, whether a Markov chain is wanted, and the camera.
 
@@ -67,24 +73,23 @@ def bars_forward(
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
-    found = found_in(used, int(bars), float(frequency_cy_per_px), context)
-    if isinstance(found, str):
-        return _nothing(found, where, float(frequency_cy_per_px), context)
-    # The share lost beyond the window and the exponent of a family lean on their bounds without harm.
-    flags = (*found.flags, *(flag for flag in found.posterior.flags if flag != "prior-bound"))
+    asked = Asked(bars=bars, frequency=frequency_cy_per_px)
+    found = found_in(used, asked, context)
+    if isinstance(found, Nothing):
+        return _nothing(found, where, asked, context)
+    doubts = [*found.findings, *findings.of_posterior(found.posterior.flags)]
     if np.quantile(found.mtf, 0.025) > 1.0:
-        flags = (*flags, "model-misfit")
+        doubts.append(findings.misfit(f"the MTF is {100 * found.mtf.mean() - 100:.1f} % over one, which no blur has"))
     if found.mtf.mean() < LEAST_FUNDAMENTAL_SD * found.mtf.std():
-        flags = (*flags, "low-signal")
+        doubts.append(findings.faintness(float(found.mtf.mean()), float(found.mtf.std())))
     wander = wander_of_bars(used, found.target)
     if wander.moves and wander.lowers(found.target.frequency) * found.mtf.mean() > UNTOLD * found.mtf.std():
-        flags = (*flags, "drift")
+        doubts.append(findings.motion(wander, found.target.frequency))
     measurement = from_draws(
         "mtf",
         "1",
         found.mtf,
         method=METHOD,
-        flags=flags,
         notes=found.notes,
         region=where,
         frequency_cy_per_px=found.target.frequency,
@@ -93,17 +98,16 @@ def bars_forward(
         provenance=Provenance(
             version=charact.__version__,
             seed=context.seed,
-            settings={"quick": context.quick, "bars": bars, "margin_px": found.margin_px},
+            settings={"quick": context.quick, "bars": found.target.bars, "margin_px": found.margin_px},
         ),
-    )
+    ).with_(findings=dict.fromkeys(doubts))
     return Result(measurements=(measurement,), evidence={"bars": profile(used, found.target, measurement.value or 0.0)})
 
 
-def _nothing(reason: str, where: Region, frequency: float, context: Context) -> Result:
+def _nothing(found: Nothing, where: Region, asked: Asked, context: Context) -> Result:
     provenance = Provenance(version=charact.__version__, seed=context.seed)
-    flags = ("aliased",) if reason.startswith("not identifiable") else ("no-target",)
     one = refused(
-        "mtf", "1", reason, method=METHOD, flags=flags, region=where, frequency_cy_per_px=frequency,
-        provenance=provenance,
+        "mtf", "1", found.reason, method=METHOD, flags=(found.flag,), region=where,
+        frequency_cy_per_px=asked.frequency, provenance=provenance,
     )  # fmt: skip
     return Result(measurements=(one,))

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from charact.mtf.bars.amplitudes import Amplitudes
 from charact.mtf.bars.target import BarTarget, amplitude
+from charact.mtf.bars.thresholds import OTHER_SHARE
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Light elsewhere: over this share of the target's height, and this many deviations of the smoothed ground.
-OTHER_SHARE, OTHER_SD, OTHER_SMOOTHING_PX, OTHER_REACH_PX = 0.04, 6.0, 2.0, 8
+# Light elsewhere stands this many deviations out of the smoothed ground.
+OTHER_SD, OTHER_SMOOTHING_PX, OTHER_REACH_PX = 6.0, 2.0, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +41,7 @@ def ground_of(mean: Array, target: BarTarget, margin_px: float) -> Ground:
     smooth = np.asarray(gaussian_filter(mean, OTHER_SMOOTHING_PX))
     level = float(np.median(smooth[outside]))
     spread = 1.4826 * float(np.median(np.abs(smooth[outside] - level)))
-    height = float(smooth[target.box(shape, 0.0)].max()) - level
+    height = float(np.abs(smooth[target.box(shape, 0.0)] - level).max())
     other = outside & (np.abs(smooth - level) > max(OTHER_SD * spread, OTHER_SHARE * height))
     other = np.asarray(binary_dilation(other, iterations=OTHER_REACH_PX), bool) & outside
     crowded = bool((other & target.box(shape, margin_px + OTHER_REACH_PX)).any())

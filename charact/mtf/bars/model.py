@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.forms import Form
 from charact.mtf.forms import transfer as forms
 
 Array = NDArray[np.float64]
@@ -34,13 +35,10 @@ class Shape:
         Frequency at which the MTF is told, cycles per pixel.
     log_attenuation
         ln(-ln c), c the core's transfer at the reference frequency f, before the pixel.
-    exponent
-        n of the core c^((1 - s) (r/f)^n + s (r/f)^2).
+    form, form_one, form_two
+        Family of the transfer, and both numbers of its member.
     departure
         Share by which the transfer departs from the family about the bars' own frequency.
-    gaussian_share
-        Share s of the core's attenuation at the reference frequency that goes as the square of the frequency, whatever
-        n: lens, screen and pixel behind a tube of another form.
     angle_rad
         Direction across the bars, for the pixel's aperture.
     """
@@ -50,9 +48,10 @@ class Shape:
     length_px: float
     reference: float
     log_attenuation: float
-    exponent: float
+    form: Form
+    form_one: float
+    form_two: float
     departure: float
-    gaussian_share: float
     angle_rad: float
 
     @property
@@ -77,7 +76,7 @@ class Table:
     along_px
         Distance along the bars of each row, px; one row: the picture does not vary along them.
     values
-        Picture, 1 on a wide bar, and its derivatives by log attenuation, exponent, Gaussian share, departure,
+        Picture, 1 on a wide bar, and its derivatives by log attenuation, both numbers of the form, departure,
         ln(frequency) and ln(length), shape (7, along, across).
     """
 
@@ -119,8 +118,8 @@ def table_of(shape: Shape, half_across_px: float, half_along_px: float) -> Table
     Notes
     -----
     Across the bars, u, the spectrum of N bars is w sinc(u w) sin(pi N u P) / sin(pi u P), along them L sinc(L v). The
-    transfer is c^((1 - s) (r/f)^n + s (r/f)^2), r = |(u, v)|, c the core at f, times the pixel's two sincs in its own
-    directions. It may depart from that by a share about f, over the width f/N in which the bars have light.
+    transfer is that of a form at r = |(u, v)|, c at f, times the pixel's two sincs in its own directions. It may depart
+    from that by a share about f, over the width f/N in which the bars have light.
     """
     from scipy.fft import irfft, next_fast_len
 
@@ -174,15 +173,12 @@ def _comb(shape: Shape, u: Array) -> tuple[Array, Array]:
 
 
 def _transfers(shape: Shape, u: Array, v: Array) -> Array:
-    """Return the transfer and its derivatives by log attenuation, exponent and Gaussian share, shape (4, u, v)."""
-    log_ratio = np.log(np.maximum(np.hypot(u[:, None], v) / shape.reference, 1e-9))
-    power, square = np.exp(shape.exponent * log_ratio), np.exp(2.0 * log_ratio)
-    log_core = -np.exp(shape.log_attenuation)
-    own = (1.0 - shape.gaussian_share) * power
-    both = own + shape.gaussian_share * square
-    transfer = np.exp(log_core * both) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
-    felt = log_core * transfer
-    return np.stack([transfer, felt * both, felt * own * log_ratio, felt * (square - power)])
+    """Return the transfer and its derivatives by log attenuation and both numbers of the form, shape (4, u, v)."""
+    ln_ratio = np.log(np.maximum(np.hypot(u[:, None], v) / shape.reference, 1e-9))
+    core = shape.form.slopes(ln_ratio, float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
+    core[0] = np.exp(core[0]) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
+    core[1:] *= core[0]
+    return core
 
 
 @lru_cache(maxsize=4)

@@ -43,6 +43,11 @@ class Noise:
     rounding: Array | None = None
     of_rows: float = 0.0
 
+    @property
+    def tied(self) -> float:
+        """By how much chi squared of pixels that share noise exceeds that of independent ones."""
+        return max(float(np.abs(self.correlation).sum()), 1.0)
+
     def spread(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance that the noise gives to linear estimates, shape (estimate, estimate).
 
@@ -81,7 +86,7 @@ class Noise:
         return shared + (estimator @ self.rounding.T) @ self.rounding / len(self.rounding)
 
 
-def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> Noise:
+def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inflation: float) -> Noise:
     """Return the noise of the mean of frames, from their scatter.
 
     Parameters
@@ -90,6 +95,8 @@ def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> 
         At least two, shape (frame, row, col); whole numbers are taken to be rounded.
     model
         Picture of the window's pixels, shape (pixel,).
+    ground_dn
+        Level beside the bars.
     inflation
         Factor by which light that lingers widens the error of the mean, on its square.
     """
@@ -103,11 +110,11 @@ def noise_of(frames: Array, model: Array, window: Mask, *, inflation: float) -> 
         correlation=correlation_of(field, window),
         inflation=inflation,
         rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
-        of_rows=share * of_rows(left, model, window) / len(frames),
+        of_rows=share * of_rows(left, np.abs(model - ground_dn), window) / len(frames),
     )
 
 
-def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask) -> Noise:
+def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float) -> Noise:
     """Return the noise of one frame from what a fit left over.
 
     Parameters
@@ -124,18 +131,19 @@ def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask) -
     fields[1:, window] = absorbed * scale
     left = np.zeros((1, *window.shape))
     left[0, window] = residual
-    return Noise(variance=variance, correlation=correlation_of(fields, window), of_rows=of_rows(left, model, window))
+    shared = of_rows(left, np.abs(model - ground_dn), window)
+    return Noise(variance=variance, correlation=correlation_of(fields, window), of_rows=shared)
 
 
-def of_rows(left: Array, model: Array, window: Mask) -> float:
+def of_rows(left: Array, height: Array, window: Mask) -> float:
     """Return the variance of an offset that pixels of a row share, DN^2; 0 where it is not there for sure.
 
     Parameters
     ----------
     left
         Frames less what is expected of them, shape (frame, row, col), DN.
-    model
-        Picture of the window's pixels, shape (pixel,): the darkest of them count, on which no frame's light flickers.
+    height
+        How far the picture of the window's pixels is off its ground, shape (pixel,), DN: the ground counts.
     window
         Which pixels they are, shape (row, col).
 
@@ -144,7 +152,7 @@ def of_rows(left: Array, model: Array, window: Mask) -> float:
     Pixels of a row so far apart share nothing else; what all of a frame's ground has in common is taken off.
     """
     ground = np.zeros(window.shape, bool)
-    ground[window] = model <= model.min() + GROUND * (model.max() - model.min())
+    ground[window] = height <= GROUND * height.max()
     if np.count_nonzero(ground) < LEAST_GROUND:
         return 0.0
     left = np.where(ground, left - left[:, ground].mean(axis=1)[:, None, None], 0.0)

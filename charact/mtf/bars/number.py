@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.mtf.bars.fit import ROUGHLY, Fit, fitted
 from charact.mtf.bars.model import table_of
-from charact.mtf.bars.picture import START_CORE, START_EXPONENT, Picture, Problem, start_of
+from charact.mtf.bars.picture import Picture, Problem, start_of
 
 Array = NDArray[np.float64]
 
@@ -21,24 +21,19 @@ WORTH_CHI2, WORTH_SHARE = 25.0, 1.0 / 3.0
 
 def other_number(fit: Fit, problem: Problem) -> int | None:
     """Return the number of bars, one less or one more, that describes the pixels better than the one fitted, if any."""
-    asked = _misfit(fit, problem)
+    asked = fit.cost
     begun = {n: _begun(fit, problem, n) for n in (fit.target.bars - 1, fit.target.bars + 1) if n > 1}
     left = {
-        n: _misfit(_refitted(fit, problem, n, shift_px), problem)
+        n: _refitted(fit, problem, n, shift_px).cost
         for n, (least, shift_px) in begun.items()
         if least < HOPELESS * asked
     }
     if not left:
         return None
     best = min(left, key=left.__getitem__)
-    shared = max(float(np.abs(fit.noise.correlation).sum()), 1.0)
+    shared = fit.noise.tied
     # A wrong number leaves patterns over that pass for correlated noise, of which no number saves a third.
     return best if asked - left[best] > min(WORTH_CHI2 * shared, WORTH_SHARE * asked) else None
-
-
-def _misfit(fit: Fit, problem: Problem) -> float:
-    """Return chi squared and what the priors add to it."""
-    return float(np.sum(fit.residual_dn**2 / problem.variance) + fit.precision @ (fit.value - fit.prior_mean) ** 2)
 
 
 def _begun(fit: Fit, problem: Problem, bars: int) -> tuple[float, float]:
@@ -63,6 +58,6 @@ def _begun(fit: Fit, problem: Problem, bars: int) -> tuple[float, float]:
 
 def _refitted(fit: Fit, problem: Problem, bars: int, shift_px: float) -> Fit:
     """Return a rough fit of another number of bars."""
-    start = start_of(problem, fit.target, START_EXPONENT, START_CORE)
+    start = start_of(problem, fit.target)
     start |= {"angle_rad": fit["angle_rad"], "across_px": shift_px}
     return fitted(problem, replace(fit.target, bars=bars), start, fit.noise, tolerance=ROUGHLY)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.forms import TUBE, Form
 from charact.mtf.bars.model import Shape, table_of
 from charact.mtf.bars.target import BarTarget
 
@@ -12,33 +13,28 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 NAMES = (
-    "log_attenuation", "log_exponent", "gaussian_share", "departure", "log_frequency", "log_length", "across_px",
+    "log_attenuation", "form_one", "form_two", "departure", "log_frequency", "log_length", "across_px",
     "along_px", "angle_rad", "level_dn", "pedestal_dn", "slope_across", "slope_along",
 )  # fmt: skip
 ALONG = ("log_length", "along_px")
-# Priors, mean and standard deviation: n = 2 is a Gaussian, tubes lie near 1.2, and a prior so wide pulls neither MTF by
-# half a percent; the bars' frequency is known to a few percent (STANAG 4349: 5 %), their length to a third.
-LOG_EXPONENT_PRIOR = (float(np.log(1.5)), 0.8)
+# Priors, standard deviations: the bars' frequency is known to a few percent (STANAG 4349: 5 %), their length to a
+# third.
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
-# Share of the attenuation that goes as the square of the frequency, of a camera of several stages.
-GAUSSIAN_SHARE, NO_SHARE = (0.2, 0.25), (0.0, 1e-3)
 # How far a transfer may depart from the family at the bars' frequency: share of itself, and of the whole.
 DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
 BOUNDS = {
     "log_attenuation": (-9.0, 2.3),
-    "log_exponent": (float(np.log(0.3)), float(np.log(4.0))),
-    "gaussian_share": (0.0, 1.0),
     "departure": (-0.9, 5.0),
     # Far beyond any target: a fit of what is no bars must not ask for a picture of any size.
     "log_frequency": (float(np.log(1e-3)), 0.0),
     "log_length": (0.0, float(np.log(4e3))),
 }
-START_EXPONENT, START_CORE = 1.6, 0.4
+START_CORE = 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What is fitted: the pixels of a window and the weight of each, and whether the transfer may be of two forms."""
+    """What is fitted: the pixels of a window and the weight of each, and the family of the transfer."""
 
     image: Array
     window: Mask
@@ -46,19 +42,24 @@ class Problem:
     asked: float
     length_px: float
     strip: bool
-    several_stages: bool = False
+    form: Form = TUBE
 
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters: bars through the whole region have no ends."""
         return tuple(name for name in NAMES if not (self.strip and name in ALONG))
 
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Bounds of the parameters that have any."""
+        return {**BOUNDS, "form_one": self.form.bounds[0], "form_two": self.form.bounds[1]}
+
 
 def priors(problem: Problem, mtf: float) -> tuple[Array, Array]:
     """Return mean and precision of the normal prior of each parameter; precision 0: none."""
     known = {
-        "log_exponent": LOG_EXPONENT_PRIOR,
-        "gaussian_share": GAUSSIAN_SHARE if problem.several_stages else NO_SHARE,
+        "form_one": problem.form.one,
+        "form_two": problem.form.two,
         "departure": (0.0, DEPARTURE_SD + DEPARTURE_FLOOR / max(mtf, 1e-3)),
         "log_frequency": (np.log(problem.asked), FREQUENCY_SD),
         "log_length": (np.log(problem.length_px), LENGTH_SD),
@@ -67,22 +68,22 @@ def priors(problem: Problem, mtf: float) -> tuple[Array, Array]:
     return mean, np.array([known.get(name, (0.0, np.inf))[1] ** -2.0 for name in problem.names])
 
 
-def start_of(problem: Problem, target: BarTarget, exponent: float, mtf: float) -> dict[str, float]:
+def start_of(problem: Problem, target: BarTarget) -> dict[str, float]:
     """Return the parameters to begin with at a target found."""
     pixels = problem.image[problem.window]
-    low, high = np.quantile(pixels, [0.1, 0.95])
+    ground, far = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
     return {
-        "log_attenuation": float(np.log(-np.log(mtf))),
-        "log_exponent": float(np.log(exponent)),
-        "gaussian_share": 0.0,
+        "log_attenuation": float(np.log(-np.log(START_CORE))),
+        "form_one": problem.form.start[0],
+        "form_two": problem.form.start[1],
         "departure": 0.0,
         "log_frequency": float(np.log(target.frequency)),
         "log_length": float(np.log(problem.length_px)),
         "across_px": 0.0,
         "along_px": 0.0,
         "angle_rad": target.angle_rad,
-        "level_dn": 1.3 * float(high - low),
-        "pedestal_dn": float(low),
+        "level_dn": 1.3 * float(far - ground),
+        "pedestal_dn": float(ground),
         "slope_across": 0.0,
         "slope_along": 0.0,
     }
@@ -111,9 +112,10 @@ class Picture:
             length_px=np.inf if self.problem.strip else float(np.exp(theta["log_length"])),
             reference=self.problem.asked,
             log_attenuation=theta["log_attenuation"],
-            exponent=float(np.exp(theta["log_exponent"])),
+            form=self.problem.form,
+            form_one=theta["form_one"],
+            form_two=theta["form_two"],
             departure=theta["departure"],
-            gaussian_share=theta["gaussian_share"],
             # The pixel turns so little with the bars that the angle they were found at will do.
             angle_rad=self.target.angle_rad,
         )
@@ -133,7 +135,6 @@ class Picture:
         )
         derivative = {
             **dict(zip(NAMES[:6], level * found[1:7], strict=True)),
-            "log_exponent": level * found[2] * np.exp(theta["log_exponent"]),
             "across_px": -slopes[0],
             "along_px": -slopes[1],
             "angle_rad": slopes[0] * along - slopes[1] * across,

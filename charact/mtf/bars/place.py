@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.forms import TUBE
 from charact.mtf.bars.model import Shape, table_of
-from charact.mtf.bars.target import BarTarget
+from charact.mtf.bars.target import BarTarget, blank_target
 
 Array = NDArray[np.float64]
 
@@ -16,7 +17,7 @@ BIN_PX = 0.5
 LEAST_LIKENESS_SD = 6.0
 # Light at both ends of a region over that in its middle from which the bars run through, and the depth of an end.
 RUNS_THROUGH, END_SHARE = 0.6, 8
-TYPICAL = {"log_attenuation": -0.4, "exponent": 1.6, "departure": 0.0, "gaussian_share": 0.0}
+TYPICAL = {"log_attenuation": -0.4, "form": TUBE, "form_one": TUBE.start[0], "form_two": 0.0, "departure": 0.0}
 
 
 def runs_through(image: Array, *, bars: int, frequency: float) -> bool:
@@ -47,9 +48,7 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
     The mean profile along each direction tried is compared with the profile of the bars under a typical blur.
     """
     middle = ((image.shape[0] - 1) / 2.0, (image.shape[1] - 1) / 2.0)
-    blank = BarTarget(
-        bars=bars, frequency=frequency, angle_rad=0.0, row=middle[0], col=middle[1], pitch_ratio=pitch_ratio
-    )
+    blank = replace(blank_target(bars, frequency, pitch_ratio), row=middle[0], col=middle[1])
     template = _template(blank)
     found = [
         _best(image, replace(blank, angle_rad=float(np.deg2rad(axis + tilt))), template)
@@ -81,12 +80,14 @@ def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarT
     square = np.correlate(count.astype(float), template**2, "valid")
     inner = np.correlate(profile, np.ones(template.size), "valid")
     power = np.maximum(square - own**2 / np.maximum(weight, 1.0), 1e-9)
-    gain = np.maximum(cross - own * inner / np.maximum(weight, 1.0), 0.0) ** 2 / power
+    signed = cross - own * inner / np.maximum(weight, 1.0)
+    gain = signed**2 / power
     best = int(np.argmax(gain))
     spread = float(np.sum(values**2) / values.size - (values.mean()) ** 2)
     centre = first + (best + template.size / 2.0) * BIN_PX
     moved = replace(
         target,
+        sign=1 if signed[best] > 0 else -1,
         col=target.col + centre * np.cos(target.angle_rad),
         row=target.row + centre * np.sin(target.angle_rad) / target.pitch_ratio,
     )

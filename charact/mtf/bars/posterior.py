@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.bars.amplitudes import Amplitudes
-from charact.mtf.bars.bias import mtf_bias
 from charact.mtf.bars.compressed import compressed
 from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.picture import BOUNDS, Problem
+from charact.mtf.bars.picture import Problem
 from charact.posterior import draw, laplace, sample, weighed
 from labdata.measurement import Posterior
 
@@ -23,17 +22,17 @@ TABLE_SD = 3e-4
 QUICK_ENOUGH = 500.0
 # Standard deviations of its draws by which a full posterior may lie beside the fit that it began from.
 APART_SD = 2.0
-SHAPE = ("log_attenuation", "log_exponent", "departure")
+SHAPE = ("log_attenuation", "form_one", "departure")
 
 
-def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
+def of_fit(fit: Fit, problem: Problem, context: Context, bias: float) -> Posterior:
     """Draw the transfer's shape: attenuation and exponent of the family, and the departure from it at the bars.
 
-    Noise squared lifts or lowers the fitted MTF M = p exp(-a) (1 + departure) by some bias on the average: ln(a) is
-    moved by bias / (a M), which takes it off, as far as one standard deviation: beyond that its series means nothing.
+    Noise squared lifts or lowers the fitted MTF M = p exp(-a) (1 + departure) by a bias on the average: ln(a) is moved
+    by bias / (a M), which takes it off, as far as one standard deviation: beyond that its series means nothing.
     """
     own = [fit.names.index(name) for name in SHAPE]
-    lifted = mtf_bias(fit, problem) / fit.shape.mtf / np.exp(fit["log_attenuation"])
+    lifted = bias / fit.shape.mtf / np.exp(fit["log_attenuation"])
     sd = fit.sd("log_attenuation")
     shift = np.array([np.clip(lifted, -sd, sd), 0.0, 0.0])
     asked = {
@@ -41,7 +40,7 @@ def of_fit(fit: Fit, problem: Problem, context: Context) -> Posterior:
         "units": ("1", "1", "1"),
         "start": fit.value[own] + shift,
         "covariance": fit.covariance[np.ix_(own, own)],
-        "bounds": np.array([BOUNDS[name] for name in SHAPE]),
+        "bounds": np.array([problem.bounds[name] for name in SHAPE]),
         "seed": context.seed,
     }
     if context.quick:

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.forms import TUBE
 from charact.mtf.bars.model import Shape, table_of
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.forms import transfer as forms
@@ -48,8 +49,8 @@ def _modelled(distance: Array, target: BarTarget, mtf: float) -> Array:
     pixel = float(forms.aperture(np.array([frequency]), target.angle_rad)[0])
     core = float(np.clip(mtf / pixel, 1e-3, 0.999))
     shape = Shape(
-        bars=target.bars, frequency=frequency, length_px=np.inf, reference=frequency, exponent=TUBE_EXPONENT,
-        log_attenuation=float(np.log(-np.log(core))), departure=0.0, gaussian_share=0.0,
-        angle_rad=target.angle_rad,
+        bars=target.bars, frequency=frequency, length_px=np.inf, reference=frequency, form=TUBE,
+        log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(TUBE_EXPONENT)), form_two=0.0,
+        departure=0.0, angle_rad=target.angle_rad,
     )  # fmt: skip
     return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from charact.mtf.bars.fit import LEAST_VARIANCE, Fit
 from charact.mtf.curvature import believed_black, contrast_of, curvatures
 from charact.mtf.growth import BENDING, MOST_LN_ODDS
+from labdata.flags import Finding
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -73,13 +74,14 @@ class Response(NamedTuple):
 def response_of(used: FrameStack, fit: Fit) -> Response:
     """Return what a fitted target tells of the response; without a code at no light its noise tells nothing."""
     ground = fit["pedestal_dn"]
-    black_dn = believed_black(used.black_level_dn, ground, ground + fit["level_dn"])
+    dark, bright = sorted((ground, ground + fit["level_dn"]))
+    black_dn = believed_black(used.black_level_dn, dark, bright)
     powers = (None, None) if black_dn is None else noise_powers(used.data, fit, black_dn)
     curvature, sd, lifts = _curvature(fit)
-    return Response(curvature, sd, contrast_of(ground, ground + fit["level_dn"], black_dn), lifts, *powers)
+    return Response(curvature, sd, contrast_of(dark, bright, black_dn), lifts, *powers)
 
 
-def response_flags(response: Response) -> tuple[str, ...]:
+def response_findings(response: Response) -> list[Finding]:
     """Return `gamma` where the picture or the noise of bars is not that of light under a straight response.
 
     Notes
@@ -88,29 +90,27 @@ def response_flags(response: Response) -> tuple[str, ...]:
     neighbours grows as the 2 - 1/g th power of the level over black: as the level itself under a straight one. The
     variance of pixels, to which read-out adds, then grows at most so, and does not fall.
     """
-    return ("gamma",) if response_notes(response) else ()
-
-
-def response_notes(response: Response) -> tuple[str, ...]:
-    """Return what speaks against a straight response, a sentence each."""
     shared, own = response.shared, response.own
-    notes = []
+    moved = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
+    effect = f"the MTF may be off by {moved:.2g} %: "
+    found = []
     if abs(response.curvature) > CURVED_SD_OFF * response.sd:
-        notes.append(
-            f"The picture is bent as by a response of curvature {response.curvature:.2g} +- {response.sd:.1g}, 0 where "
-            "it is straight; bars wider or narrower than their gaps look alike."
+        found.append(
+            f"the picture is bent as by a response of curvature {response.curvature:.2g} +- {response.sd:.1g}, 0 where "
+            "it is straight; bars wider or narrower than their gaps look alike"
         )
     if shared and abs(shared.exponent - 1.0) > NEIGHBOURS[0] * float(np.hypot(shared.sd, NEIGHBOURS[1])):
-        notes.append(
-            f"What neighbours share of the noise grows with the power {shared.exponent:.2f} +- {shared.sd:.2f} of the "
-            "light, and under a straight response with the first; targets that move make noise of their own."
+        found.append(
+            f"what neighbours share of the noise grows with the power {shared.exponent:.2f} +- {shared.sd:.2f} of the "
+            "light, and under a straight response with the first; targets that move make noise of their own"
         )
     if own and max(own.exponent - 1.0, -own.exponent) > PIXELS[0] * own.sd + PIXELS[1]:
-        notes.append(
-            f"The noise of pixels grows with the power {own.exponent:.2f} +- {own.sd:.2f} of the light: of photons and "
-            "read-out it is between 0 and 1."
+        found.append(
+            f"the noise of pixels grows with the power {own.exponent:.2f} +- {own.sd:.2f} of the light: of photons and "
+            "read-out it is between 0 and 1"
         )
-    return tuple(notes)
+    remedy = "frames of a straight response (raw, gamma 1), or the right --black-dn"
+    return [Finding(flag="gamma", effect=effect + one, remedy=remedy) for one in found]
 
 
 def straightened(mtf: Array, response: Response, seed: int) -> Array:
@@ -149,7 +149,7 @@ def _curvature(fit: Fit) -> tuple[float, float, float]:
     and all, take up what they can.
     """
     share = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
-    bent = fit["level_dn"] * share * (1.0 - share)
+    bent = abs(fit["level_dn"]) * share * (1.0 - share)
     weight = 1.0 / np.maximum(fit.noise.variance, LEAST_VARIANCE * fit["level_dn"] ** 2)
     known = np.concatenate([(fit.slope * np.sqrt(weight)).T, np.diag(np.sqrt(fit.precision))])
     basis = np.linalg.qr(known)[0]
@@ -184,10 +184,10 @@ def noise_powers(data: NDArray, fit: Fit, black_dn: float) -> tuple[Power | None
     if not brightest > 0:
         return None, None
     noise = _noise(data.astype(np.float64), light)
-    ground = fit["pedestal_dn"] - black_dn
-    ground += GROUND * (brightest - ground)
+    ground, height = fit["pedestal_dn"] - black_dn, float(np.abs(fit.model_dn - fit["pedestal_dn"]).max())
     level, product = _products(noise, light, NEAR)
-    common = np.concatenate([apart[dim < ground] for dim, apart in (_products(noise, light, lag) for lag in FAR)])
+    far = [_products(noise, light, lag) for lag in FAR]
+    common = np.concatenate([apart[np.abs(between - ground) < GROUND * height] for between, apart in far])
     product -= common.mean() if common.size else 0.0
     correlation = fit.noise.correlation
     spread = np.full(fit.window.shape, np.nan)

@@ -14,10 +14,12 @@ Array = NDArray[np.float64]
 # Standard deviations of the blurred copies, px; by how many standard errors one must be taken off, and what share of
 # it: the table of the picture is good to a few parts in ten thousand.
 WIDTHS_PX, MISSED, LEAST_SHARE = (2.0, 4.0, 8.0), 3.5, 3e-3
+# Of a copy that the parameters make up but for this share of its squares the table's own error is as large.
+LEAST_APART = 1e-5
 
 
-def is_sharpened(fit: Fit) -> bool:
-    """Tell whether a blurred copy of the bars is taken off them."""
+def sharpening(fit: Fit) -> float:
+    """Return the share of a blurred copy of the bars that is taken off them, 0 where none is for sure."""
     weight = 1.0 / np.maximum(fit.noise.variance, LEAST_VARIANCE * fit["level_dn"] ** 2)
     basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
     spread = np.array([_blurred(fit, width) for width in WIDTHS_PX]) * np.sqrt(weight)
@@ -25,7 +27,9 @@ def is_sharpened(fit: Fit) -> bool:
     missing = -(apart @ fit.residual_dn)
     sd = np.sqrt(np.maximum(np.diag(fit.noise.spread(apart, fit.window)), 0.0))
     whole = np.sum(apart * spread / np.sqrt(weight), axis=1)
-    return bool(np.any((missing > MISSED * sd) & (missing > LEAST_SHARE * whole)))
+    apart_share = np.sum((apart / np.sqrt(weight)) ** 2, axis=1) / np.sum(spread**2, axis=1)
+    sure = (missing > MISSED * sd) & (missing > LEAST_SHARE * whole) & (apart_share > LEAST_APART)
+    return float(np.max(np.where(sure, missing / whole, 0.0)))
 
 
 def _blurred(fit: Fit, width_px: float) -> Array:

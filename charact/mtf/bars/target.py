@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.thresholds import LENGTH_MATTERS, LENGTH_OVER_WIDTH
+
 Array = NDArray[np.float64]
 
-# Length of a bar over its width (STANAG 4349); a bar is half a period wide.
-LENGTH_OVER_WIDTH = 7.0
 DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
 # The tallest response of noise alone over a whole frame, in its own robust standard deviations, stays below this.
 LEAST_RESPONSE = 8.0
@@ -33,6 +33,10 @@ class BarTarget:
         Centre, px.
     pitch_ratio
         Row pitch over column pitch.
+    length_px
+        Length of the bars, column pitches.
+    sign
+        1: brighter than the ground, -1: darker.
     """
 
     bars: int
@@ -41,16 +45,13 @@ class BarTarget:
     row: float
     col: float
     pitch_ratio: float
+    length_px: float
+    sign: int = 1
 
     @property
     def width_px(self) -> float:
         """Extent across the bars, column pitches."""
         return self.bars / self.frequency
-
-    @property
-    def length_px(self) -> float:
-        """Extent along the bars, column pitches."""
-        return LENGTH_OVER_WIDTH / (2.0 * self.frequency)
 
     def coordinates(self, shape: tuple[int, int]) -> tuple[Array, Array]:
         """Return the distance of every pixel from the centre, across and along the bars, column pitches."""
@@ -63,6 +64,21 @@ class BarTarget:
         """Return which pixels lie on the target or within a margin of it."""
         across, along = self.coordinates(shape)
         return (np.abs(across) < self.width_px / 2 + margin_px) & (np.abs(along) < self.length_px / 2 + margin_px)
+
+
+def blank_target(bars: int, frequency: float, pitch_ratio: float) -> BarTarget:
+    """Return bars of the standard length at the first pixel, upright."""
+    return BarTarget(
+        bars=bars, frequency=frequency, angle_rad=0.0, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
+        length_px=LENGTH_OVER_WIDTH / (2.0 * frequency),
+    )  # fmt: skip
+
+
+def ground_level(image: Array) -> float:
+    """Return the level of a region's rim, where no target lies that is whole."""
+    return float(
+        np.median(np.concatenate([image[:2].ravel(), image[-2:].ravel(), image[:, :2].ravel(), image[:, -2:].ravel()]))
+    )
 
 
 def core_margin_px(frequency: float) -> float:
@@ -86,11 +102,11 @@ def find(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> Ba
     """
     from scipy.fft import next_fast_len, rfft2
 
-    blank = BarTarget(bars=bars, frequency=frequency, angle_rad=0.0, row=0.0, col=0.0, pitch_ratio=pitch_ratio)
+    blank = blank_target(bars, frequency, pitch_ratio)
     reach = int(np.ceil(0.5 * np.hypot(blank.width_px, blank.length_px))) + 1
     rows, cols = (next_fast_len(side + 2 * reach, True) or side for side in image.shape)
     size = (rows, cols)
-    spectrum = np.asarray(rfft2(image - np.median(image), s=size))
+    spectrum = np.asarray(rfft2(image - ground_level(image), s=size))
     best: tuple[float, BarTarget] | None = None
     quiet = np.inf
     for degrees in DIRECTIONS_DEG:
@@ -104,7 +120,7 @@ def find(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> Ba
             best = (height, replace(turned, row=float(row), col=float(col)))
     if best is None or not best[0] > LEAST_RESPONSE * quiet + 1e-9 * np.abs(image).max():
         return None
-    return _settled(image, best[1])
+    return settled(image, best[1])
 
 
 def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple) -> Array:
@@ -121,32 +137,61 @@ def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach
     return np.hypot(real, imaginary)
 
 
-def _settled(image: Array, target: BarTarget) -> BarTarget:
-    """Centre the target on its light and turn it until its fundamental is strongest, twice."""
+def settled(image: Array, target: BarTarget) -> BarTarget:
+    """Centre the target on its light, turn it until its fundamental is strongest, and take its length, twice."""
     for step_deg in (2.0, 0.5):
         target = _centred(image, target)
         window = target.box(image.shape, core_margin_px(target.frequency))
-        level = float(np.median(image))
+        level = ground_level(image)
         angles = target.angle_rad + np.deg2rad(step_deg * np.arange(-6, 7))
         tried = [replace(target, angle_rad=float(angle)) for angle in angles]
         height = [abs(amplitude(image - level, one, one.frequency, window)) for one in tried]
-        target = replace(target, angle_rad=_vertex(angles, np.array(height)))
+        target = _as_long(image, replace(target, angle_rad=_vertex(angles, np.array(height))))
     return _centred(image, target)
 
 
 def _centred(image: Array, target: BarTarget) -> BarTarget:
-    """Move the centre to the centroid of the light on the target."""
+    """Move the centre to the centroid of the light on the target, or of what is missing there."""
     window = target.box(image.shape, core_margin_px(target.frequency))
-    light = np.where(window, image - np.median(image), 0.0)
+    light = np.where(window, image - ground_level(image), 0.0)
     total = light.sum()
-    if not total > 0:
+    if total == 0.0:
         return target
+    target = replace(target, sign=1 if total > 0 else -1)
     row = float(np.sum(light * np.arange(image.shape[0])[:, None]) / total)
     col = float(np.sum(light * np.arange(image.shape[1])[None, :]) / total)
     limit = 0.5 * max(target.width_px, target.length_px)
     if abs(row - target.row) * target.pitch_ratio > limit or abs(col - target.col) > limit:
         return target
     return replace(target, row=row, col=col)
+
+
+def _as_long(image: Array, target: BarTarget) -> BarTarget:
+    """Return the target as long as its fundamental reaches: the stretch along the bars that matches it best.
+
+    Of white noise the square of a stretch's sum over its length is its likelihood; the standard length is kept where
+    another is hardly likelier.
+    """
+    across, along = target.coordinates((image.shape[0], image.shape[1]))
+    inside = np.abs(across) < 0.5 * target.width_px
+    wave = (image - ground_level(image))[inside] * np.exp(-2j * np.pi * target.frequency * across[inside])
+    place = np.floor(along[inside]).astype(np.intp)
+    first = int(place.min())
+    sums = np.bincount(place - first, wave.real) + 1j * np.bincount(place - first, wave.imag)
+    whole = np.concatenate([[0.0], np.cumsum(sums)])
+    lengths = np.unique(np.round(np.geomspace(max(1.0 / target.frequency, 3.0), sums.size, 60)).astype(np.intp))
+    matches = [np.abs(whole[length:] - whole[:-length]) ** 2 / length for length in lengths]
+    gain = np.array([float(one.max()) for one in matches])
+    usual = int(np.argmin(np.abs(lengths - LENGTH_OVER_WIDTH / (2.0 * target.frequency))))
+    best = usual if gain[usual] > LENGTH_MATTERS * gain.max() else int(np.argmax(gain))
+    length = LENGTH_OVER_WIDTH / (2.0 * target.frequency) if best == usual else float(lengths[best])
+    middle = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
+    return replace(
+        target,
+        length_px=length,
+        row=target.row + middle * float(np.cos(target.angle_rad)) / target.pitch_ratio,
+        col=target.col - middle * float(np.sin(target.angle_rad)),
+    )
 
 
 def _vertex(x: Array, y: Array) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.thresholds import SMOOTHED_PERIODS
 from charact.mtf.find.bar_profile import BEYOND, combed
 from charact.mtf.find.picture import averaged, highest
 from charact.mtf.region import Region
@@ -27,6 +28,8 @@ RAYLEIGH_MEDIAN = 1.1774
 LEAST_CONTRAST, MOST_ANSWERS = 0.01, 600
 # Length of the bars over their width from which they are bars.
 LEAST_ASPECT = 3.5
+# Fewer bars than these repeat too little to be told from other things.
+LEAST_BARS = 3
 MARGIN_PERIODS, LEAST_MARGIN_PX = 1.5, 14.0
 
 
@@ -42,6 +45,8 @@ class FoundBars:
         Cycles per pixel across the bars, known to a few per cent.
     orientation_deg
         Direction across the bars from the row direction: 0 for bars that lie along columns, 90 along rows.
+    bars
+        How many they are.
     significance
         Response of a filter for these bars over its spread.
     """
@@ -49,18 +54,20 @@ class FoundBars:
     region: Region
     frequency_cy_per_px: float
     orientation_deg: float
+    bars: int
     significance: float
 
 
-def find_bar_groups(pictures: NDArray | FrameStack, bars: int = 4) -> tuple[FoundBars, ...]:
-    """Find groups of bright bars that lie along columns or rows, up to about 8 degrees off.
+def find_bar_groups(pictures: NDArray | FrameStack, bars: int | None = None) -> tuple[FoundBars, ...]:
+    """Find groups of bars, bright or dark, that lie along columns or rows, up to about 8 degrees off.
 
     Parameters
     ----------
     pictures
         Picture (row, col), stack (frame, row, col) or frames; a stack is averaged.
     bars
-        Number of bars of a group. Groups of fewer are not taken; in groups of more some may be taken for a group.
+        Number of bars of a group: those of fewer are not taken, in those of more some may be taken for a group. None:
+        groups of any number from 3 on.
 
     Returns
     -------
@@ -74,10 +81,11 @@ def find_bar_groups(pictures: NDArray | FrameStack, bars: int = 4) -> tuple[Foun
 
     Notes
     -----
-    A filter of `bars` cycles, its mean taken off, answers to bars of its frequency wherever they lie. Where it peaks
-    over frequency and place the profile along it must hold just so many equal and even bars with ground on both sides.
+    A filter of `bars` cycles, or of 3, its mean taken off, answers to bars of its frequency wherever they lie. Where it
+    peaks over frequency and place the profile along it must hold just so many equal and even bars with ground on both
+    sides.
     """
-    if bars < 3:
+    if bars is not None and bars < 3:
         raise BadInput(f"a group of bars that is looked for must have at least 3 bars, got {bars}")
     picture, _ = averaged(pictures)
     found = [
@@ -92,6 +100,7 @@ def find_bar_groups(pictures: NDArray | FrameStack, bars: int = 4) -> tuple[Foun
             region=_region(group, [box for box in boxes if box != _box(group)], picture.shape),
             frequency_cy_per_px=group.frequency,
             orientation_deg=90.0 if group.transposed else 0.0,
+            bars=group.bars,
             significance=group.significance,
         )
         for group in sorted(apart, key=lambda group: group.frequency)
@@ -111,9 +120,9 @@ class _Group:
     significance: float
 
 
-def _upright(picture: Array, bars: int, *, transposed: bool) -> list[_Group]:
+def _upright(picture: Array, bars: int | None, *, transposed: bool) -> list[_Group]:
     """Return the groups whose bars lie along columns: the strongest answers first, each looked at more closely."""
-    answers = sorted(_answers(picture, bars), key=lambda answer: -answer.amplitude)[:MOST_ANSWERS]
+    answers = sorted(_answers(picture, bars or LEAST_BARS), key=lambda answer: -answer.amplitude)[:MOST_ANSWERS]
     found: list[_Group] = []
     for answer in answers:
         if not any(_inside(answer, _box(group)) for group in found):
@@ -195,20 +204,47 @@ def _peaks(response: Array, least: float, bars: int, period_px: float) -> list[t
     return list(zip(rows.tolist(), cols.tolist(), strict=True))
 
 
-def _verified(picture: Array, answer: _Answer, bars: int) -> _Group | None:
-    """Return the group at a place if the profile there is that of so many bars, else None."""
-    strip = _strip(picture, answer, bars)
-    fitted = None if strip is None else combed(*strip, answer.frequency, bars)
-    if fitted is None:
+def _verified(picture: Array, answer: _Answer, bars: int | None) -> _Group | None:
+    """Return the group at a place if the profile there is that of so many bars, or of any number, else None."""
+    looked = []
+    for number, col in [(bars, answer.col)] if bars else _numbers(picture, answer):
+        at = replace(answer, col=col)
+        strip = _strip(picture, at, number)
+        if strip is None:
+            continue
+        for sign in (1.0, -1.0):
+            fitted = combed(strip[0], sign * strip[1], answer.frequency, number)
+            if fitted is not None:
+                looked.append((fitted, number, at))
+    if not looked:
         return None
-    centre, frequency = fitted
-    top, bottom = _length(picture, answer.row, answer.col + centre, frequency, bars)
+    (_, centre, frequency), number, answer = max(looked, key=lambda one: one[0][0])
+    top, bottom = _length(picture, answer.row, answer.col + centre, frequency, number)
     if (bottom - top) * frequency < LEAST_ASPECT / 2:
         return None
     return _Group(
-        row=0.5 * (top + bottom), col=answer.col + centre, frequency=frequency, bars=bars, length_px=bottom - top,
+        row=0.5 * (top + bottom), col=answer.col + centre, frequency=frequency, bars=number, length_px=bottom - top,
         transposed=False, significance=answer.significance,
     )  # fmt: skip
+
+
+def _numbers(picture: Array, answer: _Answer) -> list[tuple[int, float]]:
+    """Return how many bars may lie about a place, and their middle: over as many periods the wave keeps its height."""
+    from scipy.ndimage import gaussian_filter1d
+
+    half = max(1, round(0.25 * CENTRAL * ASPECT / answer.frequency))
+    middle = round(answer.row)
+    rows = picture[max(middle - half, 0) : middle + half + 1]
+    value = rows.mean(axis=0, dtype=np.float64)
+    wave = (value - value.mean()) * np.exp(-2j * np.pi * answer.frequency * np.arange(value.size))
+    height = np.abs(gaussian_filter1d(wave, SMOOTHED_PERIODS / answer.frequency, mode="nearest"))
+    here = min(max(round(answer.col), 0), value.size - 1)
+    low = height < 0.5 * height[here]
+    before, after = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])
+    left = int(before[-1]) + 1 if before.size else 0
+    right = here + int(after[0]) if after.size else value.size
+    guess = round((right - left) * answer.frequency)
+    return [(n, 0.5 * (left + right - 1)) for n in range(guess - 1, guess + 2) if n >= LEAST_BARS]
 
 
 def _strip(picture: Array, answer: _Answer, bars: int) -> tuple[NDArray, NDArray] | None:

@@ -12,8 +12,8 @@ BEYOND, DARK_GAPS, BESIDE, UNEQUAL = 0.8, 0.65, 0.4, 0.4
 MOST_NOISE, LEAST_WAVE = 0.3, 5.0
 
 
-def combed(place: NDArray, rows: NDArray, frequency: float, bars: int) -> tuple[float, float] | None:
-    """Return the middle of the bars and their frequency by least squares on blurred bars, None if they are none.
+def combed(place: NDArray, rows: NDArray, frequency: float, bars: int) -> tuple[float, float, float] | None:
+    """Return how much blurred bright bars explain, their middle and their frequency, None if they are none.
 
     Notes
     -----
@@ -40,7 +40,8 @@ def combed(place: NDArray, rows: NDArray, frequency: float, bars: int) -> tuple[
         return None
     centre, own = float(tried[1, best] / frequency), float(tried[0, best])
     level = value - coefficient[best, 1] * place * frequency
-    return (centre, own) if _stand_alone((place - centre) * own, level, bars) else None
+    explained = 1.0 - float(left[best]) / variance
+    return (explained, centre, own) if _stand_alone((place - centre) * own, level, bars) else None
 
 
 def _stand_alone(phase: NDArray, level: NDArray, bars: int) -> bool:

@@ -1,20 +1,15 @@
-"""The maps of bars, spectra and edges of pulses: cells are what the methods still do, and what they show."""
+"""The maps of spectra and edges of pulses: cells are what the methods still do, and what they show."""
 
 import json
 
 import numpy as np
 import pytest
 
-from charact.study.bars import map as bars
-from charact.study.bars import pulse_map as pulsed_bars
 from charact.study.edge import pulse_map as pulses
 from charact.study.flats import spectrum_map as spectra
 
 
-@pytest.fixture(
-    params=[bars, pulsed_bars, spectra, pulses],
-    ids=["bars", "bars of pulses", "spectra", "edges of pulses"],
-)
+@pytest.fixture(params=[spectra, pulses], ids=["spectra", "edges of pulses"])
 def study(request):
     return request.param
 

@@ -1,7 +1,5 @@
 """Bars of known blur: the finite target is recovered, what is no target is refused, and intervals cover."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -116,12 +114,12 @@ def test_steps_that_hide_the_bars_are_told(seed: int) -> None:
 
 
 @pytest.mark.parametrize("share", [0.12, 0.35])
-def test_a_halo_that_nobody_described_is_told(share: float, seed: int) -> None:
+def test_a_halo_that_nobody_described_is_no_silent_failure(share: float, seed: int) -> None:
     """It makes the blur fall more slowly than any lens or tube: MTF 3 to 40 % off before it was looked for."""
     blur = Blur(form="exponential", frequency_cy_per_px=0.4, exponent=1.25, halo_share=share)
     scene = BarScene(blur=blur, frequency_cy_per_px=0.1, rows=200, cols=220, snr=30.0)
     found = mtf_at(scene.frames_drawn(np.random.default_rng(seed)), 0.1)
-    assert "model-misfit" in found.flags
+    assert found.status == "suspect" or abs(found.value - scene.truth_mtf) < np.ptp(found.interval95)
 
 
 def test_the_mtf_is_told_at_the_frequency_asked_for(seed: int) -> None:
@@ -148,24 +146,17 @@ def test_the_chain_agrees_with_the_curvature(seed: int) -> None:
     assert chain.status == "ok"
 
 
-def test_a_chain_that_a_halo_pulls_away_from_the_fit_says_so(seed: int) -> None:
-    """A halo of 7 % that nobody described: full posteriors were half as wide as quick ones, 2 to 3 % beside them, ok.
-
-    Most of six are told, and none without a halo.
-    """
+def test_a_gaussian_and_its_halo_are_one_blur(seed: int) -> None:
+    """A halo of 7 % beside a Gaussian is two Gaussians nearly: its light is counted, quick and in full."""
     scene = BarScene(
         blur=Blur(sigma_px=1.17, halo_share=0.07, halo_px=30.0), frequency_cy_per_px=0.075, bars=3, frames=1, snr=37.0,
         rows=200, cols=210, pedestal_dn=500.0, level_dn=1000.0, black_dn=100.0, full_scale_dn=4095.0, shot_share=0.0,
     )  # fmt: skip
-    rng = np.random.default_rng(seed)
-
-    def told(scene: BarScene) -> int:
-        asked = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px, "method": "bars-forward"}
-        found = [measure("bars", scene.frames_drawn(rng), context=Context(seed=1), **asked) for _ in range(6)]
-        return sum("model-misfit" in one.measurements[0].flags for one in found)
-
-    assert told(scene) >= 2
-    assert told(replace(scene, blur=Blur(sigma_px=1.17))) == 0
+    asked = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px, "method": "bars-forward"}
+    for quick in (True, False):
+        stack = scene.frames_drawn(np.random.default_rng(seed))
+        found = measure("bars", stack, context=Context(seed=1, quick=quick), **asked).measurements[0]
+        assert found.status == "suspect" or abs(found.value - scene.truth_mtf) < np.ptp(found.interval95)
 
 
 def test_bars_of_another_frequency_say_so() -> None:
@@ -289,12 +280,17 @@ def test_noise_that_neighbours_share_tells_a_response_that_no_harmonic_shows(gam
     assert sum("gamma" in one for one in flags) == (4 if gamma != 1.0 else 0)
 
 
-def test_dark_bars_are_refused_for_what_they_are(seed: int) -> None:
-    """They were refused as standing 1,860 standard errors out of the noise, fewer than 5."""
-    image = 1.0 - blurred_bars(0.1, 4.0, 0.8)
-    found = mtf_at(frames_of(image, np.random.default_rng(seed)), 0.1)
-    assert found.status == "refused"
-    assert "brighter than the ground" in found.reason
+@pytest.mark.parametrize("method", ["bars-forward", "bars-coltman", "bars-contrast"])
+def test_dark_bars_give_the_mtf_of_bright_ones(method: str, seed: int) -> None:
+    """Half of the world's targets are dark on bright: the picture upside down has the same MTF."""
+    frames = frames_of(blurred_bars(0.1, 4.0, 0.8), np.random.default_rng(seed)).data
+    context, told = Context(seed=1, quick=True), {"bars": 4, "frequency_cy_per_px": 0.1, "method": method}
+    bright, dark = (
+        measure("bars", FrameStack(data=data), context=context, **told).measurements[0]
+        for data in (frames, 255 - frames)
+    )
+    assert dark.status == bright.status
+    assert dark.value == pytest.approx(bright.value, abs=0.5 * np.ptp(bright.interval68))
 
 
 @pytest.mark.parametrize("floor", [0, 64, 300])

@@ -38,7 +38,7 @@ def fits_of(image: NDArray, frequency: float, snr: float, blur_px: float) -> Fit
             image=picture, window=np.ones(picture.shape, bool), variance=variance, asked=frequency,
             length_px=picture.shape[0], strip=True,
         )  # fmt: skip
-        begun = start or start_of(problem, target, 1.6, 0.4)
+        begun = start or start_of(problem, target)
         return fitted(problem, target, begun, noise, tolerance=1e-4 if start else 1e-8), problem
 
     return fit

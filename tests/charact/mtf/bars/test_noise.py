@@ -26,7 +26,7 @@ def test_offsets_of_rows_are_told_and_counted(offset_dn, seed):
     rng, frames, shape = np.random.default_rng(seed), 8, (60, 70)
     drawn = 3.0 * rng.standard_normal((frames, *shape)) + offset_dn * rng.standard_normal((frames, shape[0], 1))
     window = np.ones(shape, bool)
-    noise = noise_of(100.0 + drawn, np.full(window.size, 100.0), window, inflation=1.0)
+    noise = noise_of(100.0 + drawn, np.full(window.size, 100.0), window, ground_dn=100.0, inflation=1.0)
     free = (frames - 1) * shape[0]
     assert noise.of_rows * frames == pytest.approx(offset_dn**2, rel=5.0 * np.sqrt(2.0 / free))
     variance = (3.0**2 / shape[1] + offset_dn**2) / shape[0] / frames

@@ -83,6 +83,17 @@ def test_bars_are_measured_where_they_are_found() -> None:
         assert m.value == pytest.approx(truth, abs=0.06)
 
 
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize(("bars", "aspect"), [(3, 5.0), (5, 10.0)])
+def test_groups_of_any_number_are_counted_and_dark_ones_are_found(bars: int, aspect: float, dark: bool) -> None:
+    whole = chart(bars, 1.0, aspect)
+    mean = whole.mean()
+    frame = noisy(whole.bright_dn + whole.dark_dn - mean if dark else mean, np.random.default_rng(3), sd_dn=60.0)
+    found = find_bar_groups(frame)
+    assert len(found) == len(whole.groups)
+    assert {one.bars for one in found} == {bars}
+
+
 def test_two_bars_are_not_looked_for() -> None:
     with pytest.raises(BadInput, match="at least 3 bars, got 2"):
         find_bar_groups(np.zeros((64, 64)), 2)

@@ -1,0 +1,181 @@
+"""Forms of a blur's transfer about the bars' frequency: tubes, lenses, the air, a core with wings.
+
+Each is a family of two numbers beside its attenuation at a reference frequency; fits of all of them are compared.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Bounds = tuple[float, float]
+Normal = tuple[float, float]
+
+# Transfers under this are none.
+LEAST_LN = -60.0
+# Places in ln of a frequency at which a form is tabulated, and the steps of its slopes.
+PLACES, STEP = np.linspace(-9.0, 6.0, 1501), 1e-3
+# Steps towards the member of a form that is most like a transfer.
+MATCHED_STEPS = 12
+NONE: Normal = (0.0, 1e-3)
+
+
+@dataclass(frozen=True)
+class Form:
+    """A family of transfers, what is believed of its two numbers, and where to begin.
+
+    Parameters
+    ----------
+    name
+        For people.
+    one, two
+        Priors, mean and standard deviation.
+    bounds
+        Bounds of both.
+    start
+        Both, to begin a fit with.
+    ln
+        From ln(r/f), attenuation A = -ln c at f and both numbers to ln of the transfer.
+    """
+
+    name: str
+    one: Normal
+    two: Normal
+    bounds: tuple[Bounds, Bounds]
+    start: tuple[float, float]
+    ln: Callable[[Array, float, float, float], Array]
+
+    def slopes(self, ln_ratio: Array, attenuation: float, one: float, two: float) -> Array:
+        """Return ln of the transfer and its slopes by ln A, one and two, shape (4, ...) for ln(r/f) of any shape.
+
+        It is tabulated along the radius: the transfer is the same in every direction.
+        """
+        table = self._table(PLACES, attenuation, one, two)
+        place = np.clip((ln_ratio - PLACES[0]) / (PLACES[1] - PLACES[0]), 0.0, PLACES.size - 1.001)
+        left = place.astype(np.intp)
+        share = place - left
+        return np.stack([row[left] + share * (row[left + 1] - row[left]) for row in table])
+
+    def _table(self, places: Array, attenuation: float, one: float, two: float) -> Array:
+        """Return ln of the transfer and its slopes at ln(r/f), shape (4, place)."""
+        own = self.ln(places, attenuation, one, two)
+        changed = (
+            (attenuation * (1.0 + STEP), one, two),
+            (attenuation, one + STEP, two),
+            (attenuation, one, two + STEP),
+        )
+        backed = (
+            (attenuation * (1.0 - STEP), one, two),
+            (attenuation, one - STEP, two),
+            (attenuation, one, two - STEP),
+        )
+        slopes = [
+            (self.ln(places, *up) - self.ln(places, *down)) / (2.0 * STEP)
+            for up, down in zip(changed, backed, strict=True)
+        ]
+        return np.stack([own, *slopes])
+
+    def nearest(self, ln_ratio: Array, transfer: Array, attenuation: float) -> tuple[float, Array]:
+        """Return the scale and the member (ln A, one, two) that are most like a transfer at ln(r/f), shape (place,).
+
+        By damped least squares, the priors counting as much as a thousandth of the transfer a standard deviation.
+        """
+        prior = np.array([self.one, self.two])
+        bounds = np.array([(-9.0, 2.3), *self.bounds])
+        theta, damping = np.array([np.log(attenuation), *self.start]), 1e-3
+        best, least = (1.0, theta), np.inf
+        for _ in range(MATCHED_STEPS):
+            table = self._table(ln_ratio, float(np.exp(theta[0])), theta[1], theta[2])
+            own = np.exp(table[0])
+            scale = float(own @ transfer) / float(own @ own)
+            slopes = np.vstack([own, scale * own * table[1:]])
+            left = transfer - scale * own
+            pull = np.array([0.0, 0.0, *((prior[:, 0] - theta[1:]) / prior[:, 1] ** 2)]) * 1e-6
+            cost = float(left @ left) + 1e-6 * float(np.sum(((theta[1:] - prior[:, 0]) / prior[:, 1]) ** 2))
+            if cost < least:
+                best, least, damping = (scale, theta), cost, 0.3 * damping
+            else:
+                damping *= 10.0
+            normal = slopes @ slopes.T + np.diag([0.0, 0.0, *(1e-6 / prior[:, 1] ** 2)])
+            normal += damping * np.diag(np.diag(normal)) + 1e-12 * np.eye(4)
+            theta = np.clip(best[1] + np.linalg.solve(normal, slopes @ left + pull)[1:], bounds[:, 0], bounds[:, 1])
+        return best
+
+
+def _scaled(attenuation_of: Callable[[Array], Array]) -> Callable[[Array, float], Array]:
+    """Return a form of one scale as a function of ln(r/f) and the attenuation at f: where it reaches that lies f."""
+    wide = np.linspace(-14.0, 8.0, 2201)
+    values = np.maximum.accumulate(attenuation_of(np.exp(wide)))
+
+    def ln(ln_ratio: Array, attenuation: float) -> Array:
+        here = float(np.interp(attenuation, values, wide))
+        return -np.interp(ln_ratio + here, wide, values, left=0.0, right=-LEAST_LN)
+
+    return ln
+
+
+def _tube(ln_ratio: Array, attenuation: float, log_exponent: float, gaussian_share: float) -> Array:
+    """c^((1 - s) (r/f)^n + s (r/f)^2), ln n and s: a tube, and what lens, screen and pixel do to it."""
+    power = np.exp(np.exp(log_exponent) * ln_ratio)
+    both = (1.0 - gaussian_share) * power + gaussian_share * np.exp(2.0 * ln_ratio)
+    return np.maximum(-attenuation * both, LEAST_LN)
+
+
+def _pupil(ln_ratio: Array, attenuation: float, gaussian_share: float, _: float) -> Array:
+    """A circular pupil (Goodman, Fourier Optics, 6.3) and a Gaussian that has a share of the attenuation."""
+
+    def pupil(x: Array) -> Array:
+        inside = np.minimum(x, 1.0)
+        open_ = 2.0 / np.pi * (np.arccos(inside) - inside * np.sqrt(1.0 - inside**2))
+        return -np.log(np.maximum(open_, np.exp(LEAST_LN)))
+
+    lens = _scaled(pupil)(ln_ratio, (1.0 - gaussian_share) * attenuation)
+    return np.maximum(lens - gaussian_share * attenuation * np.exp(2.0 * ln_ratio), LEAST_LN)
+
+
+def _moffat(ln_ratio: Array, attenuation: float, log_wings: float, _: float) -> Array:
+    """(1 + r^2/a^2)^-b, ln(b - 1): 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x = 2 pi a f."""
+    from scipy.special import gammaln, kve
+
+    order = float(np.exp(log_wings))
+
+    def own(x: Array) -> Array:
+        near = np.maximum(x, 1e-5)
+        return -np.minimum(
+            (1.0 - order) * np.log(2.0) - gammaln(order) + order * np.log(near) + np.log(kve(order, near)) - near, 0.0
+        )
+
+    return _scaled(lambda x: np.minimum(own(x), -LEAST_LN))(ln_ratio, attenuation)
+
+
+def _two_gaussians(ln_ratio: Array, attenuation: float, share: float, log_wider: float) -> Array:
+    """A Gaussian, and a share of the light in one so many times as wide, ln of it."""
+    wider = float(np.exp(2.0 * log_wider))
+
+    def own(x: Array) -> Array:
+        square = np.minimum(x**2, -LEAST_LN)
+        core = (1.0 - share) * np.exp(-square) + share * np.exp(-np.minimum(wider * square, -LEAST_LN))
+        return -np.log(core)
+
+    return _scaled(own)(ln_ratio, attenuation)
+
+
+TUBE = Form(
+    "a tube", one=(float(np.log(1.5)), 0.8), two=NONE, bounds=((float(np.log(0.3)), float(np.log(4.0))), (0.0, 1.0)),
+    start=(float(np.log(1.6)), 0.0), ln=_tube,
+)  # fmt: skip
+STAGES = Form(
+    "a tube and a lens", one=TUBE.one, two=(0.2, 0.25), bounds=TUBE.bounds, start=(float(np.log(1.4)), 0.2), ln=_tube
+)
+PUPIL = Form("a lens", one=(0.2, 0.4), two=NONE, bounds=((0.0, 0.95), (-1.0, 1.0)), start=(0.1, 0.0), ln=_pupil)
+MOFFAT = Form(
+    "a Moffat", one=(float(np.log(2.5)), 0.7), two=NONE,
+    bounds=((float(np.log(0.2)), float(np.log(15.0))), (-1.0, 1.0)), start=(float(np.log(2.5)), 0.0), ln=_moffat,
+)  # fmt: skip
+WINGS = Form(
+    "two Gaussians", one=(0.1, 0.2), two=(float(np.log(3.0)), 0.5),
+    bounds=((0.0, 0.6), (float(np.log(1.3)), float(np.log(20.0)))), start=(0.1, float(np.log(3.0))), ln=_two_gaussians,
+)  # fmt: skip
+FORMS = (TUBE, STAGES, PUPIL, MOFFAT, WINGS)

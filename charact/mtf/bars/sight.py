@@ -1,0 +1,223 @@
+"""What bars a region shows where nobody states them: how many, how often they repeat, which way, bright or dark."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.bars.place import runs_through, strip_of
+from charact.mtf.bars.target import BarTarget, find, ground_level, settled
+from charact.mtf.bars.thresholds import (
+    LEAST_EXPLAINED,
+    MOST_BARS,
+    NEARLY,
+    NUMBERS_BESIDE,
+    PATCH_LEVEL,
+    PEAKS,
+    SMOOTHED_PERIODS,
+    STATED_SLACK,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Blurs of the bars compared, standard deviations in periods (an MTF of 0.88 to 0.02), and their frequencies over that
+# of the peak.
+BLURS, FREQUENCIES = (0.08, 0.16, 0.24, 0.34, 0.44), np.linspace(0.92, 1.08, 9)
+# Points of the profile a period, ground beside the bars and the inner share of their length that are looked at.
+POINTS_A_PERIOD, BESIDE_PERIODS, INNER = 12.0, 1.2, 0.4
+# Ground that must be seen beyond the last gap on either side, periods: without it nobody can count.
+LEAST_BESIDE = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """A target of a region, and whether its bars run through it from border to border."""
+
+    target: BarTarget
+    through: bool
+
+
+def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> Seen | None:
+    """Return the bars that a region shows; None where it shows none.
+
+    Parameters
+    ----------
+    image
+        Mean frame, shape (row, col).
+    bars, frequency
+        Their number and cycles per column pitch where they are stated.
+
+    Notes
+    -----
+    The strongest waves of the picture's spectrum are looked at one after the other: where the picture, demodulated
+    with one, keeps half of its amplitude lie the bars; their profile is compared with those of N blurred bars on an
+    even ground by least squares, N, frequency, blur, middle and sign free. Of those that explain about as much of it
+    the strongest wave is the bars': the others are side lobes of the patch's own light.
+    """
+    looked: list[tuple[float, Seen]] = []
+    for wave, angle_rad in _waves(image, frequency, pitch_ratio):
+        blank = BarTarget(
+            bars=bars or 0, frequency=wave, angle_rad=angle_rad, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
+            length_px=0.0, sign=1,
+        )  # fmt: skip
+        patch = _patch(image, blank)
+        found = _counted(image, patch, blank, bars)
+        if found is not None:
+            looked.append((found[0], Seen(target=found[1], through=_runs_through(patch, angle_rad))))
+    most = max((explained for explained, _ in looked), default=0.0)
+    return next((seen for explained, seen in looked if explained > max(LEAST_EXPLAINED, NEARLY * most)), None)
+
+
+def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterator[tuple[float, float]]:
+    """Frequency and direction of the highest peaks of a picture's spectrum, weighted by their frequency.
+
+    The weight lets a wave stand out beside the light of the whole patch.
+    """
+    from scipy.fft import next_fast_len, rfft2
+    from scipy.ndimage import maximum_filter
+
+    size = tuple(int(next_fast_len(2 * side, True) or 0) for side in image.shape)
+    fy, fx = np.fft.fftfreq(size[0])[:, None] / pitch_ratio, np.fft.rfftfreq(size[1])[None, :]
+    radius = np.hypot(fx, fy)
+    height = np.abs(np.asarray(rfft2(image - ground_level(image), s=size))) * radius
+    height[radius < 1.5 / np.hypot(*image.shape)] = 0.0
+    if frequency is not None:
+        height[np.abs(radius / frequency - 1.0) > STATED_SLACK] = 0.0
+    height[size[0] // 2 + 1 :, 0] = 0.0
+    top = (height == maximum_filter(height, 5)) & (height > 0.0)
+    rows, cols = np.nonzero(top)
+    for place in np.argsort(-height[rows, cols])[:PEAKS]:
+        row, col = int(rows[place]), int(cols[place])
+        down = (row + _vertex(height[:, col], row) + size[0] / 2) % size[0] - size[0] / 2
+        right = col + _vertex(height[row], col)
+        wave = np.array([right / size[1], down / size[0] / pitch_ratio])
+        yield float(frequency or np.hypot(*wave)), float(np.arctan2(wave[1], wave[0]))
+
+
+def _vertex(values: Array, peak: int) -> float:
+    """Return how far beside its highest point the parabola through three neighbours peaks; the ends are neighbours."""
+    before, at, after = (float(values[(peak + step) % values.size]) for step in (-1, 0, 1))
+    bend = before - 2.0 * at + after
+    return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+
+
+def _patch(image: Array, wave: BarTarget) -> Mask:
+    """Return the pixels about the strongest place of a wave that keep half of its amplitude, shape (row, col)."""
+    from scipy.ndimage import gaussian_filter, label
+
+    across, _ = wave.coordinates((image.shape[0], image.shape[1]))
+    turned = (image - ground_level(image)) * np.exp(-2j * np.pi * wave.frequency * across)
+    width = SMOOTHED_PERIODS / wave.frequency
+    sigma = (width / wave.pitch_ratio, width)
+
+    def smoothed(part: Array) -> Array:
+        return np.asarray(gaussian_filter(part, sigma, mode="constant"))
+
+    amplitude = np.hypot(smoothed(np.real(turned)), smoothed(np.imag(turned))) / smoothed(np.ones(image.shape))
+    parts = np.zeros(image.shape, np.int32)
+    label(amplitude > PATCH_LEVEL * amplitude.max(), output=parts)
+    return parts == parts.flat[int(np.argmax(amplitude))]
+
+
+def _runs_through(patch: Mask, angle_rad: float) -> bool:
+    """Tell whether a patch reaches the borders at both ends of its bars."""
+    ends = patch if abs(np.cos(angle_rad)) > abs(np.sin(angle_rad)) else patch.T
+    return bool(ends[0].any() and ends[-1].any())
+
+
+def _counted(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tuple[float, BarTarget] | None:
+    """Return how much of the profile across a patch N blurred bars explain, and those that explain it best."""
+    across, along = wave.coordinates((image.shape[0], image.shape[1]))
+    middle = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
+    width, length = np.ptp(across[patch]), np.ptp(along[patch])
+    near = (np.abs(across - middle[0]) < 0.5 * width + BESIDE_PERIODS / wave.frequency) & (
+        np.abs(along - middle[1]) < max(INNER * length, 1.0)
+    )
+    step = max(1.0 / (POINTS_A_PERIOD * wave.frequency), 0.5)
+    index = np.floor((across[near] - across[near].min()) / step).astype(np.intp)
+    count = np.bincount(index)
+    filled = count > 0
+    place = (np.bincount(index, across[near])[filled] / count[filled] - middle[0]) * wave.frequency
+    value = np.bincount(index, image[near])[filled] / count[filled]
+    guess = round(width * wave.frequency)
+    numbers = [bars] if bars else [n for n in range(guess - NUMBERS_BESIDE, guess + NUMBERS_BESIDE + 1) if n > 1]
+    if place.size < 8 or not numbers or numbers[0] > MOST_BARS:
+        return None
+    inside = np.abs(place) < 0.5 * width * wave.frequency
+    phase = float(np.angle(np.sum((value - value[inside].mean())[inside] * np.exp(2j * np.pi * place[inside]))))
+    explained, number, ratio, shift, sign = max(
+        (_compared(place, value, number, phase / (2.0 * np.pi)) for number in numbers), key=lambda one: one[0]
+    )
+    seen = 0.5 * number / ratio + LEAST_BESIDE
+    if place[0] > shift - seen or place[-1] < shift + seen:
+        return None
+    x = middle[0] + shift / wave.frequency
+    cosine, sine = np.cos(wave.angle_rad), np.sin(wave.angle_rad)
+    target = replace(
+        wave,
+        bars=number,
+        frequency=wave.frequency * ratio,
+        row=float(x * sine + middle[1] * cosine) / wave.pitch_ratio,
+        col=float(x * cosine - middle[1] * sine),
+        length_px=float(length),
+        sign=sign,
+    )
+    return explained, target
+
+
+def _compared(place: Array, value: Array, bars: int, peak: float) -> tuple[float, int, float, float, int]:
+    """Return the share of a profile that so many bars explain, their number, frequency, middle and sign.
+
+    Parameters
+    ----------
+    place
+        Places across the bars in periods of the wave, shape (point,).
+    peak
+        Where the wave has a maximum, periods: bars or gaps have their middles there.
+    """
+    from scipy.special import ndtr
+
+    ground = np.linalg.qr(np.stack([np.ones_like(place), place], axis=1))[0]
+    left = value - ground @ (ground.T @ value)
+    middles = peak + 0.5 * np.arange(-3, 4)
+    ratio, middle, blur = (one.ravel() for one in np.meshgrid(FREQUENCIES, middles, BLURS, indexing="ij"))
+    bars_at = np.arange(bars) - 0.5 * (bars - 1)
+    phase = (place - middle[:, None]) * ratio[:, None]
+    shape = np.zeros(phase.shape)
+    for at in bars_at:
+        shape += ndtr((phase - at + 0.25) / blur[:, None]) - ndtr((phase - at - 0.25) / blur[:, None])
+    shape -= (shape @ ground) @ ground.T
+    inner, power = shape @ left, np.maximum(np.sum(shape**2, axis=1), 1e-9)
+    gain = inner**2 / power
+    best = int(np.argmax(gain))
+    total = max(float(left @ left), 1e-300)
+    grid = gain.reshape(FREQUENCIES.size, -1)[:, best % (middles.size * len(BLURS))]
+    row = best // (middles.size * len(BLURS))
+    finer = _vertex(grid, row) if 0 < row < FREQUENCIES.size - 1 else 0.0
+    own = float(ratio[best] + finer * (FREQUENCIES[1] - FREQUENCIES[0]))
+    return float(gain[best]) / total, bars, own, float(middle[best]), 1 if inner[best] > 0 else -1
+
+
+def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> Seen | None:
+    """Return the target of a region, what nobody states of it found from the picture; None where there is none.
+
+    Parameters
+    ----------
+    image
+        Mean frame, shape (row, col).
+    bars, frequency
+        Their number and cycles per column pitch, or None.
+    """
+    if bars is None or frequency is None:
+        seen = bars_in(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
+        if seen is None or seen.through:
+            return seen
+        return replace(seen, target=settled(image, seen.target))
+    if runs_through(image, bars=bars, frequency=frequency):
+        target = strip_of(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
+        if target is not None:
+            return Seen(target=target, through=True)
+    target = find(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
+    return None if target is None else Seen(target=target, through=False)
