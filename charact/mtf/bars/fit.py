@@ -284,9 +284,8 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
     asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - ASKED_SD**2 * fit.noise.tied
     weighed = [(share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > LEAST_WEIGHT]
     if not asked:
-        return [(share, *fits[0]) for share in _weights(fits)[:1]] + [
-            one for one in weighed if one[2].form is not FORMS[0]
-        ]
+        plain = (_weights(fits)[0], *fits[0])
+        return [plain, *(one for one in weighed if one[1] is not fits[0][0])]
     return sorted(weighed, key=lambda one: -one[0])
 
 

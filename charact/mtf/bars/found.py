@@ -219,7 +219,7 @@ def _of_forms(forms: list[tuple[float, Fit, Problem]], drawn: Array, context: Co
     """
     (share, fit, _), others = forms[0], forms[1:]
     if fit.shape.form is TUBE:
-        doubt = np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others))
+        doubt = float(np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others)))
         return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
     quick = replace(context, quick=True)
     parts = [(share, drawn)]
