@@ -20,7 +20,9 @@ from charact.noise.defect_pixels import defect_pixels
 from charact.noise.events.events import pulses_of_darks
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
 from charact.noise.findings import flags_of, notes_of
-from charact.noise.gain import model, standard
+from charact.noise.gain import standard
+from charact.noise.gain.fit import Fit, fit
+from charact.noise.gain.forms import forms_of
 from charact.noise.gain.one_gain import LEAST_BINS, Estimate, OneGain, blur_exponent, one_gain
 from charact.noise.gain.series import Series, read_levels, series_of
 from charact.noise.gain.summary import summarise
@@ -187,7 +189,7 @@ def _white_quantities(series: Series, gain: standard.Line, context: Context, fla
 
 def _intensified_quantities(
     series: Series,
-    fit: model.Fit,
+    fit: Fit,
     context: Context,
     flags: tuple[str, ...],
     covariance_flags: tuple[str, ...],
@@ -216,13 +218,14 @@ def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any])
                     fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
     # Noise of the electronics is white whatever reads the light.
     summary = summarise(series, None)
-    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=blur_exponent(context))
-    flags = ("model-misfit",) if fit.chance < 1e-4 else ()
+    forms = forms_of(blur_exponent(context), floor=False)
+    blur = fit(summary, seed=context.seed, quick=context.quick, forms=forms)
+    flags = ("model-misfit",) if blur.chance < 1e-4 else ()
     flags += cut(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
     note = ("from the darks alone: the electronics' white noise is in it",)
-    found = from_draws("blur_factor", "1", fit.posterior["blur_factor"], flags=flags + fit.posterior.flags,
-                       notes=note, posterior=fit.posterior, **fields)  # fmt: skip
-    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_evidence(summary, fit)})
+    found = from_draws("blur_factor", "1", blur.posterior["blur_factor"], flags=flags + blur.posterior.flags,
+                       notes=note, posterior=blur.posterior, **fields)  # fmt: skip
+    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_evidence(summary, blur)})
 
 
 def _zero(spectrum):

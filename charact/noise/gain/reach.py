@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.gain.model import Fit
+from charact.noise.gain.fit import Fit
 from charact.noise.gain.summary import Summary
 from labdata.errors import BadInput
 
