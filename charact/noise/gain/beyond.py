@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 # Points along each axis of the quarter plane at which power is summed, and parts of the step between them that the
 # rim of the band cuts off.
-POINTS, PARTS = 12, 8
+POINTS, PARTS = 8, 12
 
 
 @dataclass(frozen=True, kw_only=True)

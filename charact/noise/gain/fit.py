@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.gain.data import Data
+from charact.noise.gain.data import BEGIN, Data
 from charact.noise.gain.forms import EXPONENT_PRIOR, NONE, Form
 from charact.noise.gain.model import NAMES, UNITS, leaked, spectrum_at
 from charact.noise.gain.summary import Summary
 from charact.posterior import laplace, maximum, weighed
+from charact.posterior.importance import ENOUGH, FIRST_DRAWS
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -24,6 +25,8 @@ REACHES_CY_PER_PX = (0.25, 0.21, 0.18, 0.15, 0.12, 0.1)
 LEAST_CHANCE = 0.05
 # Share of the evidence below which a form has no say.
 LEAST_WEIGHT = 0.01
+# Draws of all forms together.
+DRAWS = 1000
 # Effective number of weighted draws below which a posterior is not trusted.
 LEAST_EFFECTIVE = 1000.0
 
@@ -83,8 +86,14 @@ def peaks_of(data: Data, forms: Sequence[Form]) -> list[Peak]:
         data.weigh(first.whole(first.part(begin)[None]))
         peak = _peak_of(data, first, begin)
         begin = first.whole(peak.point[None])[0]
-    even = data.start(NONE["exponent"])
-    return [peak, *(_peak_of(data, form, even) for form in forms[1:])]
+    peaks = [peak]
+    begin = data.start(NONE["exponent"])
+    for form in forms[1:]:
+        peaks.append(_peak_of(data, form, begin))
+        begin = peaks[1].form.whole(peaks[1].point[None])[0]
+        # Half of the blur, wider than the other half, for what has both.
+        begin[3], begin[6:] = max(0.25 * float(begin[1] + begin[2]), 0.05), BEGIN
+    return peaks
 
 
 def _peak_of(data: Data, form: Form, begin: Array) -> Peak:
@@ -148,33 +157,34 @@ def _mixed(peaks: Sequence[Peak], seed: int, quick: bool) -> Posterior:
     share = np.exp(height - height.max())
     share = np.where(share < LEAST_WEIGHT * share.sum(), 0.0, share) / share.sum()
     own = [
-        (peak, (laplace if quick else _weighed)(
-            peak.log_probability, names=peak.form.names, units=("1",) * len(peak.form.names), start=peak.point,
-            covariance=peak.covariance, seed=seed, bounds=peak.form.bounds,
-        ), part) for peak, part in zip(peaks, share / share.sum(), strict=True) if part
-    ]  # fmt: skip
-    count = len(own[0][1].draws)
-    rng = np.random.default_rng([seed, 2])
-    draws = np.concatenate([
-        peak.form.whole(rng.permutation(drawn.draws)[: max(1, round(part * count))] if len(own) > 1 else drawn.draws)
-        for peak, drawn, part in own
-    ])  # fmt: skip
+        (peak, _drawn(peak, part, seed, quick)) for peak, part in zip(peaks, share / share.sum(), strict=True) if part
+    ]
+    draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in own])
     # What a form needs no more of, such as a tail, leans on its bound and harms nothing where another goes without.
     harmless = {"prior-bound"} if len(peaks) > 1 else set()
-    known = [drawn.effective_sample_size[0] for _, drawn, _ in own if len(drawn.effective_sample_size)]
+    known = [drawn.effective_sample_size[0] for _, drawn in own if len(drawn.effective_sample_size)]
     return replace(
         own[0][1], names=NAMES, units=UNITS, draws=draws,
         effective_sample_size=np.full(len(NAMES), min(known)) if known else np.empty(0),
-        flags=tuple({flag for _, drawn, _ in own for flag in drawn.flags} - harmless),
+        flags=tuple({flag for _, drawn in own for flag in drawn.flags} - harmless),
     )  # fmt: skip
 
 
-def _weighed(log_probability: Callable[[Array], Array], **of: Any) -> Posterior:
-    """Draw by importance: strength, falls and exponent lie on a curved ridge along which a chain is slow."""
-    drawn = weighed(log_probability, **of)
-    if drawn.effective_sample_size[0] >= LEAST_EFFECTIVE:
-        return drawn
-    return replace(drawn, flags=(*drawn.flags, "not-converged"))
+def _drawn(peak: Peak, part: float, seed: int, quick: bool) -> Posterior:
+    """Draw a form's part of all draws.
+
+    By importance where there is time: strength, falls and exponent lie on a curved ridge along which a chain is slow.
+    """
+    form, number = peak.form, max(1, round(part * DRAWS))
+    told: dict[str, Any] = {
+        "names": form.names, "units": ("1",) * len(form.names), "start": peak.point, "covariance": peak.covariance,
+        "seed": seed, "bounds": form.bounds, "draws": number,
+    }  # fmt: skip
+    if quick:
+        return laplace(peak.log_probability, **told)
+    drawn = weighed(peak.log_probability, **told, enough=part * ENOUGH, first_draws=max(500, round(part * FIRST_DRAWS)))
+    few = drawn.effective_sample_size[0] < part * LEAST_EFFECTIVE
+    return replace(drawn, flags=(*drawn.flags, "not-converged")) if few else drawn
 
 
 def _with_gain(drawn: Posterior, summary: Summary, rng: np.random.Generator) -> Posterior:

@@ -20,8 +20,10 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Power of the pulses beyond the band over that of the floor up to which the floor stands out from their form.
+# Power of the pulses beyond the band over that of the floor up to which the floor stands out from their form, and how
+# well that form, which sampling folds, is believed there, as a share of what it says.
 PULSES_SHARE = 0.3
+BEYOND_BAND = 0.5
 SIGNIFICANT = 3.0
 # Draws of the blur that tell what it passes beyond the band.
 SOME_DRAWS = 60
@@ -72,6 +74,7 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
     draws = posterior["power"] * posterior["electron_share"]
     if white:
         pulses = float(np.median(posterior["power"] - draws)) * _transfer_beyond(series, posterior, context)
+        draws = draws + BEYOND_BAND * pulses * rng.standard_normal(len(draws))
         middle = float(np.median(draws))
         if middle > SIGNIFICANT * float(np.std(draws)) and pulses < PULSES_SHARE * middle:
             return Floor(draws=np.maximum(draws, 0.0), seen=True, source="the white floor of the noise")
