@@ -14,7 +14,6 @@ from charact.noise.gain.reach import with_power
 from charact.noise.gain.series import Series
 from charact.noise.gain.summary import Summary, pooling, summarise
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
-from charact.noise.verdict import lit
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -120,7 +119,7 @@ def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimat
     if not summary.lag.tested and exposures.allowance:
         fit = replace(fit, posterior=_allowing(fit.posterior, exposures, context))
     return OneGain(series=series, summary=summary, fit=fit, levels_dn=levels, levels_sd_dn=spread,
-                   neighbours=shared_by_neighbours(lit(series)), exposures=exposures)  # fmt: skip
+                   neighbours=shared_by_neighbours(series), exposures=exposures)  # fmt: skip
 
 
 def stepped_share(series: Series, summary: Summary) -> float:

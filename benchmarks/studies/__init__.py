@@ -1,0 +1,1 @@
+"""Studies on inputs that were drawn independently of the models they test."""
