@@ -12,6 +12,7 @@ from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import standard
 from charact.noise.gain.series import Series
 from charact.noise.hidden import FEW_FRAMES
+from charact.noise.light.rounding import rounding_sd
 from charact.noise.light.stated import light_of_photons
 from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, from_draws, from_sd, refused
@@ -155,7 +156,9 @@ def white_quantities(series: Series, gain: standard.Line, *, context: Context, f
     if not series.all_darks:
         return out
     dark, dark_sd = standard.dark_noise_dn(series)
-    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - standard.QUANTISATION_DN2
+    # What the steps do to so little noise depends on where between two codes it lies, and on neither side of none.
+    steps = rounding_sd(dark**2)[1] * rng.standard_normal(len(slope))
+    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - standard.QUANTISATION_DN2 + steps
     if np.quantile(square, 0.02) <= 0:
         reason = f"the noise of {dark:.3g} DN is not above that of the digitiser's steps"
         fields.pop("flags")

@@ -15,6 +15,7 @@ from charact.noise.hidden import allowance_of
 from charact.noise.light.stated import relative_sd_of
 from charact.noise.stack.level import Level
 from charact.noise.sweep.knob import KNOBS, Knob, rounded, turned
+from charact.noise.tube import intensified
 from charact.noise.verdict import problem
 
 Array = NDArray[np.float64]
