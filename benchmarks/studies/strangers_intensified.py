@@ -26,7 +26,7 @@ Array = NDArray[Any]
 
 BLURS = ("gaussian", "exponential", "moffat", "two gaussians")
 HEIGHTS = ("exponential", "gamma", "negative binomial")
-QUANTITIES = ("covariance_gain", "conversion_gain", "read_noise")
+QUANTITIES = {"covariance_gain": "DN", "conversion_gain": "DN/e-", "read_noise": "DN"}
 SESSIONS = 140
 MOST_FAULTY, MOST_HITS = 0.005, 1e-4
 
@@ -103,7 +103,8 @@ def camera_drawn(rng: np.random.Generator, number: int) -> Camera:
     count, bad = int(rng.integers(4, 7)), number % 2 == 1
     return Camera(
         blur=blur, widths_px=widths_px, more=more, heights=heights, excess=excess, pulse_dn=pulse_dn,
-        electron_dn=pulse_dn * excess * floor / (1.0 - floor), read_dn=log_uniform(1.0, 4.0) * 2.0 ** (0.5 * (bits - 12)),
+        electron_dn=pulse_dn * excess * floor / (1.0 - floor),
+        read_dn=log_uniform(1.0, 4.0) * 2.0 ** (0.5 * (bits - 12)),
         bits=bits, shape=(int(rng.integers(112, 177)), int(rng.integers(112, 177))), frames=int(rng.integers(8, 13)),
         levels_dn=tuple(brightest * np.linspace(1.0 / count, 1.0, count)), shading=float(rng.uniform(0.0, 0.1)),
         prnu=float(rng.uniform(0.0, 0.01)), dsnu_dn=float(rng.uniform(0.0, 1.0)),
@@ -173,7 +174,8 @@ class Drawn:
         flat[self.faults["hot"]] += self.hot + np.sqrt(self.hot) * rng.standard_normal(len(self.hot))
         flat[self.faults["blinking"]] += self.blink * (rng.random(len(self.blink)) < 0.3)
         flat[self.faults["stuck"]] = self.stuck
-        for _ in range(rng.poisson(one.hits * image.size)):
+        # A hit takes three pixels on average.
+        for _ in range(rng.poisson(one.hits * image.size / 3.0)):
             row, col = (int(rng.integers(length)) for length in one.shape)
             size = np.exp(rng.uniform(np.log(20 * one.read_dn), np.log(0.5 * 2**one.bits)))
             image[row : row + int(rng.integers(1, 3)), col : col + int(rng.integers(1, 4))] += size
@@ -191,7 +193,8 @@ class Drawn:
             # A height of r quanta on average is negative binomial with variance (excess - 1) r^2: so is their sum.
             quanta, spread = 40.0, one.excess - 1.0
             shape = 1.0 / (spread - 1.0 / quanta)
-            heights[some] = rng.negative_binomial(count[some] * shape, shape / (shape + quanta)) * one.pulse_dn / quanta
+            drawn = rng.negative_binomial(count[some] * shape, shape / (shape + quanta))
+            heights[some] = drawn * one.pulse_dn / quanta
         else:
             shape = 1.0 / (one.excess - 1.0)
             heights[some] = rng.gamma(count[some] * shape, one.pulse_dn / shape)
@@ -206,14 +209,15 @@ def session_drawn(number: int) -> tuple[Session, Camera]:
     rng = np.random.default_rng([43, number])
     camera = camera_drawn(rng, number)
     drawn = Drawn(camera, rng)
-    stacks = [_entry("dark", "dark", drawn.stack(0.0, 2 * camera.frames))]
-    stacks += [_entry(f"flat-{i}", "flat", drawn.stack(level, camera.frames)) for i, level in
+    told = Conditions(exposure_s=0.02, mcp_v=800.0 if number % 4 > 1 else None)
+    stacks = [_entry("dark", "dark", drawn.stack(0.0, 2 * camera.frames), told)]
+    stacks += [_entry(f"flat-{i}", "flat", drawn.stack(level, camera.frames), told) for i, level in
                enumerate(camera.levels_dn)]  # fmt: skip
     return Session(folder=Path("."), name="strangers", stacks=tuple(stacks), bit_depth=camera.bits), camera
 
 
-def _entry(label: str, kind: Any, frames: FrameStack) -> Stack:
-    return Stack(label=label, kind=kind, frames="", folder=Path("."), conditions=Conditions(exposure_s=0.02), held=frames)
+def _entry(label: str, kind: Any, frames: FrameStack, told: Conditions) -> Stack:
+    return Stack(label=label, kind=kind, frames="", folder=Path("."), conditions=told, held=frames)
 
 
 def main(first: int = 0, count: int = SESSIONS) -> None:
@@ -232,8 +236,8 @@ def main(first: int = 0, count: int = SESSIONS) -> None:
         result = noise.measure(session, context=context)
         spent += time.process_time() - begin
         line = []
-        for quantity in QUANTITIES:
-            one = next(iter(result.find(quantity)), refused(quantity, "1", "absent"))
+        for quantity, unit in QUANTITIES.items():
+            one = next(iter(result.find(quantity, unit=unit)), refused(quantity, unit, "absent", method="none"))
             group = f"{quantity}, {'misbehaving' if camera.faulty else 'clean'} pixels"
             if one.value is None or one.interval95 is None:
                 told[group].append((one.status, False, False))
@@ -257,9 +261,11 @@ def main(first: int = 0, count: int = SESSIONS) -> None:
     for group, rows in sorted(told.items()):
         ok = [row for row in rows if row[0] == "ok"]
         rms = float(np.sqrt(np.nanmean(np.square(errors[group])))) if errors[group] else np.nan
-        print(f"{group:44s} {len(rows):8d} {100 * len(ok) / len(rows):4.0f}% "
-              f"{100 * np.mean([row[1] for row in ok]) if ok else np.nan:9.1f}% "
-              f"{sum(row[2] for row in rows):7d} {sum(row[0] == 'refused' for row in rows):8d} {rms:11.2f}")  # fmt: skip
+        print(
+            f"{group:44s} {len(rows):8d} {100 * len(ok) / len(rows):4.0f}% "
+            f"{100 * np.mean([row[1] for row in ok]) if ok else np.nan:9.1f}% "
+            f"{sum(row[2] for row in rows):7d} {sum(row[0] == 'refused' for row in rows):8d} {rms:11.2f}"
+        )
     print(f"flags of covariance_gain: {dict(flags)}; {spent / count:.2f} s of processor time a session")
 
 

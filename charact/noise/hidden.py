@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.gain.series import Series
-from charact.noise.stack.level import Level
 
 Array = NDArray[np.float64]
 
@@ -58,14 +57,42 @@ class Effect:
         return float(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)))
 
 
-def shared_by_neighbours(levels: tuple[Level, ...]) -> Effect:
-    """Return the share of the covariance sum that lies with the eight neighbours of a pixel.
+def allowance_of(neighbours: Effect, exposures: Effect, *, tube: bool) -> float:
+    """Return the relative standard deviation that what is hidden adds to the gain.
 
-    Separable blur is taken for granted: a diagonal neighbour shares the product of both correlations.
+    Notes
+    -----
+    A screen glows on and a tube blurs: what a test cannot exclude is allowed for. Most chips do neither, and what lies
+    within two standard errors of none is far likelier none: as prior, none at all or up to 40 % of the covariance sum
+    with neighbours, each as likely; a test of 2 % then leaves 1 chance in 15 for any.
     """
-    beside, beside_sd = _pooled([(level.neighbour_correlation, level.neighbour_sd) for level in levels])
-    below, below_sd = _pooled([(level.below_correlation, level.below_sd) for level in levels])
+    if tube:
+        return float(np.hypot(neighbours.allowance, exposures.allowance))
+    return float(np.hypot(*(e.allowance if e.blind else max(abs(e.share) - 2.0 * e.sd, 0.0)
+                            for e in (neighbours, exposures))))  # fmt: skip
+
+
+def shared_by_neighbours(series: Series) -> Effect:
+    """Return the share of the light's covariance sum that lies with the eight neighbours of a pixel.
+
+    Noise of whole rows and columns that the dark holds as well cancels. Separable blur is taken for granted: a diagonal
+    neighbour shares the product of both correlations.
+    """
+    chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
+    beside, beside_sd = pooled([light_correlation(series, int(i), "neighbour") for i in chosen])
+    below, below_sd = pooled([light_correlation(series, int(i), "below") for i in chosen])
     return Effect(share=2.0 * (beside + below + 2.0 * beside * below), sd=2.0 * float(np.hypot(beside_sd, below_sd)))
+
+
+def light_correlation(series: Series, index: int, name: str) -> tuple[float, float]:
+    """Return the correlation of neighbours in what the light adds to the noise of the dark, and its standard error."""
+    flat, dark = series.flats[index], series.darks[index]
+    variance = series.variance_dn2[index]
+    covariance, sd = (
+        [getattr(level, f"{name}_{what}") * level.variance_dn2 for level in (flat, dark)]
+        for what in ("correlation", "sd")
+    )
+    return float((covariance[0] - covariance[1]) / variance), float(np.hypot(*sd) / variance)
 
 
 def shared_by_exposures(series: Series) -> Effect:
@@ -77,7 +104,7 @@ def shared_by_exposures(series: Series) -> Effect:
     """
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
-    value, sd = _pooled([pair for pair in known if np.isfinite(pair[1])])
+    value, sd = pooled(known)
     most = max(level.frames for level in levels)
     # Memory itself takes two correlations from the variance, earlier and later; the mean of few frames takes more.
     taken = 2.0 + 2.0 / most
@@ -88,13 +115,13 @@ def shared_by_exposures(series: Series) -> Effect:
     return common if near.blind or (common.seen and not near.seen) else near
 
 
-def _pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean and its standard error, infinite for none."""
-    if not pairs:
+def pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return the weighted mean of values of finite standard error, and its own; infinite for none."""
+    known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
+    if not len(known):
         return 0.0, np.inf
-    value, sd = np.array(pairs).T
-    weight = 1.0 / np.maximum(sd, 1e-9) ** 2
-    return float(weight @ value / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
+    weight = 1.0 / np.maximum(known[:, 1], 1e-9) ** 2
+    return float(weight @ known[:, 0] / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
 
 
 def _common_to_frames(series: Series, taken: float) -> Effect:

@@ -92,7 +92,7 @@ def beyond_of(flats: Sequence[Level], darks: Sequence[Level], weight: Array, sig
     whole, inside = np.tensordot(weight, np.array(above), 1)
     pixels = flats[0].pixels / len(np.unique(flats[0].parity))
     none, once, twice = 0.0, 0.0, 0.0
-    for w, flat, dark, light, count in zip(weight, flats, darks, signal, known, strict=True):
+    for w, dark, light, count in zip(weight, darks, signal, known, strict=True):
         each = w**2 * 2.0 / (pixels * count)
         none += each * dark.variance_dn2**2
         once += each * 2.0 * light * dark.variance_dn2
@@ -108,7 +108,7 @@ def beyond_of(flats: Sequence[Level], darks: Sequence[Level], weight: Array, sig
 
 
 def points_beyond(row_pitch: float) -> tuple[Array, Array, Array]:
-    """Return frequencies beyond the band along rows and columns, cycles per column pitch, and each one's part of all modes."""
+    """Return frequencies beyond the band, along rows and columns, cycles per column pitch, and the part of each."""
     fine = (np.arange(POINTS * PARTS) + 0.5) / (2 * POINTS * PARTS)
     y, x = np.meshgrid(fine, fine, indexing="ij")
     out = (np.hypot(x, y / row_pitch) >= BAND_CY_PER_PX) | (y > ROW_LIMIT_CY)

@@ -7,7 +7,6 @@ has long wings (transfer exp(-(f/fc)^n) with n near 1), so that no window of lag
 extrapolated instead with the form that such transfers have, and the extrapolation's uncertainty is in the interval.
 """
 
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,7 +61,5 @@ def leaked(point: Array, column: Array, row: Array, reading: Reading, leak_cy2_p
     Each mode is a mean over frequencies nearby, which to second order is the mean of two on either side.
     """
     across, down = np.sqrt(leak_cy2_per_px2)
-    around = [
-        spectrum_at(point, column + i * across, row + j * down, reading)[0] for i in (-1, 1) for j in (-1, 1)
-    ]
+    around = [spectrum_at(point, column + i * across, row + j * down, reading)[0] for i in (-1, 1) for j in (-1, 1)]
     return np.mean(around, axis=0) / spectrum_at(point, column, row, reading)[0]

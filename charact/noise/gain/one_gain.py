@@ -17,7 +17,6 @@ from charact.noise.gain.series import Series
 from charact.noise.gain.summary import Summary, pooling, summarise
 from charact.noise.gain.white_floor import smoothed
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
-from charact.noise.verdict import lit
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -110,7 +109,7 @@ def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimat
     estimate
         How the covariance gain is estimated; None: as the model of the spectrum has it.
     """
-    neighbours = shared_by_neighbours(lit(series))
+    neighbours = shared_by_neighbours(series)
     summary = summarise(series, context.sensor, floor=neighbours.seen and not smoothed(series, context))
     quick = quick or estimate is not None
     forms = forms_of(blur_exponent(context), floor=summary.beyond is not None)

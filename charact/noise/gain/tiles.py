@@ -9,6 +9,7 @@ from charact.method import Context
 from charact.noise.gain.series import Series
 from charact.noise.gain.summary import Lag, Summary, pooling
 from charact.noise.stack.fields import exposures, fluctuations, runs_of
+from charact.noise.stack.parts import loaded_frames
 from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ def _taken(lag: Lag, fields: int) -> float:
 
 def _of_stack(entry: StackEntry, products: Products, taken: float, context: Context) -> tuple[Array, Array]:
     """Mean over tiles, runs and independent exposures, and its covariance from the scatter of the tiles."""
-    stack = entry.read()
+    stack = loaded_frames(entry)
     total, known = 0.0, 0.0
     for first, last in runs_of(stack):
         shots = exposures(stack, first, last, interlaced=context.interlaced)
