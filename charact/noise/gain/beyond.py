@@ -99,8 +99,7 @@ def beyond_of(flats: Sequence[Level], darks: Sequence[Level], weight: Array, sig
         twice += each * light**2
     for dark in {dark.label: dark for dark in darks}.values():
         shared = sum(w for w, own in zip(weight, darks, strict=True) if own.label == dark.label)
-        exposures = dark.runs * (len(dark.time) - len(np.unique(dark.parity)))
-        none += shared**2 * dark.variance_dn2**2 * 2.0 / (pixels * exposures)
+        none += (shared * dark.variance_sd_dn2) ** 2
     column, row, share = points_beyond(bins.row_pitch)
     waves = np.stack([np.ones_like(column), np.cos(2.0 * np.pi * column), np.cos(2.0 * np.pi * row * bins.row_pitch)])
     return Beyond(value_dn=whole - inside, inside_dn=inside, noise=(float(none), float(once), float(twice)),

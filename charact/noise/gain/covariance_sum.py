@@ -215,7 +215,7 @@ def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any])
                     fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
     # Noise of the electronics is white whatever reads the light.
     summary = summarise(series, None)
-    forms = forms_of(blur_exponent(context), floor=False)
+    forms = forms_of(blur_exponent(context), blurred=False, floor=False)
     blur = fit(summary, seed=context.seed, quick=context.quick, forms=forms)
     flags = ("model-misfit",) if blur.chance < 1e-4 else ()
     flags += cut(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())

@@ -92,13 +92,15 @@ class Form:
         return np.clip(chosen, np.maximum(bounds[:, 0], -1e9) + 1e-6, np.minimum(bounds[:, 1], 1e9) - 1e-6)
 
 
-def forms_of(exponent: tuple[float, float] | None, *, floor: bool) -> tuple[Form, ...]:
+def forms_of(exponent: tuple[float, float] | None, *, blurred: bool, floor: bool) -> tuple[Form, ...]:
     """Return the forms that are thought possible.
 
     Parameters
     ----------
     exponent
         Mean and standard deviation of the exponent of a described tube, which has that form; None: not described.
+    blurred
+        Whether noise is seen to be shared by neighbours.
     floor
         Whether a white floor can be looked for.
     """
@@ -107,7 +109,7 @@ def forms_of(exponent: tuple[float, float] | None, *, floor: bool) -> tuple[Form
     falls = {"power": power, "fall_columns": (FALL, None), "fall_rows": (FALL, None)}
     tube = Form(priors={**falls, "strength": (STRENGTH, None), "exponent": (EXPONENT, exponent or EXPONENT_PRIOR),
                         "electron_share": share})  # fmt: skip
-    if exponent is not None or not floor:
+    if exponent is not None or not blurred:
         return (tube,)
     gaussian = {**falls, "electron_share": share}
     tailed = Form(priors={**gaussian, "strength": (WIDE, None), "tail": (TAIL, TAIL_PRIOR)}, split=True)

@@ -15,7 +15,7 @@ from charact.noise.gain.forms import forms_of
 from charact.noise.gain.reach import with_power
 from charact.noise.gain.series import Series
 from charact.noise.gain.summary import Summary, pooling, summarise
-from charact.noise.gain.white_floor import smoothed
+from charact.noise.gain.white_floor import analogue
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
 from labdata.measurement import Posterior
 
@@ -110,9 +110,9 @@ def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimat
         How the covariance gain is estimated; None: as the model of the spectrum has it.
     """
     neighbours = shared_by_neighbours(series)
-    summary = summarise(series, context.sensor, floor=neighbours.seen and not smoothed(series, context))
+    summary = summarise(series, context.sensor, floor=neighbours.seen and not analogue(context))
     quick = quick or estimate is not None
-    forms = forms_of(blur_exponent(context), floor=summary.beyond is not None)
+    forms = forms_of(blur_exponent(context), blurred=neighbours.seen, floor=summary.beyond is not None)
     found = fit(summary, seed=context.seed, quick=quick, forms=forms)
     if estimate is not None:
         found = with_power(found, summary, *estimate(series, summary), seed=context.seed)

@@ -100,10 +100,14 @@ def _transfer_beyond(series: Series, posterior: Posterior, context: Context) -> 
     return float(np.median(passed @ share)) / float(share.sum())
 
 
+def analogue(context: Context) -> bool:
+    """Return whether electronics behind the CCD may filter along the rows, electrons and pulses alike."""
+    return context.interlaced or (context.sensor is not None and not context.sensor.video.digital)
+
+
 def smoothed(series: Series, context: Context) -> bool:
-    """Whether electronics smooth what they read, so that no noise behind them is white."""
-    analogue = context.interlaced or (context.sensor is not None and not context.sensor.video.digital)
-    return analogue or any(
+    """Return whether electronics smooth what they read, so that no noise behind them is white."""
+    return analogue(context) or any(
         dark.variance_dn2 > 0 and dark.neighbour_correlation > SMOOTH + SIGNIFICANT * dark.neighbour_sd
         for dark in series.darks
     )
