@@ -23,7 +23,10 @@ DERIVED_UNITS = ("DN", "1", "1")
 REACHES_CY_PER_PX = (0.25, 0.21, 0.18, 0.15, 0.12, 0.1)
 # Least probability of the residuals by chance for the model to pass.
 LEAST_CHANCE = 0.05
-# Share of the evidence below which a form has no say.
+# None of the forms is the blur itself: they are weighed by the root of their evidence, for the same reason as those of
+# `charact.mtf.noise_spectrum.model`.
+EVIDENCE_POWER = 0.5
+# Share of the whole below which a form has no say.
 LEAST_WEIGHT = 0.01
 # Draws of all forms together.
 DRAWS = 1000
@@ -152,9 +155,9 @@ def fit(summary: Summary, *, seed: int, quick: bool, forms: tuple[Form, ...]) ->
 
 
 def _mixed(peaks: Sequence[Peak], seed: int, quick: bool) -> Posterior:
-    """Draw from the posteriors of all forms, each its share of the evidence."""
+    """Draw from the posteriors of all forms, each its share of the root of the evidence."""
     height = np.array([peak.log_evidence for peak in peaks])
-    share = np.exp(height - height.max())
+    share = np.exp(EVIDENCE_POWER * (height - height.max()))
     share = np.where(share < LEAST_WEIGHT * share.sum(), 0.0, share) / share.sum()
     own = [
         (peak, _drawn(peak, part, seed, quick)) for peak, part in zip(peaks, share / share.sum(), strict=True) if part
