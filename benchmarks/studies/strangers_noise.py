@@ -190,6 +190,9 @@ def judged(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally
             session = open_session(folder)
             try:
                 result = noise.measure(session, context=context_of(session, quick=False, seed=0))
+            except KeyboardInterrupt:
+                print(f"broken off at {name}")
+                return out
             except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
                 print(f"{name} ends in {error!r}")
                 result = Result()

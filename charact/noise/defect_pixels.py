@@ -36,10 +36,11 @@ def defect_pixels(session: Session, surveys: Sequence[Survey], found: Unsound | 
 def _counted(one: Survey, found: Unsound, fields: dict[str, Any]) -> Measurement:
     """The number of defective pixels of a stack."""
     blinking = np.intersect1d(found.blinking, one.sudden)
-    each = f"{len(one.bright)} bright, {len(one.faint)} faint, {len(blinking)} blinking"
+    bright, faint = (np.setdiff1d(places, blinking) for places in (one.bright, one.faint))
+    each = f"{len(bright)} bright, {len(faint)} faint, {len(blinking)} blinking"
     rule = f"a mean beyond {one.threshold_dn:.3g} DN of those around, {FAR:g} robust standard deviations"
     notes = [f"{each}; {rule}, or sudden changes in more frames than chance allows"]
-    places = np.concatenate([one.bright, one.faint, blinking])
+    places = np.concatenate([bright, faint, blinking])
     count = len(np.unique(places))
     if count:
         rows, cols = np.divmod(places[:LISTED], one.size[1])

@@ -128,7 +128,8 @@ def _of_series(session: Session, series: Series, context: Context, fields: dict[
         common
         + findings_of(told)
         + pooled.findings()
-        + (bent(series) if gains is not None else coarse_findings(series))
+        + (bent(series) if gains is not None else [])
+        + ([] if pooled.white else coarse_findings(series))
         + (pooled.departures() if tube or pooled.white else [])
     )
     flags, notes = flags_of(findings), notes_of(findings)

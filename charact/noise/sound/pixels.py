@@ -99,7 +99,7 @@ def _blinking(surveys: Sequence[Survey], wrong: NDArray[np.bool_], least: float)
     needed = np.arange(2, trials + 2)
     enough = needed[binom.sf(needed - 1, trials, rate) * len(wrong) < CHANCE]
     blinks = counts >= (enough[0] if len(enough) else trials + 1)
-    return blinks & ~wrong if np.count_nonzero(blinks) <= MOST_SHARE * len(wrong) else np.zeros(len(wrong), bool)
+    return blinks if np.count_nonzero(blinks) <= MOST_SHARE * len(wrong) else np.zeros(len(wrong), bool)
 
 
 def _struck(one: Survey, away: NDArray[np.bool_], least: float) -> tuple[Places, Places]:
