@@ -3,14 +3,14 @@
 from charact.method import Context, choose
 from charact.method.stopwatch import timed
 from charact.noise.defect_pixels import defect_pixels
-from charact.noise.gain import covariance_sum, lag_window, near_zero, variance
+from charact.noise.gain import covariance_sum, variance
 from charact.noise.light.separation_pulses import with_pulses
 from charact.noise.sound import prepared
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
-__all__ = ["covariance_sum", "lag_window", "measure", "near_zero", "variance"]
+__all__ = ["covariance_sum", "measure", "variance"]
 
 
 @timed

@@ -22,7 +22,7 @@ from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain import standard
 from charact.noise.gain.fit import Fit, fit
 from charact.noise.gain.forms import forms_of
-from charact.noise.gain.one_gain import LEAST_BINS, Estimate, OneGain, blur_exponent, one_gain
+from charact.noise.gain.one_gain import LEAST_BINS, OneGain, blur_exponent, one_gain
 from charact.noise.gain.per_electron import electron_quantities, gain_of
 from charact.noise.gain.series import Series, read_levels, series_of
 from charact.noise.gain.summary import summarise
@@ -66,14 +66,9 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     Covariance gain is K + k F^2, the power of the noise at frequency 0 over the signal, summed over the lags of the
     phosphor. See `charact.noise.gain.model`.
     """
-    return measured(session, context=context, method=METHOD)
-
-
-def measured(session: Session, *, context: Context, method: str, estimate: Estimate | None = None) -> Result:
-    """Return all that darks and flats tell, the covariance gain by an estimate of one's own; None: by the model."""
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
-    fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
-    result = _of_levels(session, darks, flats, single, context, fields, estimate)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    result = _of_levels(session, darks, flats, single, context, fields)
     result += three_dimensional([*darks, *flats], context=context)
     result += dark_current(darks, result, context=context)
     result += gain_sweep(darks, flats, context=context)
@@ -82,7 +77,7 @@ def measured(session: Session, *, context: Context, method: str, estimate: Estim
 
 
 def _of_levels(session: Session, darks: list[Level], flats: list[Level], single: list[str], context: Context,
-               fields: dict[str, Any], estimate: Estimate | None) -> Result:  # fmt: skip
+               fields: dict[str, Any]) -> Result:  # fmt: skip
     """Gains and all that follows from them, or why there are none."""
     small = too_small([*darks, *flats])
     if small is not None:
@@ -95,7 +90,7 @@ def _of_levels(session: Session, darks: list[Level], flats: list[Level], single:
         # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=(*out, *alone.measurements), evidence=alone.evidence)
-    return _of_series(session, series, context, fields, estimate)
+    return _of_series(session, series, context, fields)
 
 
 def too_small(levels: list[Level]) -> str | None:
@@ -109,11 +104,10 @@ def too_small(levels: list[Level]) -> str | None:
     )
 
 
-def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None
-               ) -> Result:  # fmt: skip
+def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any]) -> Result:
     """All quantities of a series of flats."""
     context.progress("posterior of the covariance gain", 0.9)
-    pooled = one_gain(series, context=context, quick=context.quick, estimate=estimate)
+    pooled = one_gain(series, context=context, quick=context.quick)
     tube = intensified([level.conditions for level in (*series.flats, *series.all_darks)], context)
     if tube and not pooled.white:
         pooled = pooled.at_low_signal(context)

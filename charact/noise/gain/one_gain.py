@@ -1,6 +1,5 @@
 """The covariance gain of the flats of one gain: pooled noise, the blur fitted to it, and what is wrong with either."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from charact.noise.findings import Finding
 from charact.noise.gain import standard
 from charact.noise.gain.fit import Fit, fit
 from charact.noise.gain.forms import forms_of
-from charact.noise.gain.reach import with_power
 from charact.noise.gain.series import Series
 from charact.noise.gain.summary import Summary, pooling, summarise
 from charact.noise.gain.white_floor import analogue
@@ -91,11 +89,7 @@ class OneGain:
         return _departures(*told) + ([] if self.white else _rising(*told))
 
 
-# From a series and its noise per DN of signal to the covariance over signal of one exposure and its standard error, DN.
-Estimate = Callable[[Series, Summary], tuple[float, float]]
-
-
-def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimate | None = None) -> OneGain:
+def one_gain(series: Series, *, context: Context, quick: bool) -> OneGain:
     """Fit blur and covariance gain to a series.
 
     Parameters
@@ -106,16 +100,11 @@ def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimat
         Seed, and the sensor for the prior of the blur.
     quick
         Without a Markov chain.
-    estimate
-        How the covariance gain is estimated; None: as the model of the spectrum has it.
     """
     neighbours = shared_by_neighbours(series)
     summary = summarise(series, context.sensor, floor=neighbours.seen and not analogue(context))
-    quick = quick or estimate is not None
     forms = forms_of(blur_exponent(context), blurred=neighbours.seen, floor=summary.beyond is not None)
     found = fit(summary, seed=context.seed, quick=quick, forms=forms)
-    if estimate is not None:
-        found = with_power(found, summary, *estimate(series, summary), seed=context.seed)
     if share := stepped_share(series, summary):
         rng = np.random.default_rng([context.seed, 17])
         found = replace(found, posterior=standard.widened(found.posterior, "blur_factor", share, rng))
