@@ -200,7 +200,8 @@ class Drawn:
             heights[some] = rng.gamma(count[some] * shape, one.pulse_dn / shape)
         from scipy import fft
 
-        blurred = fft.irfft2(fft.rfft2(heights) * self.passed, s=heights.shape)
+        spectrum = np.asarray(fft.rfft2(heights))
+        blurred = np.asarray(fft.irfft2(spectrum * self.passed, s=heights.shape))
         return blurred.reshape(rows, 2, cols, 2).sum(axis=(1, 3)).astype(float)
 
 

@@ -80,4 +80,4 @@ class Data:
 
 def _inverse_root(covariance: Array) -> Array:
     """Return a matrix by which data of this covariance become independent and of variance one."""
-    return np.linalg.inv(np.linalg.cholesky(covariance)).T
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T, np.float64)

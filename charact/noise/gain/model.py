@@ -1,10 +1,10 @@
-"""The noise spectrum of a camera that blurs after its gain, and the posterior of the covariance gain under it.
+"""The noise spectrum of a camera that blurs after its gain.
 
 Photoelectrons arrive independently and everything after the gain blurs them; the electrons of the CCD that each of them
 makes are counted at random once more, which no blur touches. The power of the noise is (k F^2 |H(f)|^2 + K) mu: at
-f -> 0 it is the covariance summed over all lags, whatever the blur. Blur of image tubes
-has long wings (transfer exp(-(f/fc)^n) with n near 1), so that no window of lags holds all of the sum; the spectrum is
-extrapolated instead with the form that such transfers have, and the extrapolation's uncertainty is in the interval.
+f -> 0 it is the covariance summed over all lags, whatever the blur. Blur of image tubes has long wings (transfer
+exp(-(f/fc)^n) with n near 1), so that no window of lags holds all of the sum; the spectrum is extrapolated instead with
+the forms that such transfers have (`charact.noise.gain.forms`), and what they leave open is in the interval.
 """
 
 import numpy as np
