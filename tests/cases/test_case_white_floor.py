@@ -82,8 +82,10 @@ def test_the_case_reads_its_gain_and_its_floor():
     assert floor.value == pytest.approx(1.20, rel=0.02)
 
 
-@pytest.mark.parametrize(("sigma_px", "floor_share", "bits", "shape"),
-                         [(0.7, 0.15, 12, (112, 144)), (0.9, 0.25, 14, (144, 120)), (1.3, 0.45, 16, (120, 120))])
+@pytest.mark.parametrize(
+    ("sigma_px", "floor_share", "bits", "shape"),
+    [(0.7, 0.15, 12, (112, 144)), (0.9, 0.25, 14, (144, 120)), (1.3, 0.45, 16, (120, 120))],
+)
 def test_a_gaussian_over_a_white_floor_is_read_without_bias(seed, sigma_px, floor_share, bits, shape):
     pulse_dn = 2.0 ** (bits - 12) * 8.0
     floor_dn = 2.0 * pulse_dn * floor_share / (1.0 - floor_share)
