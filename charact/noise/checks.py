@@ -192,9 +192,11 @@ def bent(series: Series) -> list[Finding]:
         return []
     flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error or astray else None
     sentence = f"variance over signal goes from {first:.4g} to {first + slope:.4g} DN along the levels"
-    found: list[Finding] = [(flag, f"{sentence}; the gain is the slope over all of them")]
+    if flag is None:
+        return [(None, f"{sentence}; the gain is the slope over all of them")]
+    found: list[Finding] = [flags.Finding(flag=flag, effect=sentence, remedy="flats of the straight part alone")]
     own = np.array([series.flats[i].variance_dn2 for i in chosen]) / signal
-    return found + (gamma_of_noise(signal, own, sd) if flag else [])
+    return found + gamma_of_noise(signal, own, sd)
 
 
 def exposure_findings(exposures: Effect) -> list[Finding]:
