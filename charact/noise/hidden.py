@@ -73,7 +73,7 @@ def allowance_of(neighbours: Effect, exposures: Effect, *, tube: bool) -> float:
     A screen glows on and a tube blurs: what a test cannot exclude is allowed for. Most chips do neither.
     """
     parts = [one.allowance if tube else one.expected for one in (neighbours, exposures)]
-    return float(np.hypot(*parts))
+    return float(np.hypot(parts[0], parts[1]))
 
 
 def shared_by_neighbours(series: Series) -> Effect:
