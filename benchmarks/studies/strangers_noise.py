@@ -160,6 +160,7 @@ class Tally:
     ok: int = 0
     held: int = 0
     silent: list[str] = field(default_factory=list)
+    missed: list[str] = field(default_factory=list)
     flags: Counter[str] = field(default_factory=Counter)
 
     def add(self, measurement: Any, truth: float, name: str) -> None:
@@ -172,8 +173,11 @@ class Tally:
         half = measurement.value - low if truth < measurement.value else high - measurement.value
         self.ok += 1
         self.held += low <= truth <= high
+        sentence = f"{name}: {measurement.value:.4g} [{low:.4g}, {high:.4g}], truth {truth:.4g}"
+        if not low <= truth <= high:
+            self.missed.append(sentence)
         if abs(truth - measurement.value) > 2.0 * half:
-            self.silent.append(f"{name}: {measurement.value:.4g} [{low:.4g}, {high:.4g}], truth {truth:.4g}")
+            self.silent.append(sentence)
 
 
 def judged(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally]:
@@ -197,7 +201,7 @@ def judged(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally
                 print(f"{name} ends in {error!r}")
                 result = Result()
         for (quantity, unit), truth in one.truth.items():
-            found = [m for m in result.find(quantity, unit=unit)]
+            found = result.find(quantity, unit=unit)
             fine = "" if quantity != "read_noise" or one.truth["read_noise", "DN"] >= FINE_DN else " under the steps"
             key = f"{quantity} {unit}{fine}"
             for kind in (one.kind, "all"):
@@ -226,8 +230,10 @@ def main(seed: int = 1, count: int = SESSIONS) -> None:
         why = ", ".join(f"{flag} {n}" for flag, n in tally.flags.most_common(4))
         print(f"{kind:<11} {quantity:<34} {tally.drawn:5} {100 * tally.ok / tally.drawn:6.1f} {held} "
               f"{len(tally.silent):6}  {why}")  # fmt: skip
-    for sentence in sorted({s for (kind, q), t in table.items() if kind == "all" for s in (f"{q} {x}" for x in t.silent)}):
-        print("silent:", sentence)
+    for word in ("missed", "silent"):
+        for (kind, quantity), tally in table.items():
+            for sentence in getattr(tally, word) if kind == "all" else ():
+                print(f"{word}: {quantity} {sentence}")
 
 
 if __name__ == "__main__":

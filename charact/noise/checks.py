@@ -185,13 +185,18 @@ def bent(series: Series) -> list[Finding]:
     covariance = np.linalg.pinv(design @ weight @ design.T)
     first, slope = covariance @ (design @ weight @ gain)
     middle, error = float(weight.sum(axis=0) @ gain / weight.sum()), float(np.sqrt(covariance[1, 1]))
-    if abs(slope) <= BENT_ERRORS * error:
+    # Behind a gamma curve variance over signal rises and falls again, and no straight line through it shows that.
+    own_sd = np.hypot(sd, shared / signal)
+    astray = bool(np.any(np.abs(gain - middle) > 2.0 * BENT_SHARE * middle + SIGNIFICANT * own_sd))
+    if abs(slope) <= BENT_ERRORS * error and not astray:
         return []
-    flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error else None
+    flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error or astray else None
     sentence = f"variance over signal goes from {first:.4g} to {first + slope:.4g} DN along the levels"
-    found: list[Finding] = [(flag, f"{sentence}; the gain is the slope over all of them")]
+    if flag is None:
+        return [(None, f"{sentence}; the gain is the slope over all of them")]
+    found: list[Finding] = [flags.Finding(flag=flag, effect=sentence, remedy="flats of the straight part alone")]
     own = np.array([series.flats[i].variance_dn2 for i in chosen]) / signal
-    return found + (gamma_of_noise(signal, own, sd) if flag else [])
+    return found + gamma_of_noise(signal, own, sd)
 
 
 def exposure_findings(exposures: Effect) -> list[Finding]:

@@ -20,6 +20,8 @@ SIGNIFICANT = 3.0
 HARMLESS = 0.02
 # Where a test cannot exclude this much, it is no test.
 BLIND = 0.1
+# Largest share of the covariance sum that lies with neighbours in a chip: each of four gets 5 % of the charge.
+MOST = 0.4
 # Flats of fewer frames have too few pairs of frames to set near ones against far ones.
 FEW_FRAMES = 3
 # Levels of such unequal certainty tell no law.
@@ -56,20 +58,22 @@ class Effect:
             return 0.0
         return float(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)))
 
+    @property
+    def expected(self) -> float:
+        """Root mean square of the effect where none at all is as likely beforehand as any up to `MOST`."""
+        if not self.sd > 0:
+            return min(abs(self.share), BLIND)
+        none = np.exp(-0.5 * (self.share / self.sd) ** 2) * MOST / (self.sd * np.sqrt(2.0 * np.pi))
+        return float(np.sqrt(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)) ** 2 / (1.0 + none)))
+
 
 def allowance_of(neighbours: Effect, exposures: Effect, *, tube: bool) -> float:
     """Return the relative standard deviation that what is hidden adds to the gain.
 
-    Notes
-    -----
-    A screen glows on and a tube blurs: what a test cannot exclude is allowed for. Most chips do neither, and what lies
-    within two standard errors of none is far likelier none: as prior, none at all or up to 40 % of the covariance sum
-    with neighbours, each as likely; a test of 2 % then leaves 1 chance in 15 for any.
+    A screen glows on and a tube blurs: what a test cannot exclude is allowed for. Most chips do neither.
     """
-    if tube:
-        return float(np.hypot(neighbours.allowance, exposures.allowance))
-    return float(np.hypot(*(e.allowance if e.blind else max(abs(e.share) - 2.0 * e.sd, 0.0)
-                            for e in (neighbours, exposures))))  # fmt: skip
+    parts = [one.allowance if tube else one.expected for one in (neighbours, exposures)]
+    return float(np.hypot(parts[0], parts[1]))
 
 
 def shared_by_neighbours(series: Series) -> Effect:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from charact.noise.checks import dark_findings
+from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain.series import Series, without_noise
 from charact.noise.quantities import dark_quantities
 from labdata.measurement import Measurement, refused
@@ -38,4 +39,5 @@ def without_flats(darks, series: Series | None, single: list[str], *, quantity=(
     out = [refused(quantity[0], quantity[1], reason, **fields)]
     wrong = [] if series is None or not len(series.flats) else dark_findings(series)
     dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
-    return out + [one if one.value is None else one.with_(findings=wrong) for one in dark]
+    notes = notes_of(wrong)
+    return out + [one.with_(flags=flags_of(wrong), notes=(*one.notes, *notes)) for one in dark]

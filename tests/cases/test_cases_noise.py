@@ -1,4 +1,4 @@
-"""Noise sessions of other tools' users, and siblings of them drawn here: pixels that misbehave, registers, any scale."""
+"""Noise sessions of other tools' users, and siblings drawn here: pixels, registers, scales."""
 
 import shutil
 from pathlib import Path
@@ -116,8 +116,8 @@ def written(folder, rng, *, gain=0.4, read_e=5.0, black=100.0, scale=1.0, dtype=
         codes = np.rint(black + gain * (charge + read_e * rng.standard_normal(charge.shape)))
         data = wrong(np.clip(codes, -1e9 if dtype != np.uint16 else 0, 65535.0)) * scale
         np.save(folder / f"{index}.npy", data.astype(dtype))
-        lines += ["[[stack]]", f'label = "s{index}"', f'kind = "{"flat" if index else "dark"}"', f'frames = "{index}.npy"',
-                  state]  # fmt: skip
+        kind = "flat" if index else "dark"
+        lines += ["[[stack]]", f'label = "s{index}"', f'kind = "{kind}"', f'frames = "{index}.npy"', state]
     (folder / "session.toml").write_text("\n".join(lines) + "\n")
     return folder
 
@@ -159,7 +159,12 @@ def test_hits_in_single_frames_move_nothing(tmp_path, seed, frames):
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
     ("scale", "black", "dtype"),
-    [(1.0 / 4095.0, 100.0, np.float32), (16.0, 100.0, np.uint16), (1e-3, -500.0, np.float64), (2.5e-6, 0.0, np.float64)],
+    [
+        (1.0 / 4095.0, 100.0, np.float32),
+        (16.0, 100.0, np.uint16),
+        (1e-3, -500.0, np.float64),
+        (2.5e-6, 0.0, np.float64),
+    ],
 )
 def test_every_scale_gives_the_same_electrons(tmp_path, seed, scale, black, dtype):
     """Shares of one, codes shifted to the left, volts, negative numbers: only DN change."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context
+from charact.noise.sound.kept import kept
 from charact.noise.sound.pixels import Unsound, unsound
 from charact.noise.sound.step import common_step
 from charact.noise.sound.survey import Survey, survey
@@ -72,6 +73,7 @@ def prepared(session: Session, *, context: Context) -> Prepared:
     -----
     Means are compared pixel by pixel in eight stacks spread over the levels: a pixel that is wrong is so in several.
     """
+    session = replace(session, stacks=kept(session.stacks) if context.spread is map else session.stacks)
     entries = session.of_kind("dark", "flat")
     spread = set(np.linspace(0, len(entries) - 1, min(MEANS, len(entries))).round().astype(int).tolist())
     spread |= {i for i, entry in enumerate(entries) if entry.kind == "dark"} if len(entries) <= MEANS else set()

@@ -129,8 +129,8 @@ def survey(entry: StackEntry, *, means: bool) -> Survey:
     )
     if frames == 2:
         found = _of_pair(first, SUDDEN * sd)
-        total = first.sum(axis=0, dtype=np.float32) if means else None
-        highest, lowest = (first.max(axis=0), first.min(axis=0)) if means else (None, None)
+        total = first.sum(axis=0, dtype=np.float32)
+        highest, lowest = np.float32(first.max(axis=0)), np.float32(first.min(axis=0))
     else:
         extremes = _Extremes(rows * cols)
         for at, block in blocks:
@@ -139,7 +139,7 @@ def survey(entry: StackEntry, *, means: bool) -> Survey:
         total, highest, lowest = extremes.total, extremes.high, extremes.low
     if means:
         # A mean without its largest value: one struck frame makes no bright pixel.
-        rest = [(np.asarray(total, np.float32) - top) / np.float32(frames - 1) for top in (highest, lowest)]
+        rest = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]
         common |= _apart(rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames))
     return Survey(**common, **found)
 
@@ -262,4 +262,5 @@ def _rest(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
     rest = image - medianBlur(np.ascontiguousarray(image), 5)
     rest -= np.median(rest, axis=0, keepdims=True)
-    return rest - np.median(rest, axis=1, keepdims=True)
+    rest -= np.median(rest, axis=1, keepdims=True)
+    return rest

@@ -22,7 +22,7 @@ UNEVEN = 3.0
 LEAST_PIXELS = 1024
 LEAST_SIDE = 16
 # Values that quantiles are taken from, and stacks whose means are compared pixel by pixel.
-SAMPLE = 2**15
+SAMPLE = 2**14
 MEANS = 8
 # Distance within which a pixel is replaced by another, px.
 NEAR = 32

@@ -294,9 +294,11 @@ def line_errors(sums: PixelSums, order: Order) -> tuple[float, float]:
     Row noise of variance v in R rows of n exposures about their mean is known to v sqrt(2 / (R (n - 1))), though its
     pixels are many. It is the power of rows at frequency 0 above that at the lowest frequency: blur holds both.
     """
+    count = len(order.time) / len(sums.middle)
     freedom = max(len(order.time) - len(sums.middle), 1)
     parts = [[_line_power(np.moveaxis(image, axis, -1)) for image in sums.middle] for axis in (2, 1)]
-    rows, cols = (max(float(np.mean(part)), 0.0) for part in parts)
+    # About the mean of n exposures a share 1/n is missing.
+    rows, cols = (max(float(np.mean(part)), 0.0) * count / max(count - 1.0, 1.0) for part in parts)
     return rows * float(np.sqrt(2.0 / (sums.size[0] * freedom))), cols * float(np.sqrt(2.0 / (sums.size[1] * freedom)))
 
 

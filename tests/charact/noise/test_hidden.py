@@ -76,9 +76,11 @@ def test_frames_that_come_twice_are_lag(ccd, series, in_memory, seed, method):
     assert "lag" in one(noise.measure(twice, method=method, context=QUICK), "system_gain").flags
 
 
-def test_a_handful_of_pixels_cannot_exclude_what_is_hidden(ccd, series, seed):
-    session = series(ccd(shape=(8, 8)), np.random.default_rng(seed), ELECTRONS, frames=2, dark_frames=2)
-    assert "too-few-frames" in one(noise.measure(session, method="variance", context=QUICK), "system_gain").flags
+def test_what_a_handful_of_pixels_cannot_exclude_is_in_the_interval(ccd, series, seed):
+    session = series(ccd(shape=(6, 8)), np.random.default_rng(seed), ELECTRONS)
+    gain = one(noise.measure(session, method="variance", context=QUICK), "system_gain")
+    assert gain.status == "ok" and gain.interval95[0] < 0.5 < gain.interval95[1]
+    assert np.ptp(gain.interval95) > 0.1 * gain.value
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -160,11 +162,12 @@ def test_sums_over_pixels_are_those_of_plain_arithmetic(seed):
 
 
 def test_what_a_weak_test_cannot_exclude_is_in_the_interval():
-    """A tube glows and blurs, a chip seldom shares anything: what is within its errors of none is allowed for in one."""
+    """A tube glows and blurs, a chip seldom shares anything: what may be there is allowed for in either."""
     none, weak, blind, some = (Effect(share=share, sd=sd) for share, sd in
                                ((0.004, 0.002), (0.004, 0.02), (0.02, 0.05), (0.009, 0.002)))  # fmt: skip
     assert allowance_of(none, none, tube=True) == 0.0
     assert allowance_of(none, weak, tube=True) > 0.02
-    assert allowance_of(weak, weak, tube=False) == 0.0
-    assert allowance_of(none, blind, tube=False) > 0.05
-    assert allowance_of(some, none, tube=False) == pytest.approx(0.005)
+    assert allowance_of(none, none, tube=False) < 0.002
+    assert allowance_of(none, weak, tube=False) < 0.008
+    assert allowance_of(none, blind, tube=False) > 0.02
+    assert allowance_of(some, none, tube=False) == pytest.approx(0.009, abs=0.001)

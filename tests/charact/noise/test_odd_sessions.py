@@ -109,7 +109,7 @@ def test_darks_of_other_conditions_are_unlike(in_memory, seed, method, dark, fla
 
 @pytest.mark.parametrize("method", METHODS)
 def test_biases_under_timed_flats_leave_the_gain_alone_and_the_efficiency_not(in_memory, seed, method):
-    """Dark current arrives at random as light does: it is on the line of variance over signal, and no part of the light."""
+    """Dark current arrives at random as light does: it is on the line of variance over signal."""
     rng = np.random.default_rng(seed)
     lit = [(frames(rng, s), Conditions(exposure_s=t, photons_per_px=4.0 * s)) for t, s in enumerate(LEVELS, start=1)]
     given = session(in_memory, [(frames(rng, 0.0), Conditions(exposure_s=0.0))], lit)
