@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.gain.data import BEGIN, Data
-from charact.noise.gain.forms import EXPONENT_PRIOR, NONE, Form
+from charact.noise.gain.forms import EXPONENT_PRIOR, NONE, SPREAD_SEEN, Form
 from charact.noise.gain.model import NAMES, UNITS, leaked, spectrum_at
 from charact.noise.gain.summary import Summary
 from charact.posterior import laplace, maximum, weighed
@@ -96,6 +96,12 @@ def peaks_of(data: Data, forms: Sequence[Form]) -> list[Peak]:
         begin = peaks[1].form.whole(peaks[1].point[None])[0]
         # Half of the blur, wider than the other half, for what has both.
         begin[3], begin[6:] = max(0.25 * float(begin[1] + begin[2]), 0.05), BEGIN
+    at = int(np.argmax([peak.log_evidence for peak in peaks]))
+    best = peaks[at]
+    if "spread_share" in best.form.names:
+        place = best.form.names.index("spread_share")
+        if best.point[place] > SPREAD_SEEN * np.sqrt(best.covariance[place, place]):
+            peaks[at] = _peak_of(data, best.form.freed, best.form.whole(best.point[None])[0])
     return peaks
 
 

@@ -4,7 +4,7 @@ At frequency 0, where nothing is measured, forms say what the power rises to: im
 make a cusp there; a Gaussian and whatever has an even point spread function of finite width end flat.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,9 @@ FALL, STRENGTH = (-1.0, 6.0), (-1.5, 6.0)
 # Widest blur with a tail that an image of some hundred pixels tells from shading, as its fall at the reference.
 WIDE = (0.0, 20.0)
 # Share of the light that is spread wider than the rest, and falls of that at the reference: Gaussians of 1.6 to 4.5 px.
-SPREAD, SPREAD_FALLS = (0.0, 0.6), (1.0, 2.8, 8.0)
+SPREAD, SPREAD_FALLS, SPREAD_STEP = (0.0, 0.6), (1.0, 2.8, 8.0), 1.7
+# Standard errors of that share beyond which its fall is told too.
+SPREAD_SEEN = 3.0
 # What forms are without a parameter.
 NONE = dict.fromkeys(NAMES, 0.0) | {"exponent": 2.0, "spread_share": 1.0}
 
@@ -81,6 +83,12 @@ class Form:
         if self.split:
             out[:, 1:3] += out[:, 3:4]
         return out
+
+    @property
+    def freed(self) -> "Form":
+        """The form with the fall of its wider share free up to halfway to the next."""
+        fall = (self.strength / SPREAD_STEP, self.strength * SPREAD_STEP)
+        return replace(self, priors={**self.priors, "strength": (fall, None)})
 
     def part(self, point: Array) -> Array:
         """Return the free ones of all parameters (parameter,), inside their bounds."""
