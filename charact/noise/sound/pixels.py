@@ -43,7 +43,7 @@ class Unsound:
         return f"judged on sound pixels: {' and '.join(parts)} are left out" if parts else None
 
 
-def unsound(surveys: Sequence[Survey], *, multiplies: bool) -> Unsound:
+def unsound_pixels(surveys: Sequence[Survey], *, multiplies: bool) -> Unsound:
     """Return the pixels that misbehave.
 
     Parameters
