@@ -50,7 +50,7 @@ class Drawn:
     truth: dict[tuple[str, str], float] = field(default_factory=dict)
 
 
-def drawn(kind: str, rng: np.random.Generator, *, spoilt: bool) -> Drawn:
+def draw_session(kind: str, rng: np.random.Generator, *, spoilt: bool) -> Drawn:
     """Draw a session of a kind of camera."""
     bits = int(rng.choice([14, 16] if kind == "multiplied" else [8, 10, 12, 12, 14, 16]))
     top = 2.0**bits - 1.0
@@ -142,7 +142,7 @@ def _misbehaviour(rng: np.random.Generator, size: tuple[int, int], well: float) 
     return wrong
 
 
-def written(session: Drawn, folder: Path) -> None:
+def write_session(session: Drawn, folder: Path) -> None:
     """Write a session as a user would: one file a stack and a manifest."""
     lines = ['name = "strangers"', f"bit_depth = {session.bits}"]
     for index, (kind, frames, conditions) in enumerate(session.stacks):
@@ -180,7 +180,7 @@ class Tally:
             self.silent.append(sentence)
 
 
-def judged(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally]:
+def tallies_of(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally]:
     """Measure sessions and count by kind and quantity."""
     from charact import noise
     from charact.measuring import context_of
@@ -190,7 +190,7 @@ def judged(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally
     out: dict[tuple[str, str], Tally] = {}
     for name, one in sessions:
         with tempfile.TemporaryDirectory() as folder:
-            written(one, Path(folder))
+            write_session(one, Path(folder))
             session = open_session(folder)
             try:
                 result = noise.measure(session, context=context_of(session, quick=False, seed=0))
@@ -215,13 +215,13 @@ def sessions_of(seed: int, count: int) -> Iterator[tuple[str, Drawn]]:
     for index in range(count):
         kind = KINDS[index % len(KINDS)]
         rng = np.random.default_rng([seed, index])
-        yield f"{kind} {index}", drawn(kind, rng, spoilt=(index // len(KINDS)) % 2 == 1)
+        yield f"{kind} {index}", draw_session(kind, rng, spoilt=(index // len(KINDS)) % 2 == 1)
 
 
 def main(seed: int = 1, count: int = SESSIONS) -> None:
     """Print the table."""
     start, cpu = time.perf_counter(), time.process_time()
-    table = judged(sessions_of(seed, count))
+    table = tallies_of(sessions_of(seed, count))
     print(f"seed {seed}, {count} sessions, {time.process_time() - cpu:.0f} s of processor, "
           f"{time.perf_counter() - start:.0f} s")  # fmt: skip
     print(f"{'kind':<11} {'quantity':<34} {'drawn':>5} {'ok %':>6} {'held %':>7} {'silent':>6}  why not ok")

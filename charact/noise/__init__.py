@@ -5,7 +5,7 @@ from charact.method.stopwatch import timed
 from charact.noise.defect_pixels import defect_pixels
 from charact.noise.gain import covariance_sum, variance
 from charact.noise.light.separation_pulses import with_pulses
-from charact.noise.sound import prepared
+from charact.noise.sound import prepare
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
@@ -37,7 +37,7 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    ready = prepared(session, context=context)
+    ready = prepare(session, context=context)
     session, context = ready.session, ready.context
     result = with_pulses(chosen.function(session, context=context), session, context=context)
     return ready.in_dn(result) + defect_pixels(session, ready.surveys, ready.found, context=context)

@@ -83,8 +83,8 @@ def shared_by_neighbours(series: Series) -> Effect:
     neighbour shares the product of both correlations.
     """
     chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
-    beside, beside_sd = pooled([light_correlation(series, int(i), "neighbour") for i in chosen])
-    below, below_sd = pooled([light_correlation(series, int(i), "below") for i in chosen])
+    beside, beside_sd = weighted_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
+    below, below_sd = weighted_mean([light_correlation(series, int(i), "below") for i in chosen])
     return Effect(share=2.0 * (beside + below + 2.0 * beside * below), sd=2.0 * float(np.hypot(beside_sd, below_sd)))
 
 
@@ -108,7 +108,7 @@ def shared_by_exposures(series: Series) -> Effect:
     """
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
-    value, sd = pooled(known)
+    value, sd = weighted_mean(known)
     most = max(level.frames for level in levels)
     # Memory itself takes two correlations from the variance, earlier and later; the mean of few frames takes more.
     taken = 2.0 + 2.0 / most
@@ -119,7 +119,7 @@ def shared_by_exposures(series: Series) -> Effect:
     return common if near.blind or (common.seen and not near.seen) else near
 
 
-def pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+def weighted_mean(pairs: list[tuple[float, float]]) -> tuple[float, float]:
     """Return the weighted mean of values of finite standard error, and its own; infinite for none."""
     known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
     if not len(known):

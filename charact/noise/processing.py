@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
 from charact.noise.gain.series import Series
-from charact.noise.hidden import FEW_FRAMES, light_correlation, pooled
+from charact.noise.hidden import FEW_FRAMES, light_correlation, weighted_mean
 from charact.noise.stack.level import Level
 
 Array = NDArray[np.float64]
@@ -40,11 +40,11 @@ def _sharpened(levels: list[Level]) -> list[Finding]:
         ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
         ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
     ):
-        value, sd = pooled(correlations)
+        value, sd = weighted_mean(correlations)
         if value < -LEAST_SHARE - SIGNIFICANT * sd:
             word = f"the noise of neighbours {place} is opposed ({100 * value:.2g} %)"
             return [("processed", f"{word}: the camera sharpens its pictures, and the variance reads high")]
-    value, sd = pooled([_rise(level) for level in levels])
+    value, sd = weighted_mean([_rise(level) for level in levels])
     if value > LEAST_RISE + SIGNIFICANT * sd:
         word = f"the noise is {100 * value:.2g} % stronger in fine detail than in coarse"
         return [("processed", f"{word}: the camera sharpens its pictures")]
@@ -71,9 +71,9 @@ def _rise(level: Level) -> tuple[float, float]:
 def _averaged(darks: tuple[Level, ...]) -> list[Finding]:
     """Whether dark frames share noise in time that pixels do not share in space: no light glows on so."""
     known = [dark for dark in darks if dark.frames > FEW_FRAMES]
-    value, sd = pooled([(dark.successor_correlation, dark.successor_sd) for dark in known])
-    around = [pooled([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
-              pooled([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
+    value, sd = weighted_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
+    around = [weighted_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
+              weighted_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
     if value < LEAST_SHARE + SIGNIFICANT * sd or max(part for part, _ in around) > SHARED_IN_SPACE * value:
         return []
     word = f"successive dark frames hold {100 * value:.2g} % of their noise in common, neighbouring pixels none"

@@ -31,7 +31,8 @@ DARK_SHARE = 0.02
 def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
     """Read noise and level of the darks, DN; the shortest exposure speaks."""
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
-    noise, sd = standard.noise_of(dark.variance_dn2, dark.variance_sd_dn2)
+    spread = float(np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]))
+    noise, sd = standard.noise_of(dark.variance_dn2, spread)
     small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
     # Said here as well, for darks without a series of flats.
     flags += cut(dark)

@@ -9,6 +9,7 @@ import pytest
 from charact import noise
 from charact.measuring import context_of
 from labdata.session import open_session
+from labdata.solid_state import excess_noise_factor
 
 ROOT = Path(__file__).parents[2]
 CASES = ROOT.parent / "shared" / "cases"
@@ -181,3 +182,25 @@ def test_a_register_that_is_stated_counts(tmp_path, seed, em):
     folder = written(tmp_path, rng, em=em, state=f"em_gain = {em}", read_e=30.0, frames=6,
                      levels=tuple(em * n for n in (20.0, 40.0, 80.0, 160.0)), gain=0.2)  # fmt: skip
     holds(one(measured(folder), "system_gain"), 0.2 * em, 0.05)
+
+
+def test_excess_noise_of_a_register_lies_between_one_and_two():
+    """Robbins & Hadwen (2003): none at unit gain, 2 at high gain of many stages."""
+    assert excess_noise_factor(1.0, 536) == pytest.approx(1.0)
+    assert excess_noise_factor(1e5) == pytest.approx(2.0, abs=1e-4)
+    # By stages of equal chance p of one more electron: F^2 = 1 + (1 - p) / (1 + p) (1 - 1 / g).
+    stages, chance = 536, 1000.0 ** (1.0 / 536) - 1.0
+    assert excess_noise_factor(1000.0, stages) == pytest.approx(
+        1.0 + (1.0 - chance) / (1.0 + chance) * (1.0 - 1e-3), abs=1e-3
+    )
+
+
+def test_a_described_register_counts_without_a_stated_gain(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    folder = written(tmp_path, rng, em=1000.0, read_e=50.0, frames=6, gain=0.02,
+                     levels=tuple(1000.0 * n for n in (20.0, 40.0, 80.0, 160.0)))  # fmt: skip
+    manifest = folder / "session.toml"
+    manifest.write_text('sensor = "emccd-512"\n' + manifest.read_text())
+    gain = one(measured(folder), "system_gain")
+    holds(gain, 20.0, 0.05)
+    assert any("description" in note for note in gain.notes)

@@ -27,7 +27,7 @@ class KeptStack(StackEntry):
         return self.kept
 
 
-def kept(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
+def keep_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
     """Return darks and flats with their frames, as many as fit `WHOLE_BYTES`."""
     left, out = WHOLE_BYTES, []
     for entry in entries:

@@ -43,7 +43,7 @@ class Unsound:
         return f"judged on sound pixels: {' and '.join(parts)} are left out" if parts else None
 
 
-def unsound(surveys: Sequence[Survey], *, multiplies: bool) -> Unsound:
+def unsound_pixels(surveys: Sequence[Survey], *, multiplies: bool) -> Unsound:
     """Return the pixels that misbehave.
 
     Parameters
@@ -60,7 +60,7 @@ def unsound(surveys: Sequence[Survey], *, multiplies: bool) -> Unsound:
     if np.count_nonzero(wrong) > MOST_SHARE * pixels:
         wrong[:] = False
     least = LARGEST_PULSE * _slope(surveys) if multiplies else 0.0
-    blinks = _blinking(surveys, wrong, least)
+    blinks = _blinking(surveys, wrong)
     away = wrong | blinks
     struck = {one.label: hits for one in surveys if len((hits := _struck(one, away, least))[0])}
     return Unsound(places=np.flatnonzero(away), blinking=np.flatnonzero(blinks), struck=struck)
@@ -82,15 +82,14 @@ def _few(one: Survey) -> bool:
     return len(one.sudden) <= MOST_SHARE * one.pixels
 
 
-def _blinking(surveys: Sequence[Survey], wrong: NDArray[np.bool_], least: float) -> NDArray[np.bool_]:
+def _blinking(surveys: Sequence[Survey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels that depart more often than chance lets any."""
     from scipy.stats import binom
 
     counts, trials = np.zeros(len(wrong), np.int64), 0
     for one in surveys:
         if _few(one):
-            far = one.departure_dn > least
-            counts[one.sudden[far]] += one.times[far]
+            counts[one.sudden] += one.times
             trials += one.trials
     if not trials:
         return np.zeros(len(wrong), bool)

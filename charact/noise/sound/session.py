@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context
-from charact.noise.sound.kept import kept
-from charact.noise.sound.pixels import Unsound, unsound
+from charact.noise.sound.kept import keep_frames
+from charact.noise.sound.pixels import Unsound, unsound_pixels
 from charact.noise.sound.step import common_step
 from charact.noise.sound.survey import Survey, survey
 from charact.noise.sound.thresholds import LEAST_PIXELS, LEAST_SIDE, MEANS
@@ -59,7 +59,7 @@ class Prepared:
         )
 
 
-def prepared(session: Session, *, context: Context) -> Prepared:
+def prepare(session: Session, *, context: Context) -> Prepared:
     """Survey the darks and flats of a session and return it ready to be measured.
 
     Parameters
@@ -73,7 +73,7 @@ def prepared(session: Session, *, context: Context) -> Prepared:
     -----
     Means are compared pixel by pixel in eight stacks spread over the levels: a pixel that is wrong is so in several.
     """
-    session = replace(session, stacks=kept(session.stacks) if context.spread is map else session.stacks)
+    session = replace(session, stacks=keep_frames(session.stacks) if context.spread is map else session.stacks)
     entries = session.of_kind("dark", "flat")
     spread = set(np.linspace(0, len(entries) - 1, min(MEANS, len(entries))).round().astype(int).tolist())
     spread |= {i for i, entry in enumerate(entries) if entry.kind == "dark"} if len(entries) <= MEANS else set()
@@ -81,7 +81,7 @@ def prepared(session: Session, *, context: Context) -> Prepared:
     many = [one for one in surveys if one.frames > 1]
     sizes = {one.size for one in surveys}
     large = many and len(sizes) == 1 and many[0].pixels >= LEAST_PIXELS and min(many[0].size) >= LEAST_SIDE
-    found = unsound(many, multiplies=multiplies(session, context)) if large else None
+    found = unsound_pixels(many, multiplies=multiplies(session, context)) if large else None
     unit, whole = _unit(surveys)
     views = {
         one.label: view_of(one.label, found, one.size, unit_dn=unit, whole=whole, seed=context.seed) for one in surveys
