@@ -147,6 +147,7 @@ def context_of(
         seed=seed,
         quick=quick,
         sensor=session.sensor,
+        register=session.register,
         interlaced=session.is_interlaced,
         full_scale_dn=full_scale_dn,
         progress=progress,

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,14 +66,28 @@ class OpenStack:
         return replace(self, block=lambda first, last: data[first:last])
 
 
+class View(Protocol):
+    """How the frames of a stack are shown: scaled, or with pixels replaced."""
+
+    def through(self, stack: OpenStack) -> OpenStack:
+        """Return the stack as it is shown."""
+        ...
+
+
 def open_stack(entry: StackEntry) -> OpenStack:
-    """Open a stack: a Zarr array or a .npy file without reading it, anything else read whole.
+    """Open a stack: a Zarr array or a .npy file without reading it, anything else read whole; through its view.
 
     Raises
     ------
     BadInput
         As `StackEntry.read`.
     """
+    stack = _as_they_are(entry)
+    return stack if entry.view is None else entry.view.through(stack)
+
+
+def _as_they_are(entry: StackEntry) -> OpenStack:
+    """The frames of a stack without its view."""
     from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
 
     path = entry.paths[0] if isinstance(entry.frames, str) else None

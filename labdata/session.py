@@ -12,10 +12,12 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.sensor import Sensor
+from labdata.solid_state import Register, SolidStateCamera
 from labdata.target import Target
 
 if TYPE_CHECKING:
     from labdata.form import SessionForm, StackForm
+    from labdata.opened import View
 
 MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
@@ -61,6 +63,8 @@ class StackEntry:
         The axis of the files that counts frames, and the plane to read; see `labdata.importers.read_frames`.
     folder
         The session's folder.
+    view
+        How `labdata.opened.open_stack` shows the frames; None: as they are.
     """
 
     label: str
@@ -77,6 +81,7 @@ class StackEntry:
     axis: str | None = None
     plane: str | None = None
     folder: Path
+    view: "View | None" = None
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -172,6 +177,8 @@ class Session:
     sensor
         The description of the intensified camera that it names; None where it names none, or a camera without an
         intensifier, whose frames are measured as those of any camera.
+    register
+        Multiplying register of a camera without an intensifier that the session names; None where it has none.
     bit_depth
         Bits of the digitiser; None if unknown.
     interlaced
@@ -182,6 +189,7 @@ class Session:
     name: str
     stacks: tuple[StackEntry, ...]
     sensor: Sensor | None = None
+    register: Register | None = None
     bit_depth: int | None = None
     interlaced: bool | None = None
     notes: tuple[str, ...] = ()
@@ -256,6 +264,7 @@ def session_of(folder: Path, form: "SessionForm") -> Session:
         name=form.name,
         stacks=stacks,
         sensor=camera if isinstance(camera, Sensor) else None,
+        register=camera.register if isinstance(camera, SolidStateCamera) and camera.register.multiplies else None,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
         notes=(*form.notes, *_unused(stacks)),

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from labdata.description import (
     Description,
     must_be_a_count,
@@ -40,6 +42,30 @@ class Register:
         must_be_positive(self, "pulse_height_shape")
         must_not_be_negative(self, "clock_induced_e")
         must_be_a_count(self, "stages")
+
+    @property
+    def multiplies(self) -> bool:
+        """Whether it has any gain: a plain CCD is described with a gain of 1."""
+        return float(self.em_gain) > 1.0
+
+
+def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
+    r"""Return F^2 of a register: the variance of its output over that of the same gain without chance.
+
+    Parameters
+    ----------
+    em_gain
+        Mean gain g of the register, at least 1.
+    stages
+        Number N of its stages.
+
+    Notes
+    -----
+    .. math:: F^2 = 2 (g - 1) g^{-(N + 1) / N} + 1 / g
+
+    1 at unit gain and 2 at high gain (Robbins & Hadwen, IEEE Trans. Electron Devices 50, 1227 (2003), eq. 20).
+    """
+    return 2.0 * (em_gain - 1.0) * em_gain ** -(1.0 + 1.0 / stages) + 1.0 / em_gain
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,11 +25,7 @@ MODULES: dict[str, dict[str, str]] = {
         "noise-spectrum-free": "charact.mtf.noise_spectrum.flats",
     },
     "flats": {
-        "binning": "charact.noise.gain.lag_window",
         "covariance-sum": "charact.noise.gain.covariance_sum",
-        "covariance-window": "charact.noise.gain.lag_window",
-        "spectrum-parabola": "charact.noise.gain.near_zero",
-        "spectrum-plateau": "charact.noise.gain.near_zero",
         "variance": "charact.noise.gain.variance",
     },
     "bloom": {

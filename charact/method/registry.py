@@ -14,6 +14,7 @@ from charact.method.tolerance import meets
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.sensor import Sensor
+from labdata.solid_state import Register
 
 
 def unheard(sentence: str, share: float) -> None:
@@ -32,6 +33,8 @@ class Context:
         No Markov chain: intervals from the curvature at the maximum, or from few weighted draws.
     sensor
         Description of the camera, for its pitches and priors; None if unknown.
+    register
+        Multiplying register of a camera without a tube; None if there is none or it is unknown.
     interlaced
         Whether odd and even rows were exposed one after the other.
     full_scale_dn
@@ -46,6 +49,7 @@ class Context:
     seed: int = 0
     quick: bool = False
     sensor: Sensor | None = None
+    register: Register | None = None
     interlaced: bool = False
     full_scale_dn: float | None = None
     progress: Callable[[str, float], None] = unheard

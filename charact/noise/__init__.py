@@ -30,9 +30,14 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     BadInput
         If the session has neither darks nor flats, or the method is unknown.
     """
-    from charact.noise.light.separation_pulses import with_pulses
-
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    return with_pulses(chosen.function(session, context=context), session, context=context)
+    from charact.noise.defect_pixels import defect_pixels
+    from charact.noise.light.separation_pulses import with_pulses
+    from charact.noise.sound import prepare
+
+    ready = prepare(session, context=context)
+    session, context = ready.session, ready.context
+    result = with_pulses(chosen.function(session, context=context), session, context=context)
+    return ready.in_dn(result) + defect_pixels(session, ready.surveys, ready.found, context=context)

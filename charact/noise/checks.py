@@ -5,9 +5,11 @@ import numpy as np
 from charact.method import Context
 from charact.noise.findings import Finding, flags_of
 from charact.noise.gain.series import CLIPPED_SHARE, GAINS, Series, without_noise
+from charact.noise.gain.standard import errors_of
 from charact.noise.hidden import Effect
 from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
 from charact.noise.stack.level import Level
+from labdata import flags
 from labdata.conditions import Conditions
 
 # A check speaks up when the effect is both beyond its noise and large enough to move a number.
@@ -28,15 +30,19 @@ COARSE_DN2 = 1.0
 # repels charge bends that of any CCD by some percent.
 BENT_SHARE = 0.08
 BENT_ERRORS = 2.5
+ALLOWED = "what cannot be excluded is in the interval"
 # Conditions that a flat shares with its dark: largest difference as a share of the value, and in its unit.
 ALIKE = {
     "mcp_v": (1e-3, 0.0),
     "gain_control": (0.0, 0.5),
     "em_gain": (0.01, 0.0),
     "camera_gain_db": (0.0, 0.05),
-    "exposure_s": (0.1, 0.0),
     "temperature_c": (0.0, 5.0),
 }
+# Share of a flat's exposure by which that of its dark may differ.
+SAME_EXPOSURE = 0.1
+# Ratio of the light of two levels from which the response to light is seen.
+LEAST_SPAN = 1.3
 
 
 def series_findings(series: Series, *, context: Context) -> list[Finding]:
@@ -54,11 +60,29 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
     found += _codes(series)
     found += _unlike(series)
     found += processing_findings(series)
+    found += dark_findings(series)
     left = int(series.fitted.sum())
     if left < 3:
         word = "level" if left == 1 else "levels"
-        found.append(("too-few-frames", f"only {left} {word} inside the linear range: the law cannot be checked"))
+        found.append((None, f"only {left} {word} inside the linear range: the law cannot be checked"))
     return found
+
+
+def dark_findings(series: Series) -> list[Finding]:
+    """Return whether light fell on a dark: flats below it by more than the noise of a pixel."""
+    if series.reference != "dark":
+        return []
+    below = [i for i, dark in enumerate(series.darks) if series.signal_dn[i] < -(max(dark.variance_dn2, 0.0) ** 0.5)]
+    if not below:
+        return []
+    lowest = min(below, key=lambda i: series.signal_dn[i])
+    flat, dark = series.flats[lowest], series.darks[lowest]
+    high = max(dark.variance_dn2, 0.0) ** 0.5 - max(flat.variance_dn2, 0.0) ** 0.5
+    effect = (
+        f"{flat.label} lies {-series.signal_dn[lowest]:.4g} DN below {dark.label}, whose noise may be {high:.3g} DN"
+    )
+    return [flags.Finding(flag="dark-mismatch", effect=f"{effect} too high",
+                          remedy="kind in session.toml: dark and flat may be exchanged")]  # fmt: skip
 
 
 def _chosen(series: Series) -> list[Finding]:
@@ -83,11 +107,52 @@ def _unlike(series: Series) -> list[Finding]:
             if here is None or there is None or abs(here - there) <= max(least, share * abs(here)):
                 continue
             word = name.rsplit("_", 1)
-            sentence = (
-                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and {there:.4g} {word[1]}"
+            effect = (
+                f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and {there:.4g} {word[1]}, so "
+                "that level and noise of the dark may be others"
             )
-            found.append(("unlike-conditions", sentence))
+            found.append(flags.Finding(flag="unlike-conditions", effect=effect, remedy=f"darks of the flats' {name}"))
     return found
+
+
+def light_findings(series: Series) -> list[Finding]:
+    """Return what speaks against numbers that need the light, and against no gain: dark current, light misstated.
+
+    Dark current that a dark of shorter exposure leaves out arrives at random as light does: variance and signal rise
+    by it together, and the slope stays.
+    """
+    return [*_left_out_dark_current(series), *_contradicted_light(series)]
+
+
+def _left_out_dark_current(series: Series) -> list[Finding]:
+    """Flats exposed for longer than their darks."""
+    times = [
+        (f.conditions.exposure_s, d.conditions.exposure_s) for f, d in zip(series.flats, series.darks, strict=True)
+    ]
+    longer = [here - there for here, there in times if here is not None and there is not None]
+    apart = [gap for gap, (here, _) in zip(longer, times, strict=False) if here and gap > SAME_EXPOSURE * here]
+    if not apart or series.reference != "dark":
+        return []
+    effect = f"signals hold the dark current of up to {max(apart):.3g} s besides the light"
+    return [flags.Finding(flag="unlike-conditions", effect=effect, remedy="darks of the flats' exposure_s")]
+
+
+def _contradicted_light(series: Series) -> list[Finding]:
+    """Levels that differ under light that is stated to be one."""
+    chosen = np.flatnonzero(series.fitted)
+    light = [light_of(series.flats[i].conditions) for i in chosen]
+    if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
+        return []
+    exposure, signal = np.array(light, float), series.signal_dn[chosen]
+    ratio = signal / exposure
+    if exposure.max() / exposure.min() >= LEAST_SPAN or ratio.max() / ratio.min() < LEAST_SPAN:
+        return []
+    effect = (
+        f"levels differ {ratio.max() / ratio.min():.3g}-fold under light stated to differ "
+        f"{exposure.max() / exposure.min():.3g}-fold, so that numbers per photon or lux may be off as much"
+    )
+    remedy = "illuminance_lux, photons_per_px or exposure_s of each flat as it was"
+    return [flags.Finding(flag="agc", effect=effect, remedy=remedy)]
 
 
 def coarse(dark: Level, signal_dn: float) -> bool:
@@ -113,19 +178,25 @@ def bent(series: Series) -> list[Finding]:
     if len(chosen) < 3:
         return []
     signal = series.signal_dn[chosen]
-    gain, sd = series.variance_dn2[chosen] / signal, series.variance_sd_dn2[chosen] / signal
-    weight = 1.0 / np.maximum(sd, 1e-12) ** 2
+    sd, shared = errors_of(series)
+    sd, gain = sd[chosen] / signal, series.variance_dn2[chosen] / signal
+    weight = np.linalg.pinv(np.diag(np.maximum(sd, 1e-12) ** 2) + np.outer(shared / signal, shared / signal))
     design = np.stack([np.ones_like(signal), signal / signal.max()])
-    covariance = np.linalg.pinv(design * weight @ design.T)
-    first, slope = covariance @ (design * weight @ gain)
-    middle, error = float(weight @ gain / weight.sum()), float(np.sqrt(covariance[1, 1]))
-    if abs(slope) <= BENT_ERRORS * error:
+    covariance = np.linalg.pinv(design @ weight @ design.T)
+    first, slope = covariance @ (design @ weight @ gain)
+    middle, error = float(weight.sum(axis=0) @ gain / weight.sum()), float(np.sqrt(covariance[1, 1]))
+    # Behind a gamma curve variance over signal rises and falls again, and no straight line through it shows that.
+    own_sd = np.hypot(sd, shared / signal)
+    astray = bool(np.any(np.abs(gain - middle) > 2.0 * BENT_SHARE * middle + SIGNIFICANT * own_sd))
+    if abs(slope) <= BENT_ERRORS * error and not astray:
         return []
-    flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error else None
+    flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error or astray else None
     sentence = f"variance over signal goes from {first:.4g} to {first + slope:.4g} DN along the levels"
-    found: list[Finding] = [(flag, f"{sentence}; the gain is the slope over all of them")]
+    if flag is None:
+        return [(None, f"{sentence}; the gain is the slope over all of them")]
+    found: list[Finding] = [flags.Finding(flag=flag, effect=sentence, remedy="flats of the straight part alone")]
     own = np.array([series.flats[i].variance_dn2 for i in chosen]) / signal
-    return found + (gamma_of_noise(signal, own, sd) if flag else [])
+    return found + gamma_of_noise(signal, own, sd)
 
 
 def exposure_findings(exposures: Effect) -> list[Finding]:
@@ -134,7 +205,7 @@ def exposure_findings(exposures: Effect) -> list[Finding]:
         share = 100 * exposures.share
         return [("lag", f"successive exposures hold {share:.3g} % of the noise of one in common")]
     if exposures.blind:
-        return [("too-few-frames", "too few frames to tell whether light of earlier ones is in them")]
+        return [(None, f"too few frames to tell what they share in time; {ALLOWED}")]
     return []
 
 
@@ -144,14 +215,14 @@ def exposure_flags(exposures: Effect) -> tuple[str, ...]:
 
 
 def hidden_findings(neighbours: Effect, exposures: Effect) -> list[Finding]:
-    """What makes a variance read low."""
+    """Return what makes a variance read low."""
     found = exposure_findings(exposures)
     if neighbours.seen:
-        found.append(
-            ("correlated-noise", f"neighbouring pixels hold {100 * neighbours.share:.3g} % of the noise of one")
-        )
+        low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
+        effect = f"neighbouring pixels share noise, so that the slope of EMVA 1288 is {low:.2g} % low"
+        found.append(flags.Finding(flag="correlated-noise", effect=effect, remedy="--method covariance-sum"))
     elif neighbours.blind:
-        found.append(("too-few-frames", "too few pixels and frames to tell whether neighbours share noise"))
+        found.append((None, f"too few pixels and frames to tell what neighbours share; {ALLOWED}"))
     return found
 
 
@@ -215,7 +286,7 @@ def _light(series: Series) -> list[Finding]:
         return []
     exposure, signal = np.array(light, float), series.signal_dn[chosen]
     span = exposure.max() / exposure.min()
-    if span < 1.3:
+    if span < LEAST_SPAN:
         return []
     if gamma := gamma_of_light(exposure, signal):
         return gamma

@@ -1,47 +1,53 @@
 """How many pixels of a camera are defective, in the dark and in the light."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from charact.method import Context
-from charact.noise.cube.cube import Cube
-from charact.noise.gain.series import CLIPPED_SHARE
 from charact.noise.provenance import provenance
-from charact.noise.stack.defects import FAR, RESTLESS
-from charact.noise.stack.level import Level
+from charact.noise.sound.pixels import Unsound
+from charact.noise.sound.survey import Survey
+from charact.noise.sound.thresholds import FAR
 from labdata.measurement import Measurement, Result, measured, refused
+from labdata.session import Session
 
 METHOD = "outlying-pixels"
 # Places that a note lists.
 LISTED = 10
 
 
-def defect_pixels(levels: list[Level], *, context: Context) -> Result:
-    """Return how many pixels are defective in the dark of the longest exposure and in the brightest whole flat."""
+def defect_pixels(session: Session, surveys: Sequence[Survey], found: Unsound | None, *, context: Context) -> Result:
+    """Return how many pixels are defective in the dark of the longest exposure and in the brightest flat."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    known = [level for level in levels if level.cube is not None and level.high_share <= CLIPPED_SHARE]
-    if not known:
-        reason = "defective pixels need a stack of at least 8 frames below the highest code"
-        return Result(measurements=(refused("defect_pixels", "px", reason, **fields),)) if levels else Result()
-    darks = [level for level in known if level.kind == "dark"]
-    flats = [level for level in known if level.kind == "flat"]
-    chosen = [max(darks, key=lambda d: (d.conditions.exposure_s or 0.0, d.frames))] if darks else []
-    chosen += [max(flats, key=lambda f: f.mean_dn)] if flats else []
-    return Result(measurements=tuple(_counted(level, level.cube, fields) for level in chosen if level.cube))
+    known = [one for one in surveys if one.threshold_dn > 0]
+    if found is None or not known:
+        reason = "defective pixels need stacks of two frames and of 32 x 32 px at least that change from frame to frame"
+        return Result(measurements=(refused("defect_pixels", "px", reason, **fields),))
+    exposure = {entry.label: entry.conditions.exposure_s or 0.0 for entry in session.stacks}
+    darks = [one for one in known if one.kind == "dark"]
+    flats = [one for one in known if one.kind == "flat"]
+    chosen = [max(darks, key=lambda one: (exposure[one.label], one.frames))] if darks else []
+    chosen += [max(flats, key=lambda one: one.level_dn)] if flats else []
+    return Result(measurements=tuple(_counted(one, found, fields) for one in chosen))
 
 
-def _counted(level: Level, cube: Cube, fields: dict[str, Any]) -> Measurement:
-    """The number of defective pixels of a stack, which its cube told."""
-    found = cube.defects
-    each = f"{len(found.bright)} bright, {len(found.faint)} faint, {len(found.restless)} restless"
-    rule = f"a mean beyond {found.threshold_dn:.3g} DN of the others, {FAR:g} robust standard deviations"
-    notes = [f"{each}; {rule}, or changes {RESTLESS:g} times as large as theirs"]
-    places = np.concatenate([found.bright, found.faint, found.restless])[:LISTED]
-    if len(places):
-        shown = ", ".join(f"({row}, {col})" for row, col in dict.fromkeys(map(tuple, places.tolist())))
+def _counted(one: Survey, found: Unsound, fields: dict[str, Any]) -> Measurement:
+    """The number of defective pixels of a stack."""
+    blinking = np.intersect1d(found.blinking, one.sudden)
+    bright, faint = (np.setdiff1d(places, blinking) for places in (one.bright, one.faint))
+    each = f"{len(bright)} bright, {len(faint)} faint, {len(blinking)} blinking"
+    rule = f"a mean beyond {one.threshold_dn:.3g} DN of those around, {FAR:g} robust standard deviations"
+    notes = [f"{each}; {rule}, or sudden changes in more frames than chance allows"]
+    places = np.concatenate([bright, faint, blinking])
+    count = len(np.unique(places))
+    if count:
+        rows, cols = np.divmod(places[:LISTED], one.size[1])
+        shown = ", ".join(
+            f"({row}, {col})" for row, col in dict.fromkeys(zip(rows.tolist(), cols.tolist(), strict=True))
+        )
         notes.append(f"row and column of the first: {shown}")
-    low, high = found.least, found.most
-    around = [(float(min(low[i], found.count)), float(max(high[i], found.count))) for i in (0, 1)]
-    return measured("defect_pixels", "px", float(found.count), *around, notes=tuple(notes),
-                    stack=level.label, seconds=cube.seconds, **fields)  # fmt: skip
+    least, most = ([number + len(blinking) for number in bounds] for bounds in (one.least, one.most))
+    around = [(float(min(least[i], count)), float(max(most[i], count))) for i in (0, 1)]
+    return measured("defect_pixels", "px", float(count), *around, notes=tuple(notes), stack=one.label, **fields)

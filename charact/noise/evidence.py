@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.noise.gain.model import Fit
+from charact.noise.gain.fit import Fit
 from charact.noise.gain.series import Series
 from charact.noise.gain.summary import Summary
 

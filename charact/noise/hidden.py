@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.gain.series import Series
-from charact.noise.stack.level import Level
 
 Array = NDArray[np.float64]
 
@@ -21,6 +20,8 @@ SIGNIFICANT = 3.0
 HARMLESS = 0.02
 # Where a test cannot exclude this much, it is no test.
 BLIND = 0.1
+# Largest share of the covariance sum that lies with neighbours in a chip: each of four gets 5 % of the charge.
+MOST = 0.4
 # Flats of fewer frames have too few pairs of frames to set near ones against far ones.
 FEW_FRAMES = 3
 # Levels of such unequal certainty tell no law.
@@ -57,15 +58,45 @@ class Effect:
             return 0.0
         return float(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)))
 
+    @property
+    def expected(self) -> float:
+        """Root mean square of the effect where none at all is as likely beforehand as any up to `MOST`."""
+        if not self.sd > 0:
+            return min(abs(self.share), BLIND)
+        none = np.exp(-0.5 * (self.share / self.sd) ** 2) * MOST / (self.sd * np.sqrt(2.0 * np.pi))
+        return float(np.sqrt(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)) ** 2 / (1.0 + none)))
 
-def shared_by_neighbours(levels: tuple[Level, ...]) -> Effect:
-    """Return the share of the covariance sum that lies with the eight neighbours of a pixel.
 
-    Separable blur is taken for granted: a diagonal neighbour shares the product of both correlations.
+def allowance_of(neighbours: Effect, exposures: Effect, *, tube: bool) -> float:
+    """Return the relative standard deviation that what is hidden adds to the gain.
+
+    A screen glows on and a tube blurs: what a test cannot exclude is allowed for. Most chips do neither.
     """
-    beside, beside_sd = _pooled([(level.neighbour_correlation, level.neighbour_sd) for level in levels])
-    below, below_sd = _pooled([(level.below_correlation, level.below_sd) for level in levels])
+    parts = [one.allowance if tube else one.expected for one in (neighbours, exposures)]
+    return float(np.hypot(parts[0], parts[1]))
+
+
+def shared_by_neighbours(series: Series) -> Effect:
+    """Return the share of the light's covariance sum that lies with the eight neighbours of a pixel.
+
+    Noise of whole rows and columns that the dark holds as well cancels. Separable blur is taken for granted: a diagonal
+    neighbour shares the product of both correlations.
+    """
+    chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
+    beside, beside_sd = weighted_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
+    below, below_sd = weighted_mean([light_correlation(series, int(i), "below") for i in chosen])
     return Effect(share=2.0 * (beside + below + 2.0 * beside * below), sd=2.0 * float(np.hypot(beside_sd, below_sd)))
+
+
+def light_correlation(series: Series, index: int, name: str) -> tuple[float, float]:
+    """Return the correlation of neighbours in what the light adds to the noise of the dark, and its standard error."""
+    flat, dark = series.flats[index], series.darks[index]
+    variance = series.variance_dn2[index]
+    covariance, sd = (
+        [getattr(level, f"{name}_{what}") * level.variance_dn2 for level in (flat, dark)]
+        for what in ("correlation", "sd")
+    )
+    return float((covariance[0] - covariance[1]) / variance), float(np.hypot(*sd) / variance)
 
 
 def shared_by_exposures(series: Series) -> Effect:
@@ -77,7 +108,7 @@ def shared_by_exposures(series: Series) -> Effect:
     """
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
-    value, sd = _pooled([pair for pair in known if np.isfinite(pair[1])])
+    value, sd = weighted_mean(known)
     most = max(level.frames for level in levels)
     # Memory itself takes two correlations from the variance, earlier and later; the mean of few frames takes more.
     taken = 2.0 + 2.0 / most
@@ -88,13 +119,13 @@ def shared_by_exposures(series: Series) -> Effect:
     return common if near.blind or (common.seen and not near.seen) else near
 
 
-def _pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean and its standard error, infinite for none."""
-    if not pairs:
+def weighted_mean(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+    """Return the weighted mean of values of finite standard error, and its own; infinite for none."""
+    known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
+    if not len(known):
         return 0.0, np.inf
-    value, sd = np.array(pairs).T
-    weight = 1.0 / np.maximum(sd, 1e-9) ** 2
-    return float(weight @ value / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
+    weight = 1.0 / np.maximum(known[:, 1], 1e-9) ** 2
+    return float(weight @ known[:, 0] / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
 
 
 def _common_to_frames(series: Series, taken: float) -> Effect:

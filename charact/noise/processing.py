@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
 from charact.noise.gain.series import Series
-from charact.noise.hidden import FEW_FRAMES
+from charact.noise.hidden import FEW_FRAMES, light_correlation, weighted_mean
 from charact.noise.stack.level import Level
 
 Array = NDArray[np.float64]
@@ -40,11 +40,11 @@ def _sharpened(levels: list[Level]) -> list[Finding]:
         ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
         ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
     ):
-        value, sd = _pooled(correlations)
+        value, sd = weighted_mean(correlations)
         if value < -LEAST_SHARE - SIGNIFICANT * sd:
             word = f"the noise of neighbours {place} is opposed ({100 * value:.2g} %)"
             return [("processed", f"{word}: the camera sharpens its pictures, and the variance reads high")]
-    value, sd = _pooled([_rise(level) for level in levels])
+    value, sd = weighted_mean([_rise(level) for level in levels])
     if value > LEAST_RISE + SIGNIFICANT * sd:
         word = f"the noise is {100 * value:.2g} % stronger in fine detail than in coarse"
         return [("processed", f"{word}: the camera sharpens its pictures")]
@@ -71,9 +71,9 @@ def _rise(level: Level) -> tuple[float, float]:
 def _averaged(darks: tuple[Level, ...]) -> list[Finding]:
     """Whether dark frames share noise in time that pixels do not share in space: no light glows on so."""
     known = [dark for dark in darks if dark.frames > FEW_FRAMES]
-    value, sd = _pooled([(dark.successor_correlation, dark.successor_sd) for dark in known])
-    around = [_pooled([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
-              _pooled([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
+    value, sd = weighted_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
+    around = [weighted_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
+              weighted_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
     if value < LEAST_SHARE + SIGNIFICANT * sd or max(part for part, _ in around) > SHARED_IN_SPACE * value:
         return []
     word = f"successive dark frames hold {100 * value:.2g} % of their noise in common, neighbouring pixels none"
@@ -93,7 +93,7 @@ def _smoothed_by_level(series: Series) -> list[Finding]:
     span = (span - span.min()) / max(float(np.ptp(span)), 1e-12)
     design = np.stack([1.0 - span, span])
     for place, name in (("in a row", "neighbour"), ("in a column", "below")):
-        share, sd = np.array([_of_light(series, int(i), name) for i in chosen]).T
+        share, sd = np.array([light_correlation(series, int(i), name) for i in chosen]).T
         weight = 1.0 / np.maximum(sd, 1e-9) ** 2
         covariance = np.linalg.pinv(design * weight @ design.T)
         low, high = covariance @ (design * weight @ share)
@@ -102,26 +102,6 @@ def _smoothed_by_level(series: Series) -> list[Finding]:
             word = f"neighbours {place} share {100 * low:.2g} % of the light's noise in the dimmest flat"
             return [("processed", f"{word} and {100 * high:.2g} % in the brightest: the camera smooths some more")]
     return []
-
-
-def _of_light(series: Series, index: int, name: str) -> tuple[float, float]:
-    """Correlation of neighbours in what the light adds to the noise of the dark, and its standard error."""
-    flat, dark = series.flats[index], series.darks[index]
-    variance = series.variance_dn2[index]
-    covariance, sd = (
-        [getattr(level, f"{name}_{what}") * level.variance_dn2 for level in (flat, dark)]
-        for what in ("correlation", "sd")
-    )
-    return float((covariance[0] - covariance[1]) / variance), float(np.hypot(*sd) / variance)
-
-
-def _pooled(pairs: list[tuple[float, float]]) -> tuple[float, float]:
-    """Weighted mean and its standard error, infinite for none."""
-    known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
-    if not len(known):
-        return 0.0, np.inf
-    weight = 1.0 / np.maximum(known[:, 1], 1e-9) ** 2
-    return float(weight @ known[:, 0] / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
 
 
 def gamma_of_light(light: Array, signal: Array) -> list[Finding]:

@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.checks import QUANTISED_DN2
-from charact.noise.findings import flags_of
+from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import standard
 from charact.noise.gain.series import Series
 from charact.noise.hidden import FEW_FRAMES
+from charact.noise.light.rounding import rounding_sd
 from charact.noise.light.stated import light_of_photons
 from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, from_draws, from_sd, refused
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 # Share of a dark's values at an end of the codes that leaves its noise alone.
 CUT_SHARE = 0.01
 
+PAIR = "of a pair: what its two frames share in time, if anything, is in it"
+
 # Share of the flats' pattern below which that of the dark, and what is wrong with it, matters no more.
 DARK_SHARE = 0.02
 
@@ -28,10 +31,11 @@ DARK_SHARE = 0.02
 def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
     """Read noise and level of the darks, DN; the shortest exposure speaks."""
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
-    noise, sd = standard.noise_of(dark.variance_dn2, dark.variance_sd_dn2)
+    spread = float(np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]))
+    noise, sd = standard.noise_of(dark.variance_dn2, spread)
     small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
     # Said here as well, for darks without a series of flats.
-    flags += cut(dark) + (() if dark.cube is None else flags_of(dark.cube.defects.findings))
+    flags += cut(dark)
     out = []
     if noise > 0:
         note = ("temporal noise of a dark frame: electronics, digitiser and what scintillates in the dark",)
@@ -91,13 +95,13 @@ def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, 
 def _dark_pattern(dark: Level, gain: Array | None, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
     """Non-uniformity of the dark signal, in electrons where the gain is known."""
     flags += lagging(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
-    # A pair of frames cannot tell a pattern from what the two share.
-    flags += ("too-few-frames",) if dark.frames < 3 else ()
+    notes = (PAIR,) if dark.frames < FEW_FRAMES else ()
     unit, scale, relative_sd = "DN", 1.0, 0.0
     if gain is not None:
         unit, scale, relative_sd = "e-", float(np.median(gain)), float(np.std(gain) / np.median(gain))
     sd = float(np.hypot(dark.spatial_sd_dn2, 2.0 * relative_sd * dark.spatial_variance_dn2))
-    return _root("dsnu", unit, dark.spatial_variance_dn2, sd, lambda s: s / scale, flags=flags, **fields)
+    return _root("dsnu", unit, dark.spatial_variance_dn2, sd, lambda s: s / scale, flags=flags, notes=notes,
+                 **fields)  # fmt: skip
 
 
 def lagging(*levels: Level) -> tuple[str, ...]:
@@ -117,36 +121,56 @@ def _root(quantity: str, unit: str, variance: float, sd: float, scaled: Callable
                    **fields)  # fmt: skip
 
 
-def white_quantities(series: Series, gain: standard.Line, *, context: Context, flags: tuple[str, ...], **fields: Any
+def white_quantities(series: Series, gain: standard.Line, *, context: Context, findings: list[Finding],
+                     light: list[Finding], notes: tuple[str, ...] = (), factor: float = 1.0, **fields: Any
                      ) -> list[Measurement]:  # fmt: skip
-    """What EMVA 1288 makes of K where noise is white: efficiency, noise in electrons, range."""
+    """Return what EMVA 1288 makes of K: efficiency, noise in electrons, range.
+
+    Parameters
+    ----------
+    series, gain
+        The flats and the gain per electron.
+    context, fields
+        Settings; method and provenance.
+    findings, light
+        What speaks against the gain, and besides against numbers that need the light as stated.
+    notes
+        How the gain was found.
+    factor
+        F^2 of a register, by which it multiplies the variance of the light.
+    """
     slope = gain.slope
     rng = np.random.default_rng([context.seed, 2])
     out: list[Measurement] = []
+    fields |= {"flags": flags_of(findings) + gain.posterior.flags}
+    lit = {**fields, "flags": flags_of([*findings, *light]) + gain.posterior.flags}
     photons = standard.photons_of(series)
     efficiency = None
     if photons is not None and (photons > 0).all():
         response = standard.responsivity_line(series, photons, context=context)
         efficiency = rng.permutation(response.slope) / slope
-        light = light_of_photons(series, photons)
-        true = efficiency / light.scale(context.seed, len(efficiency))
-        out.append(from_draws("quantum_efficiency", "%", 100 * true, flags=flags, notes=(light.note,), **fields))
-        out.append(_linearity(series, response, photons, flags=flags, **fields))
+        stated = light_of_photons(series, photons)
+        true = efficiency / stated.scale(context.seed, len(efficiency))
+        words = (*notes, stated.note, *notes_of(light))
+        out.append(from_draws("quantum_efficiency", "%", 100 * true, notes=words, **lit))
+        out.append(_linearity(series, response, photons, notes=notes_of(light), **lit))
     if not series.all_darks:
         return out
     dark, dark_sd = standard.dark_noise_dn(series)
-    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - standard.QUANTISATION_DN2
+    # What the steps do to so little noise depends on where between two codes it lies, and on neither side of none.
+    steps = rounding_sd(dark**2)[1] * rng.standard_normal(len(slope))
+    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - standard.QUANTISATION_DN2 + steps
     if np.quantile(square, 0.02) <= 0:
         reason = f"the noise of {dark:.3g} DN is not above that of the digitiser's steps"
+        fields.pop("flags")
         out.append(refused("read_noise", "e-", reason, **fields))
         return out
-    dark_e2 = square / slope**2
-    out.append(from_draws("read_noise", "e-", np.sqrt(dark_e2), flags=flags, **fields))
-    return out + _range(series, slope, efficiency, dark_e2, photons, flags=flags, **fields)
+    dark_e2 = np.maximum(square, 0.0) / slope**2
+    out.append(from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **fields))
+    return out + _range(series, slope, None if light else efficiency, dark_e2, photons, factor, **fields)
 
 
-def _linearity(series: Series, response: standard.Line, photons: Array, *, flags: tuple[str, ...], **fields: Any
-               ) -> Measurement:  # fmt: skip
+def _linearity(series: Series, response: standard.Line, photons: Array, **fields: Any) -> Measurement:
     """Mean departure from the line between 5 and 70 % of saturation, percent of the line."""
     chosen = np.flatnonzero(series.fitted)
     value = np.median(response.slope) * photons[chosen]
@@ -155,21 +179,22 @@ def _linearity(series: Series, response: standard.Line, photons: Array, *, flags
     departure = np.abs(response.residual[inside] / value[inside])
     sd = np.hypot(float(np.sqrt(np.sum((error / value)[inside] ** 2))) / inside.sum(),
                   float(np.std(response.slope) / np.median(response.slope)))  # fmt: skip
-    return from_sd("linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), flags=flags, **fields)
+    return from_sd("linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), **fields)
 
 
-def _range(series: Series, slope: Array, efficiency: Array | None, dark_e2: Array, photons: Array | None, *,
-           flags: tuple[str, ...], **fields: Any) -> list[Measurement]:  # fmt: skip
+def _range(series: Series, slope: Array, efficiency: Array | None, dark_e2: Array, photons: Array | None,
+           factor: float, **fields: Any) -> list[Measurement]:  # fmt: skip
     """Capacity, largest signal-to-noise ratio and dynamic range, at the level where the variance peaks."""
     names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
     if series.peak is None:
         reason = f"no flat reaches saturation: the variance still rises at {series.flats[-1].mean_dn:.4g} DN"
+        fields.pop("flags")
         return [refused(name, unit, reason, **fields) for name, unit in names]
     if efficiency is not None and photons is not None:
         capacity = efficiency * photons[series.peak]
     else:
         capacity = series.signal_dn[series.peak] / slope
-    least = standard.sensitivity_photons(np.ones_like(slope), dark_e2, slope)
+    least = standard.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
     # The peak is known to within the step between levels.
-    draws = (capacity, np.sqrt(capacity), capacity / least)
-    return [from_draws(name, unit, d, flags=flags, **fields) for (name, unit), d in zip(names, draws, strict=True)]
+    draws = (capacity, np.sqrt(capacity / factor), capacity / least)
+    return [from_draws(name, unit, d, **fields) for (name, unit), d in zip(names, draws, strict=True)]

@@ -4,15 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from charact.noise.checks import dark_findings
+from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain.series import Series, without_noise
 from charact.noise.quantities import dark_quantities
-from charact.noise.stack.level import Level
 from labdata.measurement import Measurement, refused
-
-
-def lit(series: Series) -> tuple[Level, ...]:
-    """The flats that are fitted."""
-    return tuple(flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted)
 
 
 def problem(series: Series) -> str | None:
@@ -41,4 +37,7 @@ def without_flats(darks, series: Series | None, single: list[str], *, quantity=(
     else:
         reason = "there are no flats"
     out = [refused(quantity[0], quantity[1], reason, **fields)]
-    return out + (dark_quantities(tuple(darks), flags=(), **fields) if darks else [])
+    wrong = [] if series is None or not len(series.flats) else dark_findings(series)
+    dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
+    notes = notes_of(wrong)
+    return out + [one.with_(flags=flags_of(wrong), notes=(*one.notes, *notes)) for one in dark]

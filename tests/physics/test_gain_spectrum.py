@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.gain.model import fit
+from charact.noise.gain.fit import fit
+from charact.noise.gain.forms import forms_of
 from charact.noise.gain.one_gain import blur_exponent
 from charact.noise.gain.reading import Reading
 from charact.noise.gain.summary import Lag, Summary
@@ -41,7 +42,8 @@ def bias_percent(number, interlaced):
         power_dn=seen, power_sd_dn=seen / np.sqrt(bins.modes * bins.efficiency * EXPOSURES), variance_dn=1.0,
         variance_sd_dn=0.01, height_sd=0.01, lag=NO_LAG,
     )  # fmt: skip
-    found = fit(summary, seed=1, quick=True, exponent=blur_exponent(Context(sensor=scene.description)))
+    forms = forms_of(blur_exponent(Context(sensor=scene.description)), blurred=True, floor=False)
+    found = fit(summary, seed=1, quick=True, forms=forms)
     return 100.0 * (float(np.mean(found.posterior["power"])) - 1.0)
 
 

@@ -9,9 +9,8 @@ from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.noise.cube.components import Component, components
 from charact.noise.cube.contrasts import contrasts
-from charact.noise.cube.irregular import alternating_rows, few_pixels, uneven
+from charact.noise.cube.irregular import alternating_rows, uneven
 from charact.noise.findings import Finding
-from charact.noise.stack.defects import Defects, defects_of
 from charact.noise.stack.frame_means import FrameMeans, frame_means
 from labdata.opened import OpenStack
 
@@ -38,8 +37,6 @@ class Cube:
         Mean of each row, shape (row,), and of each column, shape (col,), DN.
     fields
         Cubes that the frames were taken apart into: 2 for interlaced ones.
-    defects
-        Defective pixels.
     seconds
         Time it took, s.
     """
@@ -50,7 +47,6 @@ class Cube:
     row_mean_dn: Array
     column_mean_dn: Array
     fields: int
-    defects: Defects
     seconds: float
 
 
@@ -64,13 +60,11 @@ def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
     parts = components(found)
     shaded = tuple(uneven(found))
     split = context.interlaced
-    defects = defects_of(found, parts["tvh"].variance_dn2)
     findings = {
         "v": shaded + (() if split else tuple(alternating_rows(found, fixed=True))),
         "h": shaded,
-        "vh": shaded + tuple(few_pixels(found, parts["vh"].variance_dn2)),
+        "vh": shaded,
         "tv": () if split else tuple(alternating_rows(found, fixed=False)),
-        "tvh": tuple(defects.findings),
     }
     return Cube(
         components=parts,
@@ -79,6 +73,5 @@ def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
         row_mean_dn=(found.by_row[..., 0].mean(axis=1) / np.sqrt(found.size[2])).T.ravel(),
         column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
         fields=len(found.by_row),
-        defects=defects,
         seconds=watch.seconds(),
     )

@@ -1,18 +1,15 @@
-"""Patterns that are no noise of rows, columns and pixels: uneven light, fields not taken apart, some hot pixels."""
+"""Patterns that are no noise of rows, columns and pixels: uneven light, fields not taken apart."""
 
 import numpy as np
 
 from charact.noise.cube.contrasts import Contrasts
-from charact.noise.cube.mean_squares import COL, ROW, TIME, centred, shading
+from charact.noise.cube.mean_squares import ROW, TIME, centred, shading
 from charact.noise.findings import Finding
 
 # Rows that alternate are seen where the power at their frequency is so many times that of the others, of one mean
 # and, with a square root for the frames, of many.
 ALTERNATING = 30.0
 ALTERNATING_ERRORS = 8.0
-# Pixels so many robust standard deviations off, that hold this share of the pattern.
-FAR = 8.0
-HELD_BY_FEW = 0.1
 
 
 def uneven(found: Contrasts) -> list[Finding]:
@@ -39,15 +36,3 @@ def alternating_rows(found: Contrasts, *, fixed: bool) -> list[Finding]:
     rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / found.size[2]))
     sentence = f"even and odd rows differ by {2.0 * rms:.3g} DN: fields of interlaced frames, not taken apart?"
     return [("interlace-motion", sentence)]
-
-
-def few_pixels(found: Contrasts, variance_dn2: float) -> list[Finding]:
-    """Find a fixed pattern that a few pixels hold."""
-    rest = centred(found.by_pixel[:, :1], (ROW, COL), fixed=True) / np.sqrt(found.size[0])
-    size = np.abs(rest)
-    far = size > FAR * 1.4826 * float(np.median(size))
-    held = float(np.sum(rest[far] ** 2)) / rest.size
-    if held <= HELD_BY_FEW * variance_dn2 or variance_dn2 <= 0:
-        return []
-    share = 100 * min(held / variance_dn2, 1.0)
-    return [("defects", f"{int(far.sum())} pixels hold {share:.0f} % of the pattern's variance")]

@@ -10,27 +10,31 @@ from charact.noise.checks import (
     QUANTISED_DN2,
     bent,
     coarse_findings,
+    exposure_findings,
     exposure_flags,
-    hidden_findings,
     series_findings,
 )
 from charact.noise.cube.three_dimensional import three_dimensional
 from charact.noise.dark_current import dark_current
-from charact.noise.defect_pixels import defect_pixels
 from charact.noise.events.events import pulses_of_darks
 from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
 from charact.noise.findings import flags_of, notes_of
-from charact.noise.gain import model, standard
-from charact.noise.gain.one_gain import LEAST_BINS, Estimate, OneGain, blur_exponent, one_gain
+from charact.noise.gain import standard
+from charact.noise.gain.fit import Fit, fit
+from charact.noise.gain.forms import forms_of
+from charact.noise.gain.one_gain import LEAST_BINS, OneGain, blur_exponent, one_gain
+from charact.noise.gain.per_electron import electron_quantities, gain_of
 from charact.noise.gain.series import Series, read_levels, series_of
 from charact.noise.gain.summary import summarise
+from charact.noise.hidden import allowance_of
 from charact.noise.light.separation import separated
 from charact.noise.light.snr import snr_against_light
 from charact.noise.predictive.check import Told, findings_of, predictive, predictive_evidence
 from charact.noise.provenance import provenance
-from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation, white_quantities
+from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation
 from charact.noise.stack.level import Level
 from charact.noise.sweep.sweep import gain_sweep
+from charact.noise.tube import intensified
 from charact.noise.verdict import problem, without_flats
 from labdata.measurement import Measurement, Result, from_draws, refused
 from labdata.session import Session
@@ -62,23 +66,18 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     Covariance gain is K + k F^2, the power of the noise at frequency 0 over the signal, summed over the lags of the
     phosphor. See `charact.noise.gain.model`.
     """
-    return measured(session, context=context, method=METHOD)
-
-
-def measured(session: Session, *, context: Context, method: str, estimate: Estimate | None = None) -> Result:
-    """Return all that darks and flats tell, the covariance gain by an estimate of one's own; None: by the model."""
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
-    fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
-    result = _of_levels(session, darks, flats, single, context, fields, estimate)
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    result = _of_levels(session, darks, flats, single, context, fields)
     result += three_dimensional([*darks, *flats], context=context)
-    result += dark_current(darks, result, context=context) + defect_pixels([*darks, *flats], context=context)
+    result += dark_current(darks, result, context=context)
     result += gain_sweep(darks, flats, context=context)
     result += pulses_of_darks(session, darks, context=context)
     return result + snr_against_light(darks, flats, single=single, context=context)
 
 
 def _of_levels(session: Session, darks: list[Level], flats: list[Level], single: list[str], context: Context,
-               fields: dict[str, Any], estimate: Estimate | None) -> Result:  # fmt: skip
+               fields: dict[str, Any]) -> Result:  # fmt: skip
     """Gains and all that follows from them, or why there are none."""
     small = too_small([*darks, *flats])
     if small is not None:
@@ -91,7 +90,7 @@ def _of_levels(session: Session, darks: list[Level], flats: list[Level], single:
         # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=(*out, *alone.measurements), evidence=alone.evidence)
-    return _of_series(session, series, context, fields, estimate)
+    return _of_series(session, series, context, fields)
 
 
 def too_small(levels: list[Level]) -> str | None:
@@ -105,26 +104,27 @@ def too_small(levels: list[Level]) -> str | None:
     )
 
 
-def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any], estimate: Estimate | None
-               ) -> Result:  # fmt: skip
+def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any]) -> Result:
     """All quantities of a series of flats."""
     context.progress("posterior of the covariance gain", 0.9)
-    pooled = one_gain(series, context=context, quick=context.quick, estimate=estimate)
-    white = pooled.white
-    if not white:
+    pooled = one_gain(series, context=context, quick=context.quick)
+    tube = intensified([level.conditions for level in (*series.flats, *series.all_darks)], context)
+    if tube and not pooled.white:
         pooled = pooled.at_low_signal(context)
     fit = pooled.fit
     common = series_findings(series, context=context)
-    hidden = bent(series) + hidden_findings(pooled.neighbours, pooled.exposures)
-    allowance = float(np.hypot(pooled.neighbours.allowance, pooled.exposures.allowance))
-    gain = standard.gain_line(series, context=context, allowance=allowance) if white else None
+    hidden = bent(series) + exposure_findings(pooled.exposures)
+    allowance = allowance_of(pooled.neighbours, pooled.exposures, tube=tube)
+    gains = None if tube and not pooled.white else gain_of(pooled, allowance, context)
+    gain = None if gains is None else gains[1]
     told = _told(session, pooled, gain, context)
     findings = (
         common
         + findings_of(told)
         + pooled.findings()
-        + (bent(series) if white else coarse_findings(series))
-        + pooled.departures()
+        + (bent(series) if gains is not None else [])
+        + ([] if pooled.white else coarse_findings(series))
+        + (pooled.departures() if tube or pooled.white else [])
     )
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
@@ -133,15 +133,16 @@ def _of_series(session: Session, series: Series, context: Context, fields: dict[
         from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
     plain = flags_of(common)
-    own_flags = flags_of(hidden + findings_of(told))
+    slope = common + hidden + findings_of(told)
     out += (
-        _white_quantities(series, gain, context, plain + own_flags, fields)
-        if gain is not None
+        electron_quantities(pooled, gains, slope, findings, context, fields)
+        if gains is not None
         else _intensified_quantities(series, fit, context, plain, flags, fields)
     )
     out.append(saturation(series, flags=plain, **fields))
     out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
-    out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=own_flags,
+    gain_flags = flags_of(slope if pooled.white else findings)
+    out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=gain_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
     evidence = _evidence(pooled, gain) | ({"predictive-frames": predictive_evidence(told)} if told else {})
     return Result(measurements=tuple(out), evidence=evidence)
@@ -152,7 +153,8 @@ def _told(session: Session, pooled: OneGain, gain: standard.Line | None, context
     if context.quick:
         return []
     context.progress("frames drawn from the posterior", 0.95)
-    return predictive(session.stacks, pooled, None if gain is None else gain.slope, context=context)
+    slope = gain.slope if gain is not None and pooled.white else None
+    return predictive(session.stacks, pooled, slope, context=context)
 
 
 def _evidence(pooled: OneGain, gain: standard.Line | None) -> dict[str, Any]:
@@ -177,17 +179,9 @@ def _evidence(pooled: OneGain, gain: standard.Line | None) -> dict[str, Any]:
     }
 
 
-def _white_quantities(series: Series, gain: standard.Line, context: Context, flags: tuple[str, ...],
-                      fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Gain in DN per electron and what follows from it, where noise is white."""
-    own = flags + gain.posterior.flags
-    first = from_draws("system_gain", "DN/e-", gain.slope, flags=own, posterior=gain.posterior, **fields)
-    return [first, *white_quantities(series, gain, context=context, flags=own, **fields)]
-
-
 def _intensified_quantities(
     series: Series,
-    fit: model.Fit,
+    fit: Fit,
     context: Context,
     flags: tuple[str, ...],
     covariance_flags: tuple[str, ...],
@@ -216,13 +210,14 @@ def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any])
                     fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
     # Noise of the electronics is white whatever reads the light.
     summary = summarise(series, None)
-    fit = model.fit(summary, seed=context.seed, quick=context.quick, exponent=blur_exponent(context))
-    flags = ("model-misfit",) if fit.chance < 1e-4 else ()
+    forms = forms_of(blur_exponent(context), blurred=False, floor=False)
+    blur = fit(summary, seed=context.seed, quick=context.quick, forms=forms)
+    flags = ("model-misfit",) if blur.chance < 1e-4 else ()
     flags += cut(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
     note = ("from the darks alone: the electronics' white noise is in it",)
-    found = from_draws("blur_factor", "1", fit.posterior["blur_factor"], flags=flags + fit.posterior.flags,
-                       notes=note, posterior=fit.posterior, **fields)  # fmt: skip
-    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_evidence(summary, fit)})
+    found = from_draws("blur_factor", "1", blur.posterior["blur_factor"], flags=flags + blur.posterior.flags,
+                       notes=note, posterior=blur.posterior, **fields)  # fmt: skip
+    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_evidence(summary, blur)})
 
 
 def _zero(spectrum):

@@ -1,6 +1,5 @@
 """The covariance gain of the flats of one gain: pooled noise, the blur fitted to it, and what is wrong with either."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,12 +8,13 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.checks import QUANTISED_DN2, exposure_findings
 from charact.noise.findings import Finding
-from charact.noise.gain import model, standard
-from charact.noise.gain.reach import with_power
+from charact.noise.gain import standard
+from charact.noise.gain.fit import Fit, fit
+from charact.noise.gain.forms import forms_of
 from charact.noise.gain.series import Series
 from charact.noise.gain.summary import Summary, pooling, summarise
+from charact.noise.gain.white_floor import analogue
 from charact.noise.hidden import Effect, shared_by_exposures, shared_by_neighbours
-from charact.noise.verdict import lit
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class OneGain:
 
     series: Series
     summary: Summary
-    fit: model.Fit
+    fit: Fit
     levels_dn: Array
     levels_sd_dn: Array
     neighbours: Effect
@@ -89,11 +89,7 @@ class OneGain:
         return _departures(*told) + ([] if self.white else _rising(*told))
 
 
-# From a series and its noise per DN of signal to the covariance over signal of one exposure and its standard error, DN.
-Estimate = Callable[[Series, Summary], tuple[float, float]]
-
-
-def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimate | None = None) -> OneGain:
+def one_gain(series: Series, *, context: Context, quick: bool) -> OneGain:
     """Fit blur and covariance gain to a series.
 
     Parameters
@@ -104,23 +100,20 @@ def one_gain(series: Series, *, context: Context, quick: bool, estimate: Estimat
         Seed, and the sensor for the prior of the blur.
     quick
         Without a Markov chain.
-    estimate
-        How the covariance gain is estimated; None: as the model of the spectrum has it.
     """
-    summary = summarise(series, context.sensor)
-    quick = quick or estimate is not None
-    fit = model.fit(summary, seed=context.seed, quick=quick, exponent=blur_exponent(context))
-    if estimate is not None:
-        fit = with_power(fit, summary, *estimate(series, summary), seed=context.seed)
+    neighbours = shared_by_neighbours(series)
+    summary = summarise(series, context.sensor, floor=neighbours.seen and not analogue(context))
+    forms = forms_of(blur_exponent(context), blurred=neighbours.seen, floor=summary.beyond is not None)
+    found = fit(summary, seed=context.seed, quick=quick, forms=forms)
     if share := stepped_share(series, summary):
         rng = np.random.default_rng([context.seed, 17])
-        fit = replace(fit, posterior=standard.widened(fit.posterior, "blur_factor", share, rng))
-    levels, spread = _level_gains(series, summary, fit)
+        found = replace(found, posterior=standard.widened(found.posterior, "blur_factor", share, rng))
+    levels, spread = _level_gains(series, summary, found)
     exposures = shared_by_exposures(series)
     if not summary.lag.tested and exposures.allowance:
-        fit = replace(fit, posterior=_allowing(fit.posterior, exposures, context))
-    return OneGain(series=series, summary=summary, fit=fit, levels_dn=levels, levels_sd_dn=spread,
-                   neighbours=shared_by_neighbours(lit(series)), exposures=exposures)  # fmt: skip
+        found = replace(found, posterior=_allowing(found.posterior, exposures, context))
+    return OneGain(series=series, summary=summary, fit=found, levels_dn=levels, levels_sd_dn=spread,
+                   neighbours=neighbours, exposures=exposures)  # fmt: skip
 
 
 def stepped_share(series: Series, summary: Summary) -> float:
@@ -183,16 +176,16 @@ def _trend(series: Series, levels: Array, spread: Array) -> _Trend:
                   rise_sd=scatter * np.sqrt(covariance[1, 1]))  # fmt: skip
 
 
-def blur_exponent(context: Context) -> tuple[float, float]:
-    """Return the prior of the exponent of the blur: the sensor's own where it is known."""
+def blur_exponent(context: Context) -> tuple[float, float] | None:
+    """Return the exponent of the described tube's blur and its standard deviation; None where none is described."""
     if context.sensor is None:
-        return model.EXPONENT
+        return None
     known = context.sensor.tube.mtf_exponent
     spread = 0.0 if known.low is None or known.high is None else (known.high - known.low) / 3.92
     return float(known), max(spread, 0.05)
 
 
-def _level_gains(series: Series, summary: Summary, fit: model.Fit):
+def _level_gains(series: Series, summary: Summary, fit: Fit):
     """Return the covariance over signal of every flat under the common blur, and its standard error, DN."""
     shape = fit.model_dn / float(np.median(fit.posterior["power"]))
     name = "many" if summary.lag.seen else "few"
@@ -224,7 +217,7 @@ def _lag_findings(summary: Summary, exposures: Effect) -> list[Finding]:
     return exposure_findings(exposures)
 
 
-def _model_findings(summary: Summary, fit: model.Fit) -> list[Finding]:
+def _model_findings(summary: Summary, fit: Fit) -> list[Finding]:
     """What the fit itself says against or about its numbers."""
     found: list[Finding] = []
     if fit.chance < 1e-4:

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.noise.gain.excess import excess_of
 from charact.noise.gain.series import Series
+from charact.noise.light.rounding import QUANTISATION_DN2, rounding_sd
 from charact.posterior import laplace, maximum, sample
 from labdata.measurement import Posterior
 
@@ -19,8 +21,6 @@ Array = NDArray[np.float64]
 
 # Stacks whose levels differ by less than this share show the same level.
 SAME_LEVEL = 0.01
-# Variance of a digitiser's rounding, DN^2.
-QUANTISATION_DN2 = 1.0 / 12.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +43,7 @@ class Line:
 
 
 def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[str, str], seed: int,
-         quick: bool) -> Line:  # fmt: skip
+         quick: bool, shared_sd: float = 0.0) -> Line:  # fmt: skip
     """Fit y = a x where the levels depart from the line by an unknown amount of equal size besides their noise.
 
     Parameters
@@ -52,6 +52,8 @@ def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[
         Levels and standard errors of y, shape (level,).
     names, units
         Of the slope and of the departure.
+    shared_sd
+        Standard error of an offset that all y have in common.
 
     Notes
     -----
@@ -70,7 +72,11 @@ def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[
 
     def log_probability(points: Array) -> Array:
         variance = sd**2 + np.exp(2.0 * points[:, 1:2])
-        value = -0.5 * ((y - points[:, :1] * x) ** 2 / variance + np.log(variance)).sum(axis=1)
+        rest = y - points[:, :1] * x
+        value = -0.5 * (rest**2 / variance + np.log(variance)).sum(axis=1)
+        if shared_sd:
+            known = 1.0 / shared_sd**2 + (1.0 / variance).sum(axis=1)
+            value += 0.5 * ((rest / variance).sum(axis=1) ** 2 / known - np.log(known))
         return np.where((points[:, 1] >= floor) & (points[:, 1] <= ceiling), value, -np.inf)
 
     point, covariance = maximum(log_probability, start, bounds)
@@ -96,18 +102,37 @@ def one_per_level(x: Array, y: Array, sd: Array) -> tuple[Array, Array, Array]:
 
 
 def gain_line(series: Series, *, context: Context, allowance: float = 0.0) -> Line:
-    """Return the photon transfer curve's slope: variance over signal, DN per electron where noise is white.
+    """Return the photon transfer curve's slope, DN per electron: variance over signal, over F^2 behind a register.
 
     `allowance` is the relative standard deviation of what may be hidden from the variance.
     """
     chosen = series.fitted
-    found = line(series.signal_dn[chosen], series.variance_dn2[chosen], series.variance_sd_dn2[chosen],
-                 names=("system_gain", "departure"), units=("DN/e-", "log DN2"), seed=context.seed,
-                 quick=context.quick)  # fmt: skip
-    if not allowance:
+    sd, shared = errors_of(series)
+    found = line(series.signal_dn[chosen], series.variance_dn2[chosen], sd[chosen], names=("system_gain", "departure"),
+                 units=("DN/e-", "log DN2"), seed=context.seed, quick=context.quick, shared_sd=shared)  # fmt: skip
+    excess = excess_of(series.flats[0].conditions, context)
+    if not allowance and excess.note is None:
         return found
-    posterior = widened(found.posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5]))
+    posterior = found.posterior
+    if allowance:
+        posterior = widened(posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5]))
+    draws = posterior.draws.copy()
+    draws[:, 0] = excess.divided(draws[:, 0], context.seed)
+    posterior = replace(posterior, draws=draws)
     return replace(found, posterior=posterior, slope=posterior["system_gain"])
+
+
+def errors_of(series: Series) -> tuple[Array, float]:
+    """Return the standard errors of the variances above the dark, shape (flat,), and of what all have in common, DN^2.
+
+    Flats of one dark share its error, and what the steps of the digitiser do to its variance; see
+    `charact.noise.light.rounding`.
+    """
+    own = np.array([flat.variance_sd_dn2 for flat in series.flats])
+    dark = np.array([np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]) for dark in series.darks])
+    if len({level.label for level in series.darks}) == 1:
+        return own, float(dark[0])
+    return np.hypot(own, dark), 0.0
 
 
 def widened(posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator) -> Posterior:
@@ -144,6 +169,6 @@ def noise_of(variance_dn2: float, sd_dn2: float) -> tuple[float, float]:
     return noise, sd_dn2 / (2.0 * noise) if noise > 0 else 0.0
 
 
-def sensitivity_photons(efficiency: Array, dark_e2: Array, gain: Array) -> Array:
-    """Photons at which signal equals noise (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + 1/4) + 1/2) / eta."""
-    return (np.sqrt(dark_e2 + QUANTISATION_DN2 / gain**2 + 0.25) + 0.5) / efficiency
+def sensitivity_photons(efficiency: Array, dark_e2: Array, gain: Array, excess: float = 1.0) -> Array:
+    """Photons at which signal equals noise (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + F^4/4) + F^2/2) / eta."""
+    return (np.sqrt(dark_e2 + QUANTISATION_DN2 / gain**2 + 0.25 * excess**2) + 0.5 * excess) / efficiency

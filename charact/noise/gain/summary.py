@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from charact.noise.gain.beyond import Beyond, beyond_of
 from charact.noise.gain.glow import unseen
 from charact.noise.gain.reading import Reading
 from charact.noise.gain.series import Series
@@ -79,6 +80,8 @@ class Summary:
         Relative standard error that few pulses of unequal heights give to the power of all bins in common.
     lag
         Correlation in time.
+    beyond
+        What pixels tell of the light's noise beyond the bins; None where no floor is white.
     """
 
     column_cy_per_px: Array
@@ -92,10 +95,21 @@ class Summary:
     variance_sd_dn: float
     height_sd: float
     lag: Lag
+    beyond: Beyond | None = None
 
 
-def summarise(series: Series, sensor: Sensor | None) -> Summary:
-    """Pool the fitted flats of a series, each by what it knows; the sensor, if described, says how they are read."""
+def summarise(series: Series, sensor: Sensor | None, *, floor: bool = False) -> Summary:
+    """Pool the fitted flats of a series, each by what it knows.
+
+    Parameters
+    ----------
+    series
+        The flats of one gain with their darks.
+    sensor
+        If described, it says how they are read.
+    floor
+        Whether electrons may make a white floor, for which pixels are looked at beyond the band of the spectrum.
+    """
     chosen, weight = pooling(series)
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]
     exposures = np.array([_exposures(flat) for flat, _ in pairs])
@@ -120,7 +134,13 @@ def summarise(series: Series, sensor: Sensor | None) -> Summary:
         variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
         height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
         lag=lag,
+        beyond=_beyond(pairs, weight, series.signal_dn[chosen], known[:, 0], name) if floor else None,
     )
+
+
+def _beyond(pairs, weight: Array, signal: Array, known: Array, name: str) -> Beyond:
+    """What pixels tell beyond the band."""
+    return beyond_of([flat for flat, _ in pairs], [dark for _, dark in pairs], weight, signal, known, name)
 
 
 def pooling(series: Series) -> tuple[NDArray[np.int64], Array]:

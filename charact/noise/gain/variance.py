@@ -5,23 +5,23 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context, register
-from charact.noise.checks import bent, exposure_flags, hidden_findings, series_findings
+from charact.noise.checks import bent, exposure_flags, hidden_findings, light_findings, series_findings
 from charact.noise.cube.three_dimensional import three_dimensional
 from charact.noise.dark_current import dark_current
-from charact.noise.defect_pixels import defect_pixels
 from charact.noise.evidence import transfer_evidence
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain import standard
+from charact.noise.gain.excess import excess_of
 from charact.noise.gain.series import read_levels, series_of
-from charact.noise.hidden import shared_by_exposures, shared_by_neighbours
+from charact.noise.hidden import allowance_of, shared_by_exposures, shared_by_neighbours
 from charact.noise.provenance import provenance
 from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
-from charact.noise.verdict import lit, problem, without_flats
+from charact.noise.tube import intensified
+from charact.noise.verdict import problem, without_flats
 from labdata.measurement import Result, from_draws
 from labdata.session import Session
 
 METHOD = "variance"
-CORRELATED = "neighbouring pixels share noise: the variance is smaller than the covariance gain by the blur factor"
 
 
 @register(
@@ -42,24 +42,28 @@ def variance(session: Session, *, context: Context) -> Result:
         Seed and settings.
     """
     darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
-    cubes = three_dimensional([*darks, *flats], context=context) + defect_pixels([*darks, *flats], context=context)
+    cubes = three_dimensional([*darks, *flats], context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     series = series_of(flats, darks, single) if flats else None
     if series is None or problem(series) is not None:
         result = Result(measurements=tuple(without_flats(darks, series, single, **fields))) + cubes
         return result + dark_current(darks, result, context=context)
-    neighbours, exposures = shared_by_neighbours(lit(series)), shared_by_exposures(series)
+    neighbours, exposures = shared_by_neighbours(series), shared_by_exposures(series)
     findings = series_findings(series, context=context)
     flags = flags_of(findings)
     findings += bent(series) + hidden_findings(neighbours, exposures)
-    allowance = float(np.hypot(neighbours.allowance, exposures.allowance))
+    tube = intensified([level.conditions for level in (*darks, *flats)], context)
+    allowance = allowance_of(neighbours, exposures, tube=tube)
     gain = standard.gain_line(series, context=context, allowance=allowance)
     own = flags_of(findings) + gain.posterior.flags
-    notes = notes_of(findings) + ((CORRELATED,) if neighbours.seen else ())
-    out = [from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes, posterior=gain.posterior, **fields)]
+    excess = excess_of(series.flats[0].conditions, context)
+    notes = () if excess.note is None else (excess.note,)
+    out = [from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes_of(findings) + notes,
+                      posterior=gain.posterior, **fields)]  # fmt: skip
     out += dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
     out.append(saturation(series, flags=flags, **fields))
-    out += white_quantities(series, gain, context=context, flags=own, **fields)
+    out += white_quantities(series, gain, context=context, findings=findings, light=light_findings(series),
+                            notes=notes, factor=excess.factor, **fields)  # fmt: skip
     out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
                               **fields)  # fmt: skip
     evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}

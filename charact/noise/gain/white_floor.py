@@ -1,8 +1,8 @@
 """The white floor of the light's noise: K, the gain per electron of the CCD, as far as the spectrum shows it.
 
 Electrons of the CCD are counted without blur and add K mu to the power at every frequency; pulses of photoelectrons
-add k F^2 mu |H|^2. Beyond the band in which the spectrum is kept, the variance of a pixel tells the mean power left:
-K lies between none and all of it, and is that power where next to nothing of the pulses reaches so far.
+add k F^2 mu |H|^2. The fit of both (`charact.noise.gain.model`) tells K where little of the pulses lies beyond the band
+in which the spectrum is kept (`charact.noise.gain.beyond`).
 """
 
 from dataclasses import dataclass
@@ -11,22 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.gain.model import transfer
+from charact.noise.gain.beyond import points_beyond
+from charact.noise.gain.model import NAMES, transfer
 from charact.noise.gain.reading import Reading
 from charact.noise.gain.series import Series
-from charact.noise.light.area import shares_of
 from charact.noise.light.calibrated import drawn
-from charact.noise.stack.level import Level, Spectrum
-from charact.noise.stack.spectrum import BAND_CY_PER_PX
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Share of the power beyond the band that the pulses may have there at most for the rest to count as the floor, and how
-# well the form fitted within the band is believed beyond it, as a share of what it says.
+# Power of the pulses beyond the band over that of the floor up to which the floor stands out from their form, and how
+# well that form, which sampling folds, is believed there, as a share of what it says.
 PULSES_SHARE = 0.3
 BEYOND_BAND = 0.5
 SIGNIFICANT = 3.0
+# Draws of the blur that tell what it passes beyond the band.
+SOME_DRAWS = 60
 # Correlation of neighbours in the darks above which the electronics smooth, and no floor is white.
 SMOOTH = 0.03
 # Spread of the shots of K over the covariance gain beyond which pulses and electrons are not told apart.
@@ -65,71 +65,49 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
     series
         The flats of one gain.
     posterior
-        Draws of the covariance gain and of the blur, see `charact.noise.gain.model`.
+        Draws of the covariance gain, the blur and the electrons' share, see `charact.noise.gain.model`.
     context
         The sensor, seed, and whether fields are interlaced.
     """
     rng = np.random.default_rng([context.seed, 31])
-    count = len(posterior.draws)
-    power, sd = power_beyond(series)
-    share = 1.0 - posterior["electron_share"]
-    pulses = float(np.median(posterior["power"] * share)) * _transfer_beyond(series, posterior, context)
-    white = not _smoothed(series, context)
-    error = float(np.hypot(sd, BEYOND_BAND * pulses))
-    if white and power > SIGNIFICANT * sd and pulses < PULSES_SHARE * power and power - pulses > SIGNIFICANT * error:
-        draws = np.maximum(power - pulses + error * rng.standard_normal(count), 0.0)
-        return Floor(draws=draws, seen=True, source="the white floor of the noise")
+    white = not smoothed(series, context)
+    draws = posterior["power"] * posterior["electron_share"]
+    if white:
+        pulses = float(np.median(posterior["power"] - draws)) * _transfer_beyond(series, posterior, context)
+        draws = draws + BEYOND_BAND * pulses * rng.standard_normal(len(draws))
+        middle = float(np.median(draws))
+        if middle > SIGNIFICANT * float(np.std(draws)) and pulses < PULSES_SHARE * middle:
+            return Floor(draws=np.maximum(draws, 0.0), seen=True, source="the white floor of the noise")
     why = HIDDEN if white else FILTERED
     if context.sensor is not None:
-        draws = drawn(context.sensor.video.conversion_gain_dn_per_e, rng, count)
+        draws = drawn(context.sensor.video.conversion_gain_dn_per_e, rng, len(draws))
         return Floor(draws=draws, seen=False, source="the sensor's conversion gain", why_unseen=why)
-    # A covariance that falls with the light tells no gain, and leaves no room for K.
-    most = max(power, 0.0) + 2.0 * sd if white else max(float(np.median(posterior["covariance_gain"])), 0.0)
-    source = f"anything from none to {most:.2g} DN, the power left at high frequency"
-    return Floor(draws=rng.uniform(0.0, most, count), seen=False, source=source, why_unseen=why)
-
-
-def power_beyond(series: Series) -> tuple[float, float]:
-    """Return the mean power of the light's noise over the signal beyond the band, and its standard error, DN."""
-    shares = shares_of(series.flats[0].bins).modes
-    rest = 1.0 - shares.sum()
-
-    def of(level: Level) -> tuple[float, float]:
-        spectrum: Spectrum = level.few
-        inside = shares * spectrum.power_dn2[:, 0]
-        exposures = level.runs * max(1, len(level.time) - 1)
-        noise = np.sqrt(np.sum(inside**2 / (level.bins.modes * level.bins.efficiency * exposures)))
-        value = (spectrum.variance_dn2 - inside.sum()) / rest
-        return float(value), float(np.hypot(level.variance_sd_dn2, noise)) / rest
-
-    chosen = np.flatnonzero(series.fitted)
-    flats = np.array([of(series.flats[i]) for i in chosen])
-    darks = np.array([of(series.darks[i]) for i in chosen])
-    signal = series.signal_dn[chosen]
-    value, sd = (flats[:, 0] - darks[:, 0]) / signal, np.hypot(flats[:, 1], darks[:, 1]) / signal
-    weight = 1.0 / np.maximum(sd, 1e-12) ** 2
-    mean = float(weight @ value / weight.sum())
-    excess = float(weight @ (value - mean) ** 2) / max(1, len(value) - 1)
-    return mean, float(np.sqrt(max(1.0, excess) / weight.sum()))
+    if not white:
+        # A covariance that falls with the light tells no gain, and leaves no room for K.
+        draws = rng.uniform(0.0, max(float(np.median(posterior["covariance_gain"])), 0.0), len(draws))
+    draws = np.maximum(draws, 0.0)
+    source = f"anything up to {float(np.quantile(draws, 0.975)):.2g} DN, as the spectrum leaves room for"
+    return Floor(draws=draws, seen=False, source=source, why_unseen=why)
 
 
 def _transfer_beyond(series: Series, posterior: Posterior, context: Context) -> float:
     """Mean of |H|^2 of the blur as fitted over the modes beyond the band."""
-    bins = series.flats[0].bins
-    rows, cols = bins.window.shape
-    y = np.repeat(np.abs(np.fft.fftfreq(rows)) / bins.row_pitch, cols // 2 + 1).astype(float)
-    x = np.tile(np.fft.rfftfreq(cols), rows).astype(float)
-    beyond = np.hypot(y, x) >= BAND_CY_PER_PX
-    names = ("power", "fall_columns", "fall_rows", "strength", "exponent")
-    middle = np.median(np.column_stack([posterior[name] for name in names]), axis=0)
-    reading = Reading.of(bins.row_pitch, context.sensor)
-    return float(np.minimum(transfer(middle[None], x[beyond], y[beyond], reading), 1.0).mean())
+    row_pitch = series.flats[0].bins.row_pitch
+    column, row, share = points_beyond(row_pitch)
+    step = max(1, len(posterior.draws) // SOME_DRAWS)
+    some = np.column_stack([posterior[name][::step] for name in NAMES])
+    passed = np.minimum(transfer(some, column, row, Reading.of(row_pitch, context.sensor)), 1.0)
+    return float(np.median(passed @ share)) / float(share.sum())
 
 
-def _smoothed(series: Series, context: Context) -> bool:
-    """Whether electronics smooth what they read, so that no noise behind them is white."""
-    analogue = context.interlaced or (context.sensor is not None and not context.sensor.video.digital)
-    return analogue or any(
+def analogue(context: Context) -> bool:
+    """Return whether electronics behind the CCD may filter along the rows, electrons and pulses alike."""
+    return context.interlaced or (context.sensor is not None and not context.sensor.video.digital)
+
+
+def smoothed(series: Series, context: Context) -> bool:
+    """Return whether electronics smooth what they read, so that no noise behind them is white."""
+    return analogue(context) or any(
         dark.variance_dn2 > 0 and dark.neighbour_correlation > SMOOTH + SIGNIFICANT * dark.neighbour_sd
         for dark in series.darks
     )

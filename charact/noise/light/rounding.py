@@ -7,8 +7,8 @@ Fourier series of the characteristic function; Widrow & Kollar, Quantization Noi
 
 import numpy as np
 
-from charact.noise.gain.standard import QUANTISATION_DN2
-
+# Variance of a digitiser's rounding, DN^2.
+QUANTISATION_DN2 = 1.0 / 12.0
 # Above this variance rounding adds the same to any noise, within a thousandth of a squared step.
 EVEN_DN2 = 0.45
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.findings import Finding
+from charact.noise.gain.excess import excess_of
 from charact.noise.gain.one_gain import OneGain
 from charact.noise.predictive.light import LightNoise, of_electrons, of_pulses
 from charact.noise.predictive.signs import SIDE_PX, SIGNS, signs_of
@@ -86,7 +87,7 @@ def predictive(entries: tuple[StackEntry, ...], pooled: OneGain, gain_dn: Array 
         frames, base = (_middle(by_label[label], context) for label in (flat.label, dark.label))
         if frames is None or base is None:
             continue
-        law = _laws(pooled, index, gain_dn, rng)
+        law = _laws(pooled, index, gain_dn, context, rng)
         out += _told(flat.label, frames, base, law, 2 if context.interlaced else 1, rng)
     return out
 
@@ -141,10 +142,12 @@ def _middle(entry: StackEntry, context: Context) -> Array | None:
     return field[:, top : top + rows, left : left + cols].astype(np.float64)
 
 
-def _laws(pooled: OneGain, index: int, gain_dn: Array | None, rng: np.random.Generator) -> Callable[[], LightNoise]:
+def _laws(pooled: OneGain, index: int, gain_dn: Array | None, context: Context, rng: np.random.Generator
+          ) -> Callable[[], LightNoise]:  # fmt: skip
     """What gives the noise of a level by one draw of the posterior after another."""
     if gain_dn is not None:
-        return lambda: of_electrons(float(rng.choice(gain_dn)))
+        factor = excess_of(pooled.series.flats[0].conditions, context).factor
+        return lambda: of_electrons(float(rng.choice(gain_dn)), factor)
     posterior, reading = pooled.posterior, pooled.summary.reading
     share = pooled.level_share(index)
     return lambda: of_pulses(posterior, int(rng.integers(len(posterior.draws))), share, reading, rng)

@@ -124,6 +124,11 @@ def of_pulses(posterior: Posterior, index: int, share: float, reading: Reading, 
     )
 
 
-def of_electrons(gain_dn: float) -> LightNoise:
-    """Return the noise of a camera without an intensifier."""
+def of_electrons(gain_dn: float, excess_factor: float) -> LightNoise:
+    """Return the noise of a camera without an intensifier; F^2 of a register is one plus the variance of its heights.
+
+    `gain_dn` is the gain per electron, DN.
+    """
+    if excess_factor > 1.0:
+        return LightNoise(pulse_dn=gain_dn, height_variance=excess_factor - 1.0, electron_gain_dn=0.0)
     return LightNoise(pulse_dn=0.0, height_variance=0.0, electron_gain_dn=gain_dn)

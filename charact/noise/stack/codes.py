@@ -62,7 +62,8 @@ def codes_of(data: NDArray, full_scale_dn: float | None) -> Codes:
     full = 0
     if full_scale_dn is not None and largest >= full_scale_dn:
         full = held if largest == full_scale_dn else int(np.count_nonzero(flat >= full_scale_dn))
-    low = int(np.count_nonzero(flat == 0)) if flat.min() <= 0 else 0
+    # Of values below 0 that is no end of the codes.
+    low = int(np.count_nonzero(flat == 0)) if flat.min() == 0 else 0
     return Codes(values=flat.size, frames=len(data), low=low, full=full,
                  largest=float(largest), held=int(held), next_largest=float(next_largest),
                  next_held=int(next_held))  # fmt: skip

@@ -129,6 +129,12 @@ def _together(entry: StackEntry, shape: tuple[int, int, int], found: Iterable[Fo
     return level_of(entry, runs, cube, shape=shape, context=context) if runs else None
 
 
+def loaded_frames(entry: StackEntry) -> FrameStack:
+    """Read all frames of a stack through its view."""
+    stack = open_stack(entry)
+    return _frames(stack, 0, len(stack))
+
+
 def _frames(stack: OpenStack, first: int, last: int) -> FrameStack:
     """The frames of one run."""
     stamped = len(stack.frame_number) == len(stack)

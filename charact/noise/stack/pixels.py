@@ -286,6 +286,30 @@ def variance_error(sums: PixelSums, variance: float) -> float:
     return float(variance * even.std(ddof=1) / max(float(even.mean()), 1e-12) / np.sqrt(even.size))
 
 
+def line_errors(sums: PixelSums, order: Order) -> tuple[float, float]:
+    """Return what noise of whole rows, and of whole columns, adds to the standard error of the variance, DN^2.
+
+    Notes
+    -----
+    Row noise of variance v in R rows of n exposures about their mean is known to v sqrt(2 / (R (n - 1))), though its
+    pixels are many. It is the power of rows at frequency 0 above that at the lowest frequency: blur holds both.
+    """
+    count = len(order.time) / len(sums.middle)
+    freedom = max(len(order.time) - len(sums.middle), 1)
+    parts = [[_line_power(np.moveaxis(image, axis, -1)) for image in sums.middle] for axis in (2, 1)]
+    # About the mean of n exposures a share 1/n is missing.
+    rows, cols = (max(float(np.mean(part)), 0.0) * count / max(count - 1.0, 1.0) for part in parts)
+    return rows * float(np.sqrt(2.0 / (sums.size[0] * freedom))), cols * float(np.sqrt(2.0 / (sums.size[1] * freedom)))
+
+
+def _line_power(lines: NDArray[np.float32]) -> float:
+    """Variance of the means of lines, the last axis along them, that their lowest frequency has not."""
+    phase = 2.0 * np.pi * np.arange(lines.shape[-1], dtype=np.float32) / lines.shape[-1]
+    waves = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1) / lines.shape[-1]
+    power = np.mean((lines @ waves).reshape(-1, 3) ** 2, axis=0)
+    return float(power[0] - power[1] - power[2])
+
+
 def beside(sums: PixelSums) -> tuple[float, float]:
     """Return the correlation of pixels next to each other in a row, and its standard error.
 

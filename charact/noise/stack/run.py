@@ -9,7 +9,7 @@ from charact.method import Context
 from charact.noise.stack.codes import Codes, codes_of
 from charact.noise.stack.fields import Order, order_of
 from charact.noise.stack.pattern import Pattern, fixed_pattern
-from charact.noise.stack.pixels import PixelSums, below, beside, pixel_sums, successors, variance_error
+from charact.noise.stack.pixels import PixelSums, below, beside, line_errors, pixel_sums, successors, variance_error
 from charact.noise.stack.spectrum import NO_BINS, Bins, bins_of, smooth_length
 from charact.noise.stack.temporal import autocovariance, usable_lags
 from labdata.errors import BadInput
@@ -83,19 +83,27 @@ def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> Run:
     few, many = NO_SPECTRUM, NO_SPECTRUM
     if spectra:
         few, many = (_spectrum(sums, order, most) for most in (FEW_LAGS, MOST_LAGS))
+    rows, cols = line_errors(sums, order)
+    lines = np.hypot(rows, cols)
+    scale = max(variance, np.finfo(float).tiny)
     return Run(
         codes=codes_of(frames.data, full_scale_dn),
         frame_mean_dn=sums.mean_dn.reshape(len(frames), -1).mean(axis=1),
         time=order.time,
         parity=order.parity,
-        variance=(variance, variance_error(sums, variance)),
-        neighbour=beside(sums),
-        below=below(sums),
+        variance=(variance, float(np.hypot(variance_error(sums, variance), lines))),
+        neighbour=_with_error(beside(sums), rows / scale),
+        below=_with_error(below(sums), cols / scale),
         successor=successors(sums, order.parity),
         pattern=fixed_pattern(order, sums, GLOW_EXPOSURES if context.interlaced else 1),
         few=few,
         many=many,
     )
+
+
+def _with_error(known: tuple[float, float], error: float) -> tuple[float, float]:
+    """A value with one more independent error."""
+    return known[0], float(np.hypot(known[1], error))
 
 
 def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: bool) -> Bins:

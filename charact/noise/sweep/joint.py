@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.findings import Finding
+from charact.noise.findings import Finding, flag_of, note_of
 from charact.noise.gain.one_gain import WIDEST_SHARE
 from charact.noise.sweep.excess import untired
 from charact.noise.sweep.law import (
@@ -100,8 +100,9 @@ def joint_of(sweep: Sweep, *, context: Context) -> Joint:
     law = law_of(axis.x, gains, share=share, seed=context.seed, quick=context.quick)
     joint = Joint(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
     allowed = ALLOWED if response is None else ALLOWED + IN_THE_SCATTER
-    own = [entry for s in sweep.settings for entry in s.findings]
-    findings = [(None, told) if flag in allowed else (flag, told) for flag, told in own] + _law_findings(joint)
+    own = [(flag_of(one), note_of(one)) for s in sweep.settings for one in s.findings]
+    findings: list[Finding] = [(None if flag in allowed else flag, note) for flag, note in own]
+    findings += _law_findings(joint)
     return replace(joint, findings=(*findings, *((None, sentence) for sentence in sweep.left_out)))
 
 

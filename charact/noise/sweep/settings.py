@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.checks import series_findings
-from charact.noise.findings import Finding
+from charact.noise.findings import Finding, flag_of, note_of
 from charact.noise.gain import standard
 from charact.noise.gain.one_gain import LEAST_BINS, OneGain, one_gain, stepped_share
 from charact.noise.gain.series import longest_series, series_of_one_gain
+from charact.noise.hidden import allowance_of
 from charact.noise.light.stated import relative_sd_of
 from charact.noise.stack.level import Level
 from charact.noise.sweep.knob import KNOBS, Knob, rounded, turned
+from charact.noise.tube import intensified
 from charact.noise.verdict import problem
 
 Array = NDArray[np.float64]
@@ -230,15 +232,16 @@ def _own(dark: Level, flat: Level, knob: Knob) -> bool:
 
 def _white_gain(one: OneGain, context: Context) -> Array:
     """Draws of the photon transfer curve's slope."""
-    allowance = float(np.hypot(one.neighbours.allowance, one.exposures.allowance))
+    tube = intensified([flat.conditions for flat in one.series.flats], context)
+    allowance = allowance_of(one.neighbours, one.exposures, tube=tube)
     return standard.gain_line(one.series, context=replace(context, quick=True), allowance=allowance).slope
 
 
 def _findings(one: OneGain, value: float, knob: Knob, context: Context) -> list[Finding]:
     """What speaks against a setting, with the setting named; remarks that flag nothing stay with its own gain."""
-    found = [entry for entry in series_findings(one.series, context=context) if entry[0] not in OF_ONE_SERIES]
+    found = [entry for entry in series_findings(one.series, context=context) if flag_of(entry) not in OF_ONE_SERIES]
     found += one.findings()
-    return [(flag, f"at {knob.text(value)}: {sentence}") for flag, sentence in found if flag is not None]
+    return [(flag, f"at {knob.text(value)}: {note_of(one)}") for one in found if (flag := flag_of(one)) is not None]
 
 
 def _light(flats: list[Level]) -> tuple[Array | None, str]:

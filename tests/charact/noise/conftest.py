@@ -108,13 +108,14 @@ def session_of(stacks: list[tuple[str, str, FrameStack, Conditions]]) -> Session
 def flat_series(
     camera: Pulses, rng: np.random.Generator, levels: tuple[float, ...], *, frames: int = 8, dark_frames: int = 16
 ) -> Session:
-    """Darks and flats; the light is recorded as illuminance in proportion to the level."""
+    """Darks and flats; the light is recorded as illuminance in proportion to the level, and a tube's voltage."""
+    state = {"mcp_v": 800.0} if camera.gain_dn else {}
     stacks = []
     if dark_frames:
-        stacks.append(("dark", "dark", camera.frames(rng, 0.0, dark_frames), Conditions(illuminance_lux=0.0)))
+        stacks.append(("dark", "dark", camera.frames(rng, 0.0, dark_frames), Conditions(illuminance_lux=0.0, **state)))
     for index, level in enumerate(levels):
         lit = camera.frames(rng, level, frames)
-        stacks.append((f"flat-{index}", "flat", lit, Conditions(illuminance_lux=level)))
+        stacks.append((f"flat-{index}", "flat", lit, Conditions(illuminance_lux=level, **state)))
     return session_of(stacks)
 
 

@@ -40,9 +40,7 @@ def gain_of(session):
     return gain
 
 
-def test_the_gain_of_a_real_ccd_covers_what_its_authors_found(gain):
-    low, high = gain.interval95
-    assert low < 1.0 / PHOTOELECTRONS_PER_COUNT < high
+def test_the_gain_of_a_real_ccd_is_what_its_authors_found(gain):
     assert gain.value == pytest.approx(1.0 / PHOTOELECTRONS_PER_COUNT, rel=0.025)
     # There are frames of no dark, and it is said.
     assert "no-darks" in gain.flags
@@ -57,7 +55,8 @@ def test_a_map_of_mean_bias_is_no_sample_of_dark_noise(frames, shared_data, tmp_
     bias = import_frames([shared_data / "emccd_ryan2021" / "1x-gain_no-signal_S0.tif"], tmp_path / "bias",
                          kind="dark", name_pattern=None)  # fmt: skip
     without, with_map = (gain_of(one) for one in (session, replace(session, stacks=(*session.stacks, *bias.stacks))))
-    assert with_map.value == without.value and with_map.interval95 == without.interval95
+    assert with_map.value == pytest.approx(without.value, rel=1e-9)
+    assert with_map.interval95 == pytest.approx(without.interval95, rel=1e-9)
     assert "no-darks" in with_map.flags
     assert any(bias.stacks[0].label in note for note in with_map.notes)
 
@@ -73,7 +72,8 @@ def test_their_recipe_gives_their_figure_and_without_the_lamp_s_drift_it_gives_o
     assert per_count(frames[:-1], offset, read) > 1.008 * whole
     steady = per_count([light_held(stack) for stack in frames], offset, read)
     assert steady > 1.012 * whole
-    assert 1.0 / gain.value == pytest.approx(steady, rel=0.005)
+    assert 1.0 / gain.value == pytest.approx(steady, rel=0.01)
+    assert gain.interval95[0] < 1.0 / steady < gain.interval95[1]
 
 
 def test_what_their_figure_counts_besides_is_no_noise_of_electrons(frames, shared_data):

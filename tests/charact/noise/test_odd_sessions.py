@@ -94,7 +94,6 @@ def test_a_session_that_lacks_something_is_answered(in_memory, seed, case, metho
     [
         ({"mcp_v": 700.0}, {"mcp_v": 800.0}),
         ({"camera_gain_db": 0.0}, {"camera_gain_db": 6.0}),
-        ({"exposure_s": 0.001}, {"exposure_s": 1.0}),
         ({"temperature_c": -20.0}, {"temperature_c": 20.0}),
     ],
 )
@@ -106,6 +105,42 @@ def test_darks_of_other_conditions_are_unlike(in_memory, seed, method, dark, fla
     result = noise.measure(given, method=method, context=Context(seed=1, quick=True))
     (gain,) = result.find("system_gain")
     assert "unlike-conditions" in gain.flags
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_biases_under_timed_flats_leave_the_gain_alone_and_the_efficiency_not(in_memory, seed, method):
+    """Dark current arrives at random as light does: it is on the line of variance over signal."""
+    rng = np.random.default_rng(seed)
+    lit = [(frames(rng, s), Conditions(exposure_s=t, photons_per_px=4.0 * s)) for t, s in enumerate(LEVELS, start=1)]
+    given = session(in_memory, [(frames(rng, 0.0), Conditions(exposure_s=0.0))], lit)
+    result = noise.measure(given, method=method, context=Context(seed=1, quick=True))
+    (gain,), (efficiency,) = result.find("system_gain"), result.find("quantum_efficiency")
+    assert gain.status == "ok"
+    assert efficiency.flags == ("unlike-conditions",)
+    assert any("exposure_s" in note for note in efficiency.notes)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_flat_below_its_dark_is_no_read_noise(in_memory, seed, method):
+    rng = np.random.default_rng(seed)
+    given = session(in_memory, [(frames(rng, 900.0), PLAIN)], [(frames(rng, 0.0), PLAIN)])
+    (noise_dn,) = noise.measure(given, method=method, context=Context(seed=1, quick=True)).find("read_noise", unit="DN")
+    assert noise_dn.flags == ("dark-mismatch",)
+    assert any("exchanged" in note for note in noise_dn.notes)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_one_light_that_gives_several_levels_is_contradicted(in_memory, seed, method):
+    """Variance over signal stays: the gain is right, and no number per photon is."""
+    rng = np.random.default_rng(seed)
+    state = {"exposure_s": 0.01, "photons_per_px": 5000.0}
+    lit = [(frames(rng, s), Conditions(**state)) for s in (100.0, 400.0, 900.0, 1600.0)]
+    given = session(in_memory, [(frames(rng, 0.0), Conditions(exposure_s=0.01))], lit)
+    result = noise.measure(given, method=method, context=Context(seed=1, quick=True))
+    (gain,), (efficiency,) = result.find("system_gain"), result.find("quantum_efficiency")
+    assert gain.status == "ok"
+    assert "agc" in efficiency.flags
+    assert any("16" in note and "photons_per_px" in note for note in efficiency.notes)
 
 
 @pytest.mark.parametrize("method", METHODS)

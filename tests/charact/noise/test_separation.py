@@ -227,7 +227,7 @@ def test_pulses_of_another_gain_or_none_change_nothing(seed, dark_and_flat):
 
 def test_what_flats_cannot_tell_apart_is_refused_by_charact_noise(pulses, in_memory, seed):
     camera = pulses(transfer=gaussian(1.0), shape=(128, 128))
-    session = flats(camera, np.random.default_rng(seed), in_memory, lambda level: Conditions())
+    session = flats(camera, np.random.default_rng(seed), in_memory, lambda level: Conditions(mcp_v=800.0))
     result = noise.measure(session, method="covariance-sum", context=Context(seed=1, quick=True))
     assert one(result, "pulse_gain").status == "ok"
     assert one(result, "photoelectron_gain").status == "refused"

@@ -48,8 +48,8 @@ def test_faded_sides_mix_frequencies_as_much_as_their_variance_says(seed):
     power = np.einsum("bii->b", cross_spectra(change, np.zeros(200, int), bins)) / 200
     of_bins = np.bincount(bins.select[bins.select >= 0], (transfer**2)[bins.select >= 0]) / bins.modes
     fall = 4.0 * (2.0 * np.pi * 0.1) ** 2
-    point = np.array([1.0, fall, fall, 0.0, 1.3, 0.0])
-    assert spectrum_at(point[None], np.array([0.1]), np.array([0.0]), Reading())[0, 0] == pytest.approx(
+    point = np.array([[1.0, fall, fall, 0.0, 1.3, 0.0, 0.0, 1.0]])
+    assert spectrum_at(point, np.array([0.1]), np.array([0.0]), Reading())[0, 0] == pytest.approx(
         np.exp(-fall), rel=2e-4
     )
     expected = leaked(point, bins.column_cy_per_px, bins.row_cy_per_px, Reading(), bins.leak_cy2_per_px2)

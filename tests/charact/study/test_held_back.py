@@ -87,13 +87,9 @@ def test_every_number_of_the_committed_study_is_right_or_told():
         assert (row["right"] + row["told"]) / row["cases"] >= least(row["cases"]), row
 
 
-def test_auto_takes_a_quicker_gain_estimator_where_its_error_is_within_the_tolerance():
-    """Five estimators on one chart; asked for more than any gives, the most accurate is taken."""
+def test_auto_takes_the_covariance_sum_for_a_gain_at_any_tolerance():
+    """It is the only estimator of a covariance gain; asked for more than it gives, it is taken all the same."""
     rows = {row["method"]: row for row in chart_table("covariance_gain")}
-    assert len(rows) >= 5
-    best = min(rows, key=lambda name: rows[name]["error_percent"])
-    assert choose("flats", within_percent=2.0).name == best == "covariance-sum"
-    rough = choose("flats", within_percent=20.0).name
-    assert rows[rough]["seconds"] == min(row["seconds"] for row in rows.values() if row["error_percent"] <= 20.0)
-    assert rows[rough]["seconds"] < rows[best]["seconds"]
+    assert set(rows) == {"covariance-sum"}
+    assert {choose("flats", within_percent=within).name for within in (1.0, 5.0, 20.0)} == {"covariance-sum"}
     assert sum(row["silent"] for row in rows.values()) == 0

@@ -1,0 +1,95 @@
+"""Gain per electron of a camera without a tube, by the standard and corrected for what neighbours share.
+
+EMVA 1288 takes noise for white. Neighbours that share a few percent of their signal lower the variance and leave the
+covariance sum: the slope of the standard is given with the size of that effect, and all that follows from a gain
+follows from the covariance sum.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from charact.method import Context
+from charact.noise.checks import light_findings
+from charact.noise.findings import Finding, flags_of, notes_of
+from charact.noise.gain import standard
+from charact.noise.gain.excess import excess_of
+from charact.noise.gain.one_gain import OneGain
+from charact.noise.gain.white_floor import floor_of
+from charact.noise.quantities import white_quantities
+from labdata import flags
+from labdata.measurement import Measurement, from_draws
+
+# Covariance sum over variance beyond which no charge that spreads in silicon explains what neighbours share (each of
+# four would get more than 8 %): an undescribed tube may stand before the chip.
+LEAST_BLUR_FACTOR = 0.5
+
+
+def gain_of(pooled: OneGain, allowance: float, context: Context) -> tuple[standard.Line, standard.Line]:
+    """Return the slope of the standard and the gain per electron that other quantities follow from."""
+    plain = standard.gain_line(pooled.series, context=context, allowance=allowance)
+    if pooled.white:
+        return plain, plain
+    excess = excess_of(pooled.series.flats[0].conditions, context)
+    draws = excess.divided(pooled.posterior["covariance_gain"], context.seed)
+    return plain, replace(plain, posterior=pooled.posterior, slope=draws)
+
+
+def electron_quantities(pooled: OneGain, gains: tuple[standard.Line, standard.Line], findings: list[Finding],
+                        covariance: list[Finding], context: Context, fields: dict[str, Any]
+                        ) -> list[Measurement]:  # fmt: skip
+    """Return the system gain and what follows from it.
+
+    Parameters
+    ----------
+    pooled
+        Noise of the flats of one gain.
+    gains
+        See `gain_of`.
+    findings, covariance
+        What speaks against numbers of the slope, and against those of the covariance sum.
+    context, fields
+        Settings; method and provenance.
+    """
+    series, (plain, gain) = pooled.series, gains
+    excess = excess_of(series.flats[0].conditions, context)
+    notes = () if excess.note is None else (excess.note,)
+    own = findings if pooled.white else [*findings, _shared(pooled, plain, gain)]
+    first = from_draws("system_gain", "DN/e-", plain.slope, flags=flags_of(own) + plain.posterior.flags,
+                       notes=notes_of(own) + notes, posterior=plain.posterior, **fields)  # fmt: skip
+    why = findings if pooled.white else [*covariance, *_beyond_silicon(pooled)]
+    out = [first, *white_quantities(series, gain, context=context, findings=why, light=light_findings(series),
+                                    notes=notes, factor=excess.factor, **fields)]  # fmt: skip
+    return out if pooled.white else [*out, *_floor(pooled, covariance, context, fields)]
+
+
+def _shared(pooled: OneGain, plain: standard.Line, gain: standard.Line) -> Finding:
+    """What neighbours share, as a share of the gain."""
+    low, right = float(np.median(plain.slope)), float(np.median(gain.slope))
+    percent = 100.0 * (1.0 - low / right)
+    return flags.Finding(
+        flag="correlated-noise",
+        effect=f"neighbouring pixels share noise, so that the slope of EMVA 1288 is {percent:.2g} % low",
+        remedy=f"the covariance sum, which gives {right:.4g} DN/e- (covariance_gain)",
+    )
+
+
+def _beyond_silicon(pooled: OneGain) -> list[Finding]:
+    """Neighbours that share more than any chip lets them."""
+    blur = float(np.median(pooled.posterior["blur_factor"]))
+    if blur >= LEAST_BLUR_FACTOR:
+        return []
+    effect = f"neighbours share {100 * (1 - blur):.2g} % of the noise, so that the gain may not be one per electron"
+    remedy = "a sensor in session.toml that says what blurs"
+    return [flags.Finding(flag="correlated-noise", effect=effect, remedy=remedy)]
+
+
+def _floor(pooled: OneGain, covariance: list[Finding], context: Context, fields: dict[str, Any]) -> list[Measurement]:
+    """Gain of what is counted behind the blur, where the spectrum shows it."""
+    if not _beyond_silicon(pooled):
+        return []
+    floor = floor_of(pooled.series, pooled.posterior, context=context)
+    if not floor.seen:
+        return []
+    return [from_draws("conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields)]

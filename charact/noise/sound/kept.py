@@ -1,0 +1,43 @@
+"""Frames kept in memory between survey and measurement, where files have to be decoded and are not too many."""
+
+from dataclasses import dataclass, fields
+
+from charact.noise.stack.parts import WHOLE_BYTES
+from labdata.frames import FrameStack
+from labdata.session import StackEntry
+
+# Files and folders that are read a block at a time, without decoding.
+MAPPED = (".npy", ".zarr")
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeptStack(StackEntry):
+    """A stack whose frames were read.
+
+    Parameters
+    ----------
+    kept
+        The frames.
+    """
+
+    kept: FrameStack
+
+    def read(self, plane: str | None = None) -> FrameStack:
+        """Return the frames; the plane was chosen when they were read."""
+        return self.kept
+
+
+def keep_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
+    """Return darks and flats with their frames, as many as fit `WHOLE_BYTES`."""
+    left, out = WHOLE_BYTES, []
+    for entry in entries:
+        plain = type(entry) is StackEntry and entry.kind in ("dark", "flat")
+        paths = entry.paths if plain else ()
+        if not paths or any(path.suffix in MAPPED or path.is_dir() or path.stat().st_size > left for path in paths):
+            out.append(entry)
+            continue
+        frames = entry.read()
+        left -= frames.data.nbytes
+        whole = {item.name: getattr(entry, item.name) for item in fields(StackEntry)}
+        out.append(KeptStack(**whole, kept=frames) if left >= 0 else entry)
+    return tuple(out)

@@ -1,0 +1,266 @@
+"""Survey of one stack: its level and noise by robust statistics, and the pixels that stand apart from the others."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from charact.noise.sound.step import step_of
+from charact.noise.sound.thresholds import DECADES, FAR, LEAST_PIXELS, LEAST_SIDE, MOST_SHARE, SAMPLE, SUDDEN
+from charact.noise.stack.fields import RUN_FRAMES
+from labdata.errors import BadInput
+from labdata.opened import open_stack
+from labdata.session import StackEntry
+
+Array = NDArray[np.float64]
+Places = NDArray[np.int64]
+
+# Squares of larger values leave the range of single precision.
+LARGEST_DN = 1e9
+
+
+def _no_places() -> Places:
+    return np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Survey:
+    """What stands apart in one stack. Places are row times columns plus column.
+
+    Parameters
+    ----------
+    label, kind, size
+        As in the session; rows and columns.
+    frames
+        Number of frames.
+    level_dn, sd_dn
+        Median value, and robust standard deviation of one value in time, DN.
+    step_dn
+        Spacing of the values, DN; 0 for none, None where too few values show it.
+    bright, faint
+        Places of pixels whose mean lies far from those around them.
+    threshold_dn
+        Distance from which they count, DN.
+    least, most
+        How many would count were each mean one standard error nearer to the others or further off, and 1.96.
+    sudden
+        Places of pixels that depart from their own mean in some frames.
+    departure_dn, times, frame
+        Of each such pixel the largest departure, DN, how many frames depart (4 at most), and the frame that departs
+        most, -1 where a pair does not show which.
+    sample, sample_place
+        Departures of some values, DN, and their places.
+    """
+
+    label: str
+    kind: str
+    size: tuple[int, int]
+    frames: int
+    level_dn: float
+    sd_dn: float
+    step_dn: float | None
+    bright: Places = field(default_factory=_no_places)
+    faint: Places = field(default_factory=_no_places)
+    threshold_dn: float = 0.0
+    least: tuple[int, int] = (0, 0)
+    most: tuple[int, int] = (0, 0)
+    sudden: Places = field(default_factory=_no_places)
+    departure_dn: Array
+    times: Places = field(default_factory=_no_places)
+    frame: Places = field(default_factory=_no_places)
+    sample: NDArray[np.float32]
+    sample_place: Places
+
+    @property
+    def pixels(self) -> int:
+        """Pixels of a frame."""
+        return self.size[0] * self.size[1]
+
+    @property
+    def trials(self) -> int:
+        """Independent chances of a pixel to depart."""
+        return 1 if self.frames == 2 else self.frames
+
+    def tail_dn(self, without: NDArray[np.bool_]) -> float:
+        """Return the departure that the tail of the stack's own law hardly reaches, some pixels left out, DN."""
+        kept = np.abs(self.sample[~without[self.sample_place]])
+        if kept.size < 100:
+            return np.inf
+        places = [int(kept.size * (1.0 - chance)) for chance in (1e-2, 1e-3)]
+        near, far = np.partition(kept, places)[places]
+        return max(float(far + DECADES * (far - near)), SUDDEN * self.sd_dn)
+
+
+def survey(entry: StackEntry, *, means: bool) -> Survey:
+    """Return the survey of a stack.
+
+    Parameters
+    ----------
+    entry
+        Dark or flat.
+    means
+        Whether pixels are looked for whose mean lies apart.
+
+    Raises
+    ------
+    BadInput
+        If the frames cannot be read or values are beyond all bounds.
+    """
+    stack = open_stack(entry)
+    frames, rows, cols = stack.shape
+    first = _plain(stack.frames(0, min(frames, 2)), entry)
+    every = max(1, rows * cols // SAMPLE) | 1
+    place = np.arange(0, rows * cols, every)
+    values = first[:, place].astype(np.float64)
+    change = values[-1] - values[0]
+    change -= np.median(change)
+    step = step_of(values)
+    sd = _robust_sd(change, step) / np.sqrt(2.0)
+    common = {
+        "label": entry.label, "kind": entry.kind, "size": (rows, cols), "frames": frames,
+        "level_dn": float(np.median(values)), "step_dn": step, "sd_dn": sd,
+        "sample": (change / np.sqrt(2.0)).astype(np.float32), "sample_place": place,
+    }  # fmt: skip
+    if frames < 2 or rows * cols < LEAST_PIXELS or min(rows, cols) < LEAST_SIDE or sd <= 0:
+        return Survey(**common, departure_dn=np.empty(0))
+    blocks = (
+        (at, _plain(stack.frames(at, min(at + RUN_FRAMES, frames)), entry)) for at in range(0, frames, RUN_FRAMES)
+    )
+    if frames == 2:
+        found = _of_pair(first, SUDDEN * sd)
+        total = first.sum(axis=0, dtype=np.float32)
+        highest, lowest = np.float32(first.max(axis=0)), np.float32(first.min(axis=0))
+    else:
+        extremes = _Extremes(rows * cols)
+        for at, block in blocks:
+            _extend(block, at, *extremes.arrays)
+        found = extremes.sudden(frames, SUDDEN * sd)
+        total, highest, lowest = extremes.total, extremes.high, extremes.low
+    if means:
+        # A mean without its largest value: one struck frame makes no bright pixel.
+        rest = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]
+        common |= _apart(rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames))
+    return Survey(**common, **found)
+
+
+def _plain(data: NDArray, entry: StackEntry) -> NDArray:
+    """Frames as rows of pixels, of a type that loops are compiled for."""
+    flat = data.reshape(len(data), -1)
+    if flat.dtype in (np.uint8, np.uint16):
+        return flat
+    largest = float(np.abs(flat).max())
+    if largest > LARGEST_DN:
+        raise BadInput(
+            f"pixel values must lie below {LARGEST_DN:.0e} DN, got {largest:.3g}, in stack {entry.label!r}; "
+            "divide the frames by a constant"
+        )
+    return flat.astype(np.float32)
+
+
+def _robust_sd(change: Array, step: float | None) -> float:
+    """Standard deviation that a few large values leave alone; at least that of rounding."""
+    size = np.abs(change)
+    half, most = np.quantile(size, [0.5, 0.95])
+    if most <= 0:
+        return 0.0
+    return float(max(half / 0.6745, most / 1.96, (step or 0.0) / np.sqrt(6.0)))
+
+
+@njit(cache=True)
+def _pair_departs(first, second, middle, limit, out):
+    """Places at which a pair differs by more than a limit; returns how many there are."""
+    count = 0
+    for i in range(len(first)):
+        change = float(second[i]) - float(first[i]) - middle
+        if change > limit or change < -limit:
+            if count < len(out):
+                out[count] = i
+            count += 1
+    return count
+
+
+def _of_pair(pair: NDArray, limit: float) -> dict:
+    """Pixels in which two frames differ."""
+    middle = float(np.median(pair[1, ::7].astype(np.float64) - pair[0, ::7]))
+    out = np.empty(int(MOST_SHARE * pair.shape[1]) + 1, np.int64)
+    count = _pair_departs(pair[0], pair[1], middle, limit * np.sqrt(2.0), out)
+    places = out[: min(count, len(out))]
+    departure = np.abs(pair[1, places].astype(float) - pair[0, places] - middle) / np.sqrt(2.0)
+    return {"sudden": places, "departure_dn": departure, "times": np.ones(len(places), np.int64),
+            "frame": np.full(len(places), -1)}  # fmt: skip
+
+
+class _Extremes:
+    """The two largest and the two smallest values of every pixel, where they were, and the sum."""
+
+    def __init__(self, pixels: int) -> None:
+        self.total = np.zeros(pixels, np.float32)
+        self.high, self.next_high = (np.full(pixels, -np.inf, np.float32) for _ in range(2))
+        self.low, self.next_low = (np.full(pixels, np.inf, np.float32) for _ in range(2))
+        self.high_at, self.low_at = np.zeros(pixels, np.int32), np.zeros(pixels, np.int32)
+
+    @property
+    def arrays(self) -> tuple:
+        """All of them, in the order in which the loop takes them."""
+        return self.total, self.high, self.next_high, self.low, self.next_low, self.high_at, self.low_at
+
+    def sudden(self, frames: int, limit: float) -> dict:
+        """Pixels that depart in some frames from the mean of the others."""
+        middle = (self.total - self.high - self.low) / np.float32(frames - 2)
+        limit *= float(np.sqrt(1.0 + 1.0 / (frames - 2)))
+        up, down = self.high - middle, middle - self.low
+        places = np.flatnonzero((up > limit) | (down > limit))[: int(MOST_SHARE * len(middle)) + 1]
+        times = sum((np.abs(one[places] - middle[places]) > limit).astype(np.int64)
+                    for one in (self.high, self.next_high, self.low, self.next_low))  # fmt: skip
+        where = np.where(up[places] > down[places], self.high_at[places], self.low_at[places])
+        return {"sudden": places, "departure_dn": np.maximum(up[places], down[places]).astype(float),
+                "times": np.asarray(times), "frame": where.astype(np.int64)}  # fmt: skip
+
+
+@njit(cache=True)
+def _extend(block, at, total, high, next_high, low, next_low, high_at, low_at):
+    """Add frames, a stretch of pixels at a time so that it stays in the cache."""
+    for start in range(0, block.shape[1], 4096):
+        stop = min(start + 4096, block.shape[1])
+        for t in range(block.shape[0]):
+            for i in range(start, stop):
+                value = np.float32(block[t, i])
+                total[i] += value
+                if value > next_high[i]:
+                    if value > high[i]:
+                        next_high[i], high[i], high_at[i] = high[i], value, at + t
+                    else:
+                        next_high[i] = value
+                if value < next_low[i]:
+                    if value < low[i]:
+                        next_low[i], low[i], low_at[i] = low[i], value, at + t
+                    else:
+                        next_low[i] = value
+
+
+def _apart(without_top: NDArray[np.float32], without_low: NDArray[np.float32], error: float) -> dict:
+    """Pixels whose mean lies far from the median around them, rows and columns taken away."""
+    above, below = _rest(without_top), _rest(without_low)
+    size = 0.5 * (above + below).ravel()[::3]
+    threshold = FAR * max(1.4826 * float(np.median(np.abs(size - np.median(size)))), error)
+
+    def beyond(nearer_dn: float) -> int:
+        limit = max(threshold + nearer_dn, 0.0)
+        return int(np.count_nonzero((above > limit) | (below < -limit)))
+
+    bright, faint = np.flatnonzero(above > threshold), np.flatnonzero(below < -threshold)
+    if len(bright) + len(faint) > MOST_SHARE * above.size:
+        bright = faint = _no_places()
+    return {"bright": bright, "faint": faint, "threshold_dn": threshold, "least": (beyond(error), beyond(1.96 * error)),
+            "most": (beyond(-error), beyond(-1.96 * error))}  # fmt: skip
+
+
+def _rest(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What is left of an image without its slow changes and its uneven rows and columns."""
+    from cv2 import medianBlur
+
+    rest = image - medianBlur(np.ascontiguousarray(image), 5)
+    rest -= np.median(rest, axis=0, keepdims=True)
+    rest -= np.median(rest, axis=1, keepdims=True)
+    return rest

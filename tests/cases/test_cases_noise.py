@@ -1,0 +1,206 @@
+"""Noise sessions of other tools' users, and siblings drawn here: pixels, registers, scales."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact import noise
+from charact.measuring import context_of
+from labdata.session import open_session
+from labdata.solid_state import excess_noise_factor
+
+ROOT = Path(__file__).parents[2]
+CASES = ROOT.parent / "shared" / "cases"
+TUBES = ("tube", "pulse", "photocathode", "photoelectron", "plate", "intensif")
+
+
+@pytest.fixture
+def case(tmp_path):
+    """Measure a shared case by its name."""
+
+    def of(name, quick=True):
+        if not (CASES / name).is_dir():
+            pytest.skip(f"the shared case {name} is not on this machine")
+        folder = tmp_path / name
+        shutil.copytree(CASES / name, folder)
+        return measured(folder, quick)
+
+    return of
+
+
+def measured(folder, quick=True):
+    session = open_session(folder)
+    return noise.measure(session, context=context_of(session, quick=quick, seed=0))
+
+
+def one(result, quantity, unit=None):
+    (found,) = result.find(quantity, **({} if unit is None else {"unit": unit}))
+    return found
+
+
+def holds(measurement, truth, within):
+    """Whether a number is ok, near the truth, and its interval holds it."""
+    low, high = measurement.interval95
+    assert measurement.status == "ok", measurement.flags
+    assert low <= truth <= high
+    assert measurement.value == pytest.approx(truth, rel=within)
+
+
+def test_two_stuck_pixels_saturate_no_flat(case):
+    result = case("b1-two-stuck-pixels")
+    holds(one(result, "system_gain"), 0.40, 0.05)
+    assert [m.value for m in result.find("defect_pixels")] == [2.0, 2.0]
+    assert any("2 misbehaving pixels" in note for note in one(result, "system_gain").notes)
+
+
+def test_one_stuck_pixel_is_no_lag(case):
+    gain = one(case("b2-one-stuck-lag"), "system_gain")
+    assert gain.status == "ok" and gain.value == pytest.approx(0.40, rel=0.02)
+    assert np.ptp(gain.interval95) < 0.02
+
+
+def test_cosmic_rays_are_no_read_noise(case):
+    result = case("c1-cosmic-rays-read-noise")
+    # 2.0 DN and the digitiser's steps.
+    holds(one(result, "read_noise", "DN"), np.hypot(2.0, 12.0**-0.5), 0.01)
+    holds(one(result, "read_noise", "e-"), 5.0, 0.02)
+
+
+def test_the_excess_noise_of_a_register_is_divided_out(case):
+    result = case("d1-emccd-gain-60")
+    holds(one(result, "system_gain"), 3.0, 0.03)
+    holds(one(result, "read_noise", "e-"), 0.667, 0.03)
+    assert any("Robbins" in note for note in one(result, "system_gain").notes)
+
+
+@pytest.mark.filterwarnings("error")
+def test_frames_from_0_to_1_have_a_gain(case):
+    result = case("e1-float-0-to-1")
+    holds(one(result, "system_gain"), 9.8e-5, 0.03)
+    holds(one(result, "read_noise", "e-"), 5.0, 0.03)
+    holds(one(result, "blur_factor"), 1.0, 0.1)
+    assert one(result, "read_noise", "DN").status == "ok"
+
+
+def test_line_noise_of_the_darks_cancels_in_the_slope(case):
+    holds(one(case("i1-column-noise"), "system_gain"), 0.40, 0.02)
+
+
+def test_biases_under_timed_flats_are_ordinary(case):
+    holds(one(case("m1-bias-and-timed-flats"), "system_gain"), 0.40, 0.02)
+
+
+def test_neighbours_that_share_two_percent_give_both_gains_and_no_word_of_tubes(case):
+    result = case("q1-8-bit-cmos-crosstalk", quick=False)
+    plain, right = one(result, "system_gain"), one(result, "covariance_gain")
+    assert plain.flags == ("correlated-noise",)
+    assert plain.value == pytest.approx(0.0178, rel=0.02)
+    assert right.interval95[0] < 0.0210 < right.interval95[1]
+    low, high = one(result, "quantum_efficiency").interval95
+    assert low < 50.0 < high
+    assert one(result, "read_noise", "DN").flags == ("quantised",)
+    assert one(result, "read_noise", "DN").value == pytest.approx(0.25, rel=0.02)
+    said = " ".join(f"{m.reason or ''} {' '.join(m.notes)}" for m in result.measurements).lower()
+    assert not [word for word in TUBES if word in said]
+
+
+def written(folder, rng, *, gain=0.4, read_e=5.0, black=100.0, scale=1.0, dtype=np.uint16, size=(128, 160), frames=2,
+            levels=(500.0, 1500.0, 3000.0, 5000.0, 8000.0), wrong=lambda data: data, state="", em=1.0):  # fmt: skip
+    """A session of a plain camera: electrons, a register, read noise, whole codes, then a scale."""
+    lines = ['name = "sibling"']
+    for index, level in enumerate((0.0, *levels)):
+        charge = rng.poisson(level / em, (frames, *size)).astype(float)
+        if em > 1.0:
+            charge = np.where(charge > 0, rng.gamma(np.maximum(charge, 1e-9)), 0.0) * em
+        codes = np.rint(black + gain * (charge + read_e * rng.standard_normal(charge.shape)))
+        data = wrong(np.clip(codes, -1e9 if dtype != np.uint16 else 0, 65535.0)) * scale
+        np.save(folder / f"{index}.npy", data.astype(dtype))
+        kind = "flat" if index else "dark"
+        lines += ["[[stack]]", f'label = "s{index}"', f'kind = "{kind}"', f'frames = "{index}.npy"', state]
+    (folder / "session.toml").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("frames", [2, 5])
+@pytest.mark.parametrize("top", [255.0, 4095.0, 60000.0])
+def test_half_a_percent_of_stuck_and_blinking_pixels_moves_nothing(tmp_path, seed, frames, top):
+    rng = np.random.default_rng(seed)
+    places = rng.choice(128 * 160, 100, replace=False)
+    gain = 0.4 if top > 255 else 0.02
+
+    def wrong(data):
+        flat = data.reshape(len(data), -1)
+        flat[:, places[:50]] = top
+        flat[:, places[50:]] += 60.0 * gain / 0.4 * (rng.random((len(data), 50)) < 0.5)
+        return np.minimum(data, top)
+
+    levels = tuple(level * min(1.0, top / 4095.0 * 0.4 / gain) for level in (500.0, 1500.0, 3000.0, 5000.0, 8000.0))
+    read_e = 5.0 if top > 255 else 40.0
+    result = measured(written(tmp_path, rng, wrong=wrong, frames=frames, gain=gain, read_e=read_e, black=20.0,
+                              levels=levels))  # fmt: skip
+    holds(one(result, "system_gain"), gain, 0.04)
+    holds(one(result, "read_noise", "DN"), np.hypot(read_e * gain, 12.0**-0.5), 0.03)
+
+
+@pytest.mark.parametrize("frames", [2, 4, 12])
+def test_hits_in_single_frames_move_nothing(tmp_path, seed, frames):
+    rng = np.random.default_rng(seed)
+
+    def wrong(data):
+        struck = rng.random(data.shape) < 1e-4
+        return data + struck * rng.exponential(800.0, data.shape)
+
+    result = measured(written(tmp_path, rng, wrong=lambda data: np.rint(wrong(data)), frames=frames))
+    holds(one(result, "system_gain"), 0.4, 0.04)
+    holds(one(result, "read_noise", "DN"), np.hypot(2.0, 12.0**-0.5), 0.03)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("scale", "black", "dtype"),
+    [
+        (1.0 / 4095.0, 100.0, np.float32),
+        (16.0, 100.0, np.uint16),
+        (1e-3, -500.0, np.float64),
+        (2.5e-6, 0.0, np.float64),
+    ],
+)
+def test_every_scale_gives_the_same_electrons(tmp_path, seed, scale, black, dtype):
+    """Shares of one, codes shifted to the left, volts, negative numbers: only DN change."""
+    result = measured(written(tmp_path, np.random.default_rng(seed), scale=scale, black=black, dtype=dtype))
+    holds(one(result, "system_gain"), 0.4 * scale, 0.04)
+    holds(one(result, "read_noise", "e-"), 5.0, 0.04)
+    holds(one(result, "read_noise", "DN"), np.hypot(2.0, 12.0**-0.5) * scale, 0.03)
+    assert one(result, "blur_factor").value == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("em", [1.0, 30.0, 500.0])
+def test_a_register_that_is_stated_counts(tmp_path, seed, em):
+    rng = np.random.default_rng(seed)
+    folder = written(tmp_path, rng, em=em, state=f"em_gain = {em}", read_e=30.0, frames=6,
+                     levels=tuple(em * n for n in (20.0, 40.0, 80.0, 160.0)), gain=0.2)  # fmt: skip
+    holds(one(measured(folder), "system_gain"), 0.2 * em, 0.05)
+
+
+def test_excess_noise_of_a_register_lies_between_one_and_two():
+    """Robbins & Hadwen (2003): none at unit gain, 2 at high gain of many stages."""
+    assert excess_noise_factor(1.0, 536) == pytest.approx(1.0)
+    assert excess_noise_factor(1e5) == pytest.approx(2.0, abs=1e-4)
+    # By stages of equal chance p of one more electron: F^2 = 1 + (1 - p) / (1 + p) (1 - 1 / g).
+    stages, chance = 536, 1000.0 ** (1.0 / 536) - 1.0
+    assert excess_noise_factor(1000.0, stages) == pytest.approx(
+        1.0 + (1.0 - chance) / (1.0 + chance) * (1.0 - 1e-3), abs=1e-3
+    )
+
+
+def test_a_described_register_counts_without_a_stated_gain(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    folder = written(tmp_path, rng, em=1000.0, read_e=50.0, frames=6, gain=0.02,
+                     levels=tuple(1000.0 * n for n in (20.0, 40.0, 80.0, 160.0)))  # fmt: skip
+    manifest = folder / "session.toml"
+    manifest.write_text('sensor = "emccd-512"\n' + manifest.read_text())
+    gain = one(measured(folder), "system_gain")
+    holds(gain, 20.0, 0.05)
+    assert any("description" in note for note in gain.notes)
