@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map bar-map bar-pulse-map spectrum-map gain-map gain-grid events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map spectrum-map gain-map events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -87,12 +87,6 @@ bar-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.bars.bias
 	$(BIN)/python -m charact.study.bars.bias_figure
 
-# Covariance gains of stacks put together from single photoelectrons, 54 cells drawn 40 times each, beside the least error
-# there can be; ten minutes on one core.
-gain-grid: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.flats.gain_grid
-	$(BIN)/python -m charact.study.flats.gain_grid_figure
-
 # Single photoelectrons: how often intervals hold over 200 stacks of known darks, and where the law is lost; table kept.
 events-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.flats.dark_events_coverage
@@ -106,15 +100,6 @@ edge-map: $(READY)
 edge-pulse-map: $(READY)
 	$(BIN)/python -m charact.study.edge.pulse_map
 	$(BIN)/python -m charact.study.edge.pulse_map_figure
-
-# Where bars and points break: 1,000 cells each, points drawn twice; four, twelve and ten minutes on two cores.
-bar-map: $(READY)
-	$(BIN)/python -m charact.study.bars.map
-	$(BIN)/python -m charact.study.bars.map_figure
-
-bar-pulse-map: $(READY)
-	$(BIN)/python -m charact.study.bars.pulse_map
-	$(BIN)/python -m charact.study.bars.pulse_map_figure
 
 # Where noise spectra break: 1,000 random cameras; quarter of an hour on two cores.
 spectrum-map: $(READY)

@@ -73,7 +73,7 @@ def _sif(path: Path) -> Recorded:
     except ImportError:
         raise BadInput(f"Andor SIF files need sif_parser, got {path.name}: pip install 'charact[sif]'") from None
     with path.open("rb") as file:
-        data, _ = sif_parser.np_open(file)
+        data = np.asarray(sif_parser.np_open(file)[0])
     return Recorded(data=data, names=(FRAME, ROW, COL))
 
 
