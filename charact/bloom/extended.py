@@ -38,7 +38,6 @@ RIVAL = 10.0
     "lit-edge",
     METHOD,
     quantities=("halo_diameter", "halo_fraction"),
-    preferred=True,
     scope="A straight edge of a bright area, four times as long as the halo reaches, with dark room beside it; better "
     "with one level that is not cut.",
 )

@@ -47,7 +47,6 @@ CONSTANT = 1e-4
     "bloom",
     METHOD,
     quantities=("halo_diameter", "halo_fraction", "bloom_diameter", "streak_length"),
-    preferred=True,
     scope="A round source whose halo has an edge that rises above the noise in one level at least; at any saturation.",
 )
 def series_forward(session: Session, *, context: Context) -> Result:

@@ -33,6 +33,16 @@ MODULES: dict[str, dict[str, str]] = {
     },
     "lit-edge": {"lit-edge": "charact.bloom.extended"},
 }
+# By kind of target, the quantity by which its methods are charted, and what "auto" takes where no chart was measured.
+CHARTED: dict[str, tuple[str, str]] = {
+    "edge": ("mtf50", "edge-forward"),
+    "bars": ("mtf", "bars-forward"),
+    "point": ("mtf50", "point-forward"),
+    "post-gain": ("post_gain_mtf50", "noise-spectrum"),
+    "flats": ("covariance_gain", "covariance-sum"),
+    "bloom": ("halo_diameter", "series-forward"),
+    "lit-edge": ("halo_diameter", "lit-edge"),
+}
 
 
 def load(kind: str, name: str | None = None) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from charact.method.catalogue import MODULES, load
+from charact.method.catalogue import CHARTED, MODULES, load
 from charact.method.cluster import Spread
 from charact.method.stopwatch import timed
 from charact.method.threads import on_one_thread
@@ -77,8 +77,6 @@ class Method:
         The quantities it measures; the first is the one it is charted by.
     scope
         One sentence: where it holds, and what breaks it.
-    preferred
-        Whether "auto" takes it as long as no chart was measured.
     function
         The estimator. Its arguments depend on the kind, see the package of that kind.
     """
@@ -87,23 +85,18 @@ class Method:
     name: str
     quantities: tuple[str, ...]
     scope: str
-    preferred: bool
     function: Callable[..., Result]
 
 
 METHODS: dict[tuple[str, str], Method] = {}
 
 
-def register(
-    kind: str, name: str, *, quantities: tuple[str, ...], scope: str, preferred: bool = False
-) -> Callable[[Any], Any]:
+def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -> Callable[[Any], Any]:
     """Register a function as a method of a kind under a name: timed, on one thread of the linear algebra library."""
 
     def enter(function: Callable[..., Result]) -> Callable[..., Result]:
         function = on_one_thread(timed(function))
-        METHODS[kind, name] = Method(
-            kind=kind, name=name, quantities=quantities, scope=scope, preferred=preferred, function=function
-        )
+        METHODS[kind, name] = Method(kind=kind, name=name, quantities=quantities, scope=scope, function=function)
         return function
 
     return enter
@@ -140,13 +133,13 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
         if (kind, name) not in METHODS:
             raise BadInput(f"--method must be auto or one of {', '.join(sorted(of_kind(kind)))}, got {name!r}")
         return METHODS[kind, name]
-    methods = of_kind(kind)
-    preferred = next((method for method in methods.values() if method.preferred), None)
-    if preferred is None:
+    if kind not in MODULES:
         raise BadInput(f"the kind of target must be one of {', '.join(sorted(MODULES))}, got {kind!r}")
-    rows = [row for row in chart_table(preferred.quantities[0]) if row["method"] in methods]
+    quantity, preferred = CHARTED[kind]
+    names = {*MODULES[kind], *(method for of, method in METHODS if of == kind)}
+    rows = [row for row in chart_table(quantity) if row["method"] in names]
     if not rows:
-        return preferred
+        return choose(kind, preferred)
     inside = [row for row in rows if meets(row, within_percent)]
     best = min(inside, key=lambda row: row["seconds"]) if inside else min(rows, key=lambda row: row["error_percent"])
-    return methods[best["method"]]
+    return choose(kind, best["method"])

@@ -12,12 +12,10 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers.axes import frames_of
 from labdata.importers.byte_order import swapped_note
-from labdata.importers.emva1288 import import_emva1288
 from labdata.importers.full_scale import with_full_scale
-from labdata.importers.loose import import_frames
 from labdata.importers.recorded import Recorded
 
-__all__ = ["KINDS", "import_emva1288", "import_frames", "known_kinds", "module_of", "read_frames"]
+__all__ = ["KINDS", "known_kinds", "module_of", "read_frames"]
 
 # Module of this package whose function `read(path)` reads a file -> the endings of its files.
 KINDS: dict[str, tuple[str, ...]] = {

@@ -18,7 +18,7 @@ from drivers.acquisition.plan_check import check_plan
 from labdata.border import from_toml, to_toml
 from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
-from labdata.importers import import_emva1288
+from labdata.importers.emva1288 import import_emva1288
 from labdata.phosphors import load_phosphor
 from labdata.plan import Plan
 from labdata.sensors import load_camera, load_sensor

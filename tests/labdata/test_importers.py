@@ -10,7 +10,8 @@ import pytest
 import tifffile
 
 from labdata import BadInput
-from labdata.importers import import_frames, read_frames
+from labdata.importers import read_frames
+from labdata.importers.loose import import_frames
 
 TYPES = ["u1", "u2", "u4", "i2", "i4", "f4", "f8"]
 

@@ -21,7 +21,6 @@ METHOD = "bars-forward"
     "bars",
     METHOD,
     quantities=("mtf",),
-    preferred=True,
     scope=(
         "Two to sixty bars, brighter or darker than an even ground and as wide as their gaps, in any direction, whole "
         "with their blur inside the region, or running through it within 12 degrees of an axis; fundamental over 5 "

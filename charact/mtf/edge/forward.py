@@ -33,7 +33,6 @@ METHOD = "edge-forward"
     "edge",
     METHOD,
     quantities=QUANTITIES,
-    preferred=True,
     scope=(
         "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
         "30 rows and more; noise may depend on the signal and be correlated. Broken by motion between fields, "

@@ -150,8 +150,6 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
         Shape (1 + block, cell); empty cells are interpolated by cubic splines between their neighbours: at 45 degrees
         three of four are empty, and straight lines between the others would blur the edge.
     """
-    from scipy.interpolate import CubicSpline
-
     inside = (cell >= 0) & (cell < size)
     block = np.broadcast_to((np.arange(len(value)) * BLOCKS // len(value))[:, None], value.shape)
     index = (block * size + cell)[inside]

@@ -39,7 +39,6 @@ QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_share")
     KIND,
     "noise-spectrum",
     quantities=QUANTITIES,
-    preferred=True,
     scope="Darks and flats of two levels and more, 4 frames each, some 100 x 100 px, of a camera that blurs after its "
     "gain to f2 = 0.08 to 0.4 cy/px; light scattered after the gain beyond that blur is not counted: a note says how "
     "much of it would not show. A curved response shows where levels of more than a photoelectron a pixel differ.",

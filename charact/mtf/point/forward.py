@@ -42,7 +42,6 @@ MAX_STEPS = 1200
     "point",
     METHOD,
     quantities=QUANTITIES,
-    preferred=True,
     scope=(
         "Single point sources whose core stays below full scale, light over 6 standard errors, pixels of an "
         "intensifier or of an ordinary camera. A core beyond full scale is left out and flagged; motion and neighbours "

@@ -47,7 +47,6 @@ QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "ph
     "flats",
     METHOD,
     quantities=QUANTITIES,
-    preferred=True,
     scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more. "
     "Where noise is white the gains are slopes over all levels: a response that bends by up to 2 % goes unflagged.",
 )

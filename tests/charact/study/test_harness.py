@@ -31,8 +31,8 @@ def _case(truth: float | None = TRUTH, **changes) -> Case:
     return Case(**{**given, **changes})
 
 
-def _method(name: str, function, *, preferred: bool = False) -> Method:
-    return Method(kind="edge", name=name, quantities=("mtf50",), scope="none", preferred=preferred, function=function)
+def _method(name: str, function) -> Method:
+    return Method(kind="edge", name=name, quantities=("mtf50",), scope="none", function=function)
 
 
 def _answering(value: float, sd: float, flags: tuple[str, ...] = (), seconds: float = 0.0):
@@ -141,7 +141,7 @@ def test_a_refusal_counts_in_the_limit_as_a_hundred_percent():
 
 def test_auto_wants_a_method_whose_errors_are_surely_within_the_tolerance(monkeypatch):
     """One is quicker, and by luck of a few cases within 2 %; it is taken where its upper limit is within as well."""
-    methods = (_method("edge-good", _refusing, preferred=True), _method("edge-lucky", _refusing))
+    methods = (_method("edge-good", _refusing), _method("edge-lucky", _refusing))
     rows = [
         {"method": "edge-lucky", "error_percent": 1.6, "error_limit_percent": 2.7, "seconds": 0.1},
         {"method": "edge-good", "error_percent": 1.2, "error_limit_percent": 1.9, "seconds": 1.0},
@@ -155,7 +155,7 @@ def test_auto_wants_a_method_whose_errors_are_surely_within_the_tolerance(monkey
 
 def test_auto_takes_the_cheaper_method_within_tolerance(tmp_path, monkeypatch):
     methods = (
-        _method("edge-good", _exact(0.001, 0.02), preferred=True),
+        _method("edge-good", _exact(0.001, 0.02)),
         _method("edge-cheap", _exact(0.015, 0.0)),
         _method("edge-poor", _exact(0.2, 0.0)),
     )

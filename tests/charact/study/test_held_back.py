@@ -52,7 +52,7 @@ def test_what_is_off_is_told_by_a_flag_or_by_an_interval_beyond_the_tolerance(va
         found = measured("mtf50", "cy/px", value, interval95, interval95, method="fake", flags=flags)
         return Result(measurements=(found,))
 
-    fake = Method(kind="point", name="fake", quantities=("mtf50",), scope="none", preferred=True, function=function)
+    fake = Method(kind="point", name="fake", quantities=("mtf50",), scope="none", function=function)
     case = replace(chart_cases(1, 1)[0], truth=0.2)
     monkeypatch.setattr("charact.study.held_back.choose", lambda *asked, **more: fake)
     monkeypatch.setattr(

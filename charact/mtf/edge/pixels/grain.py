@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.fft import irfft2, next_fast_len, rfft2
 
 from charact.mtf.edge.pixels.bins import NARROWEST_PX, Gathered
 from charact.mtf.edge.pixels.grain_form import form_of
@@ -178,9 +177,15 @@ def _autocorrelation(field: NDArray, shape: tuple[int, int]) -> Array:
 
     In single precision: a correlation is known to a thousandth at best.
     """
-    fast = tuple(next_fast_len(size, real=True) for size in shape)
-    spectrum = np.asarray(rfft2(field.astype(np.float32), fast), np.complex64)
-    return np.asarray(irfft2(spectrum.real**2 + spectrum.imag**2, fast), np.float64)
+    fast = tuple(_fast_length(size) for size in shape)
+    spectrum = np.asarray(np.fft.rfft2(field.astype(np.float32), fast), np.complex64)
+    return np.asarray(np.fft.irfft2(spectrum.real**2 + spectrum.imag**2, fast), np.float64)
+
+
+def _fast_length(least: int) -> int:
+    """Return the next length that is a product of powers of 2, 3 and 5, which transforms fast."""
+    odd = (3**b * 5**c for b in range(12) for c in range(8))
+    return min(factor << max(0, (-(-least // factor) - 1).bit_length()) for factor in odd)
 
 
 @njit(cache=True)
