@@ -227,11 +227,11 @@ def _candidates(
 
 
 def _covariance(hessian: NDArray, steps: NDArray, walls: NDArray) -> NDArray[np.float64]:
-    """Return the covariance of the curvature; a direction that does not curve spreads over its bounds' range."""
+    """Return the covariance of the curvature; a direction that does not curve spreads up to the first bounds' range."""
     values, vectors = np.linalg.eigh(-hessian)
     ranges = (walls[:, 1] - walls[:, 0]) / steps
     widest = np.where(np.isfinite(ranges), ranges / np.sqrt(12.0), 1e3 / STENCIL_SD)
-    least = 1.0 / np.maximum((vectors**2).T @ widest**2, 1e-300)
+    least = np.max((vectors / widest[:, None]) ** 2, axis=0)
     values = np.maximum(values, least)
     return (vectors / values) @ vectors.T * np.outer(steps, steps)
 
