@@ -106,8 +106,7 @@ def one_gain(series: Series, *, context: Context, quick: bool) -> OneGain:
     forms = forms_of(blur_exponent(context), blurred=neighbours.seen, floor=summary.beyond is not None)
     found = fit(summary, seed=context.seed, quick=quick, forms=forms)
     if share := stepped_share(series, summary):
-        rng = np.random.default_rng([context.seed, 17])
-        found = replace(found, posterior=standard.widened(found.posterior, "blur_factor", share, rng))
+        found = replace(found, posterior=_with_steps(found.posterior, share * summary.variance_dn, context))
     levels, spread = _level_gains(series, summary, found)
     exposures = shared_by_exposures(series)
     if not summary.lag.tested and exposures.allowance:
@@ -129,6 +128,19 @@ def stepped_share(series: Series, summary: Summary) -> float:
     if min(level.variance_dn2 for level in levels) >= QUANTISED_DN2:
         return 0.0
     return float(standard.QUANTISATION_DN2 * weight.sum() / max(summary.variance_dn, 1e-12))
+
+
+def _with_steps(posterior: Posterior, power_dn: float, context: Context) -> Posterior:
+    """Return the posterior with white noise of unknown height, of a standard deviation, in variance and spectrum alike.
+
+    Neighbours share none of the error of rounding: it stands at every frequency, also at none.
+    """
+    draws, power = posterior.draws.copy(), posterior["power"]
+    steps = np.maximum(power_dn * np.random.default_rng([context.seed, 17]).standard_normal(len(draws)), -0.9 * power)
+    names = posterior.names.index
+    draws[:, names("covariance_gain")] += steps
+    draws[:, names("blur_factor")] = (posterior["blur_factor"] * power + steps) / (power + steps)
+    return replace(posterior, draws=draws)
 
 
 def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context: Context) -> Posterior:
