@@ -167,7 +167,7 @@ def _mixed(peaks: Sequence[Peak], seed: int, quick: bool) -> Posterior:
     share = np.where(share < LEAST_WEIGHT * share.sum(), 0.0, share) / share.sum()
     # Shares rounded one by one would not always add up to all draws.
     numbers = np.diff(np.rint(np.cumsum(share / share.sum()) * DRAWS).astype(int), prepend=0)
-    own = [(peak, _drawn(peak, int(number), seed, quick)) for peak, number in zip(peaks, numbers, strict=True) if number]
+    own = [(peak, _drawn(peak, int(n), seed, quick)) for peak, n in zip(peaks, numbers, strict=True) if n]
     draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in own])
     # What a form needs no more of, such as a tail, leans on its bound and harms nothing where another goes without.
     harmless = {"prior-bound"} if len(peaks) > 1 else set()
