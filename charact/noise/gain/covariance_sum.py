@@ -113,7 +113,7 @@ def _of_series(session: Session, series: Series, context: Context, fields: dict[
         pooled = pooled.at_low_signal(context)
     bend = bend_allowance(series)
     if bend and not (tube and not pooled.white):
-        pooled = pooled.allowing(bend, np.random.default_rng([context.seed, 18]))
+        pooled = pooled.allowing(bend, np.random.default_rng([context.seed, 24]))
     fit = pooled.fit
     common = series_findings(series, context=context)
     hidden = bent(series) + exposure_findings(pooled.exposures)
