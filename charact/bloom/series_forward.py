@@ -159,7 +159,7 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
     diameter = float(np.median(posterior["halo_diameter"]))
     if diameter / 2.0 > WHOLE * series.radius_px[-1]:
         flags += ("window-too-small",)
-    apart, freedom = levels_apart(own, diameter)
+    apart, freedom = levels_apart(own)
     return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
 
 
