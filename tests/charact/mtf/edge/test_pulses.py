@@ -95,8 +95,8 @@ def test_rows_that_share_noise_make_no_bow(tied, seed):
         ),
         PulseEdge(
             blur=Blur(form="exponential", frequency_cy_per_px=0.304, exponent=1.95), pulse_px=0.55,
-            photoelectrons=226.0, bright_dn=1226.0, dark_share=0.233, gain_spread=0.68, read_dn=1.9, rows=107, cols=111, frames=8,
-            angle_deg=22.4,
+            photoelectrons=226.0, bright_dn=1226.0, dark_share=0.233, gain_spread=0.68, read_dn=1.9, rows=107, cols=111,
+            frames=8, angle_deg=22.4,
         ),
     ],
     ids=["noise of rows", "full scale"],
