@@ -5,7 +5,7 @@ READY := .venv/ready
 WORKERS ?= 2
 SECONDS ?= 3600
 
-.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map edge-pulse-map spectrum-map gain-map events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
+.PHONY: demo test test-seeds test-bounds check bench bench-acquisition fault-campaign rehearsal study mtf-study calibration bar-study mtf-peers edge-map spectrum-map gain-map events-study docs frontier peers radiance-peers lock bloom-pictures night-light live-check clean
 
 demo: $(READY)
 	$(BIN)/charact demo demo
@@ -95,11 +95,6 @@ events-study: $(READY)
 edge-map: $(READY)
 	$(BIN)/python -m charact.study.edge.map
 	$(BIN)/python -m charact.study.edge.map_figure
-
-# Where edges of intensified cameras break: 1,000 cells drawn twice, pulse by pulse; quarter of an hour on two cores.
-edge-pulse-map: $(READY)
-	$(BIN)/python -m charact.study.edge.pulse_map
-	$(BIN)/python -m charact.study.edge.pulse_map_figure
 
 # Where noise spectra break: 1,000 random cameras; quarter of an hour on two cores.
 spectrum-map: $(READY)

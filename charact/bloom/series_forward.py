@@ -26,6 +26,7 @@ from charact.bloom.series.telling import (
 )
 from charact.bloom.series.trust import MISFIT_SHARE, is_uneven, own_diameters, why_no_halo
 from charact.bloom.spot import DETECTED, Spot, read_spots
+from charact.bloom.thresholds import CUT_SD
 from charact.method import Context, register
 from charact.posterior import laplace, weighed
 from labdata.measurement import Measurement, Posterior, Result, refused
@@ -37,8 +38,8 @@ METHOD = "series-forward"
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 # Share of the farthest ring beyond which a halo is not seen whole.
 WHOLE = 0.92
-# Draws by importance of the first density, and how many must be effective.
-FIRST_DRAWS, ENOUGH = 2000, 1000.0
+# Draws by importance of the first density, and how many must be effective; fewer where time is short.
+FIRST_DRAWS, ENOUGH, ENOUGH_QUICKLY = 2000, 1000.0, 100.0
 # Chance of levels' own diameters scattering as they do below which geometry does not hold.
 CONSTANT = 1e-4
 
@@ -142,8 +143,20 @@ def _posterior(best: Candidate, context: Context) -> Posterior:
         "bounds": best.form.bounds,
     }
     if context.quick:
-        return laplace(best.problem.log_probability, **asked)
-    return weighed(best.problem.log_probability, enough=ENOUGH, first_draws=FIRST_DRAWS, **asked)
+        gaussian = laplace(best.problem.log_probability, **asked)
+        if not _is_cut(best, gaussian):
+            return gaussian
+    enough = ENOUGH_QUICKLY if context.quick else ENOUGH
+    return weighed(best.problem.log_probability, enough=enough, first_draws=FIRST_DRAWS, **asked)
+
+
+def _is_cut(best: Candidate, gaussian: Posterior) -> bool:
+    """Whether bounds cut a Gaussian so that its peak is not the middle of its diameters: its width says little then."""
+    if best.form.halo != "disc":
+        return False
+    diameter = gaussian["halo_diameter"]
+    away = float(best.peak.point[best.form.names.index("halo_diameter")]) - float(np.median(diameter))
+    return abs(away) > CUT_SD * float(np.std(diameter))
 
 
 def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
@@ -159,7 +172,7 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
     diameter = float(np.median(posterior["halo_diameter"]))
     if diameter / 2.0 > WHOLE * series.radius_px[-1]:
         flags += ("window-too-small",)
-    apart, freedom = levels_apart(own, diameter)
+    apart, freedom = levels_apart(own)
     return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
 
 

@@ -11,3 +11,6 @@ LEAST_DEFECT_DN = 2.0
 LIT_NEIGHBOURS, NEIGHBOUR_SD = 0.15, 9.0
 # Fraction of the pixels from which on single bright ones are noise: twice what sensors on sale have.
 MOST_DEFECTS = 0.01
+# Distance of a Gaussian's peak from the middle of its draws, over their standard deviation, from which bounds cut it: a
+# bound through the peak itself makes 1.1 (a half Gaussian's median over its deviation), and this is half as much.
+CUT_SD = 0.5

@@ -49,5 +49,5 @@ def mapped(session: Session, result: Result, context: Context, *, label: str | N
     from charact.report.style import on_paper
 
     with on_paper():
-        bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(content, dpi=130)
+        bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(content, format="png", dpi=130)
     write_durably(path, content.getbuffer())

@@ -69,11 +69,15 @@ def several_flag(group: tuple[Spot, ...]) -> tuple[str, ...]:
     return ("several-targets",) if np.isfinite(nearest_px(group)) else ()
 
 
-def levels_apart(own: tuple[Array, Array, Array], diameter: float) -> tuple[float, int]:
-    """How far the levels' own diameters lie from a common one, as chi squared with its freedom."""
+def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
+    """How far the levels' own diameters lie from their mean, as chi squared with its freedom.
+
+    All of them share the core and the profile of the likeliest point: the median of a skewed posterior is not theirs.
+    """
     seen = np.isfinite(own[0])
-    pull = (own[0][seen] - diameter) / np.maximum(own[1][seen], LEAST_SD_PX)
-    return float(pull @ pull), max(int(seen.sum()) - 1, 0)
+    sd = np.maximum(own[1][seen], LEAST_SD_PX)
+    mean = np.sum(own[0][seen] / sd**2) / max(float(np.sum(sd**-2.0)), 1e-300)
+    return float(np.sum(((own[0][seen] - mean) / sd) ** 2)), max(int(seen.sum()) - 1, 0)
 
 
 def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array], group: tuple[Spot, ...],
@@ -84,7 +88,7 @@ def halo_told(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Ar
     """
     beside = several_flag(group)
     middle = float(np.median(posterior["halo_diameter"]))
-    apart, freedom = levels_apart(own, middle)
+    apart, freedom = levels_apart(own)
     wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
     wider = wider * _noise_unknown(group, len(posterior.draws), posterior.seed)
     draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}

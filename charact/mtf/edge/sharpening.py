@@ -74,9 +74,10 @@ def noise_gain_of(picture: Picture, profile: Profile) -> float:
     pixels = int(np.count_nonzero(used))
     if pixels < LEAST_PIXELS:
         return 1.0
-    variance = float(np.sum(noise**2)) / pixels
+    # Pixels that differ from the profile by less than it knows of them show its bins, not noise.
+    variance = max(float(np.sum(noise**2)) / pixels, 1.0)
     shared = [_shared(noise, used, down, right) for down, right in NEIGHBOURS]
-    total = 2.0 * sum(shared) / max(variance, 1e-12)
+    total = 2.0 * sum(shared) / variance
     taken = 2.0 * REACH_PX * float(np.mean(1.0 / profile.count))
     error = np.sqrt(2.0 * len(shared) / pixels) * np.sqrt(2.0)
     opposed = -(total + taken)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from charact import bloom
+from charact.bloom.series.telling import levels_apart
 from charact.bloom.transfer import bounced, disc
 from charact.method import Context
 from labdata.errors import BadInput
@@ -100,3 +101,11 @@ def test_no_electron_lands_farther_than_two_gaps(thrown, seed):
     # Physics reference, 1.5: the rim is four times as dense as the middle.
     density = np.histogram(radius, bins=[8.0, 10.0, 18.0, 20.0])[0] / np.diff(np.square([8.0, 10.0, 18.0, 20.0]))
     assert 3.0 < density[2] / density[0] < 5.0
+
+
+def test_levels_that_agree_among_themselves_are_not_apart():
+    """Four levels within their errors; the same with one level six errors off: closed form, 36 times 3/4."""
+    own = np.array([[38.25, 38.25, 38.25, 38.25], [0.2] * 4, [20.0] * 4])
+    assert levels_apart((own[0], own[1], own[2])) == (pytest.approx(0.0, abs=1e-9), 3)
+    own[0, 0] += 6.0 * 0.2
+    assert levels_apart((own[0], own[1], own[2])) == (pytest.approx(27.0), 3)

@@ -1,47 +1,41 @@
-"""The maps of spectra and edges of pulses: cells are what the methods still do, and what they show."""
+"""The map of spectra: cells are what the methods still do, and what they show."""
 
 import json
 
 import numpy as np
 import pytest
 
-from charact.study.edge import pulse_map as pulses
 from charact.study.flats import spectrum_map as spectra
 
 
-@pytest.fixture(params=[spectra, pulses], ids=["spectra", "edges of pulses"])
-def study(request):
-    return request.param
-
-
-def table(study):
-    return json.loads(study.TABLE.read_text())
+def table():
+    return json.loads(spectra.TABLE.read_text())
 
 
 def cells(part):
     return [dict(zip(part["columns"], row, strict=True)) for row in part["rows"]]
 
 
-def test_the_map_goes_through_all_that_breaks_the_method(study):
-    kept = cells(table(study)["quick"])
+def test_the_map_goes_through_all_that_breaks_the_method():
+    kept = cells(table()["quick"])
     assert len(kept) >= 1000
-    assert {one["axis"] for one in kept} == {"none", *study.BREAKING}
-    assert len(table(study)["chains"]["rows"]) >= 0.02 * len(kept)
+    assert {one["axis"] for one in kept} == {"none", *spectra.BREAKING}
+    assert len(table()["chains"]["rows"]) >= 0.02 * len(kept)
 
 
-def test_three_cells_are_what_the_method_still_does(study, seed):
+def test_three_cells_are_what_the_method_still_does(seed):
     """Every drawing has its own seed: the verdicts are the same, and the widths within a tenth."""
-    kept = cells(table(study)["quick"])
+    kept = cells(table()["quick"])
     for number in np.random.default_rng(seed).choice(len(kept), 3, replace=False):
-        before, again = kept[number], study.measured_cell(kept[number]["number"])
+        before, again = kept[number], spectra.measured_cell(kept[number]["number"])
         assert (again.ok, again.refused) == (before["ok"], before["refused"]), (before, again)
         if again.ok:
             assert again.sd_percent == pytest.approx(before["sd_percent"], rel=0.1)
 
 
-def test_what_the_map_shows(study):
+def test_what_the_map_shows():
     """In scope 95 % ok and as many misses as promised."""
-    summary = table(study)["quick"]["summary"]
+    summary = table()["quick"]["summary"]
     inside = summary["by_axis"]["none"]
     assert summary["crashed"] == 0
     assert summary["in_scope_ok_percent"] >= 95.0
@@ -78,8 +72,8 @@ def test_a_curved_response_is_told_by_levels_of_few_dn(number):
     assert spectra.measured_cell(number).suspect == 1
 
 
-def test_a_map_of_no_cells_is_refused_in_one_sentence(study, monkeypatch, capsys):
+def test_a_map_of_no_cells_is_refused_in_one_sentence(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["map", "--cells", "0"])
     with pytest.raises(SystemExit):
-        study.main()
+        spectra.main()
     assert "cells and repeats must be at least 1, got 0 and" in capsys.readouterr().err

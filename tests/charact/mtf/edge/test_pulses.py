@@ -8,7 +8,6 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.checks import _bowed
-from charact.study.edge import pulse_map
 from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, edge_spread
 from charact.study.session.agreement import Chain
@@ -86,8 +85,25 @@ def test_rows_that_share_noise_make_no_bow(tied, seed):
     assert np.mean([_bowed(one + bow) for one in course[:200]]) > 0.95
 
 
-@pytest.mark.parametrize("number", [3085, 3252])
-def test_rows_of_noise_and_a_side_of_nothing_but_full_scale_end_in_a_verdict(number):
-    """A profile too short for a slope, and a bright side without noise: both were tracebacks."""
-    outcome = pulse_map.measured_cell(number)
-    assert outcome.crashed == outcome.ok == 0
+@pytest.mark.parametrize(
+    "scene",
+    [
+        PulseEdge(
+            blur=Blur(form="moffat", moffat_px=2.11, moffat_exponent=1.73), pulse_px=0.55, photoelectrons=7.86,
+            bright_dn=34.5, dark_share=0.396, gain_spread=0.53, read_dn=0.74, row_noise_dn=10.7, rows=119, cols=95,
+            frames=16, angle_deg=271.75, interlaced=True,
+        ),
+        PulseEdge(
+            blur=Blur(form="exponential", frequency_cy_per_px=0.304, exponent=1.95), pulse_px=0.55,
+            photoelectrons=226.0, bright_dn=1226.0, dark_share=0.233, gain_spread=0.68, read_dn=1.9, rows=107, cols=111,
+            frames=8, angle_deg=22.4,
+        ),
+    ],
+    ids=["noise of rows", "full scale"],
+)  # fmt: skip
+def test_rows_of_noise_and_a_side_of_nothing_but_full_scale_end_in_a_verdict(scene, seed):
+    """A profile too short for a slope, and a bright side without noise: a verdict, no traceback."""
+    frames = scene.frames_drawn(np.random.default_rng(seed))
+    context = Context(quick=True, interlaced=scene.interlaced, full_scale_dn=scene.full_scale_dn)
+    found = mtf.measure("edge", frames, method="edge-parametric", context=context).find("mtf50")
+    assert all(one.status != "ok" for one in found)
