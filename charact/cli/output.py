@@ -121,10 +121,20 @@ def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cy
         placed = len({m.region for m in members}) > 1
         for m in members:
             yield _line(m, frequency, directed=told[m.quantity, m.frequency_cy_per_px] > 1, placed=placed)
-        for flag in dict.fromkeys(flag for m in members for flag in m.flags):
-            yield f"    {flag}: {FLAGS[flag]}"
-        for note in dict.fromkeys(note for m in members for note in m.notes):
-            yield f"    note: {note}"
+        flags, notes = _flags_and_notes(members)
+        yield from (f"    {flag}" for flag in flags)
+        yield from (f"    note: {note}" for note in notes)
+
+
+def _flags_and_notes(members: Iterable["Measurement"]) -> tuple[list[str], list[str]]:
+    """Return a line for each flag, its findings where there are some, and the other notes; each once."""
+    measurements = tuple(members)
+    notes = list(dict.fromkeys(note for m in measurements for note in m.notes))
+    lines: list[str] = []
+    for flag in dict.fromkeys(flag for m in measurements for flag in m.flags):
+        findings = [note for note in notes if note.startswith(f"{flag}: ")]
+        lines += findings or [f"{flag}: {FLAGS[flag]}"]
+    return lines, [note for note in notes if note not in lines]
 
 
 def _line(m: "Measurement", frequency: Frequency, *, directed: bool, placed: bool) -> str:
@@ -179,10 +189,9 @@ def lines_of_regions(
     for number, members in enumerate(by_region.values(), 1):
         yield f"{number:3d}  {_region_line(members, frequency)}"
     everything = [m for members in by_region.values() for m in members]
-    for flag in dict.fromkeys(flag for m in everything for flag in m.flags):
-        yield f"    {flag}: {FLAGS[flag]}"
-    for note in dict.fromkeys(note for m in everything for note in m.notes):
-        yield f"    note{_where(note, by_region)}: {note}"
+    flags, notes = _flags_and_notes(everything)
+    yield from (f"    {flag}" for flag in flags)
+    yield from (f"    note{_where(note, by_region)}: {note}" for note in notes)
 
 
 def _region_line(members: list["Measurement"], frequency: Frequency) -> str:

@@ -1,6 +1,9 @@
 """What can be wrong with a series of flats: each check returns flags and says in words what it saw."""
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.findings import Finding, flags_of
@@ -11,6 +14,8 @@ from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_
 from charact.noise.stack.level import Level
 from labdata import flags
 from labdata.conditions import Conditions
+
+Array = NDArray[np.float64]
 
 # A check speaks up when the effect is both beyond its noise and large enough to move a number.
 SIGNIFICANT = 5.0
@@ -30,6 +35,8 @@ COARSE_DN2 = 1.0
 # repels charge bends that of any CCD by some percent.
 BENT_SHARE = 0.08
 BENT_ERRORS = 2.5
+# Levels that can depart from a straight line of two parameters.
+CHECKED_LEVELS = 3
 ALLOWED = "what cannot be excluded is in the interval"
 # Conditions that a flat shares with its dark: largest difference as a share of the value, and in its unit.
 ALIKE = {
@@ -62,9 +69,9 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
     found += processing_findings(series)
     found += dark_findings(series)
     left = int(series.fitted.sum())
-    if left < 3:
+    if left < CHECKED_LEVELS:
         word = "level" if left == 1 else "levels"
-        found.append((None, f"only {left} {word} inside the linear range: the law cannot be checked"))
+        found.append((None, f"only {left} {word} inside the linear range: the law cannot be checked; {ALLOWED}"))
     return found
 
 
@@ -172,31 +179,73 @@ def coarse_findings(series: Series) -> list[Finding]:
     return [("quantised", sentence)]
 
 
-def bent(series: Series) -> list[Finding]:
-    """Whether variance over signal changes with the signal, so that no one slope is the gain."""
+@dataclass(frozen=True, kw_only=True)
+class _Trend:
+    """A straight line through variance over signal along the levels, DN: at no signal, its change up to the brightest.
+
+    `middle` is the mean over the levels; `signal`, `gain` and `sd` are what it is fitted to, `shared` the error that
+    all have in common.
+    """
+
+    signal: Array
+    gain: Array
+    sd: Array
+    shared: Array
+    first: float
+    rise: float
+    rise_sd: float
+    middle: float
+
+
+def _trend(series: Series) -> _Trend | None:
+    """Fit it, or None for a single level."""
     chosen = np.flatnonzero(series.fitted)
-    if len(chosen) < 3:
-        return []
     signal = series.signal_dn[chosen]
-    sd, shared = errors_of(series)
-    sd, gain = sd[chosen] / signal, series.variance_dn2[chosen] / signal
-    weight = np.linalg.pinv(np.diag(np.maximum(sd, 1e-12) ** 2) + np.outer(shared / signal, shared / signal))
+    if len(np.unique(signal)) < 2:
+        return None
+    sd, common = errors_of(series)
+    sd, shared, gain = sd[chosen] / signal, common / signal, series.variance_dn2[chosen] / signal
+    weight = np.linalg.pinv(np.diag(np.maximum(sd, 1e-12) ** 2) + np.outer(shared, shared))
     design = np.stack([np.ones_like(signal), signal / signal.max()])
     covariance = np.linalg.pinv(design @ weight @ design.T)
-    first, slope = covariance @ (design @ weight @ gain)
-    middle, error = float(weight.sum(axis=0) @ gain / weight.sum()), float(np.sqrt(covariance[1, 1]))
+    first, rise = covariance @ (design @ weight @ gain)
+    middle = float(weight.sum(axis=0) @ gain / weight.sum())
+    return _Trend(signal=signal, gain=gain, sd=sd, shared=shared, first=float(first), rise=float(rise),
+                  rise_sd=float(np.sqrt(covariance[1, 1])), middle=middle)  # fmt: skip
+
+
+def bend_allowance(series: Series) -> float:
+    """Return the relative standard deviation that a response which may not be straight adds to the gain.
+
+    The slope lies up to the change of variance over signal below the gain at small signals. Three levels and more show
+    such a change; one and two leave what passes for straight possible, with none at all as likely.
+    """
+    trend = _trend(series)
+    share, sd = (0.0, np.inf) if trend is None else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
+    if series.fitted.sum() >= CHECKED_LEVELS:
+        return min(abs(share), BENT_SHARE) if abs(share) > BENT_ERRORS * sd else 0.0
+    told = BENT_SHARE**2 / (BENT_SHARE**2 + sd**2)
+    return Effect(share=told * share, sd=BENT_SHARE * float(np.sqrt(1.0 - told))).expected
+
+
+def bent(series: Series) -> list[Finding]:
+    """Whether variance over signal changes with the signal, so that no one slope is the gain."""
+    trend = _trend(series)
+    if trend is None:
+        return []
+    gain, middle, slope, error = trend.gain, trend.middle, trend.rise, trend.rise_sd
     # Behind a gamma curve variance over signal rises and falls again, and no straight line through it shows that.
-    own_sd = np.hypot(sd, shared / signal)
+    own_sd = np.hypot(trend.sd, trend.shared)
     astray = bool(np.any(np.abs(gain - middle) > 2.0 * BENT_SHARE * middle + SIGNIFICANT * own_sd))
     if abs(slope) <= BENT_ERRORS * error and not astray:
         return []
     flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error or astray else None
-    sentence = f"variance over signal goes from {first:.4g} to {first + slope:.4g} DN along the levels"
+    sentence = f"variance over signal goes from {trend.first:.4g} to {trend.first + slope:.4g} DN along the levels"
     if flag is None:
-        return [(None, f"{sentence}; the gain is the slope over all of them")]
+        return [(None, f"{sentence}; the gain is the slope over all of them, and its interval holds the change")]
     found: list[Finding] = [flags.Finding(flag=flag, effect=sentence, remedy="flats of the straight part alone")]
-    own = np.array([series.flats[i].variance_dn2 for i in chosen]) / signal
-    return found + gamma_of_noise(signal, own, sd)
+    own = np.array([series.flats[i].variance_dn2 for i in np.flatnonzero(series.fitted)]) / trend.signal
+    return found + gamma_of_noise(trend.signal, own, trend.sd)
 
 
 def exposure_findings(exposures: Effect) -> list[Finding]:

@@ -227,12 +227,18 @@ def _candidates(
 
 
 def _covariance(hessian: NDArray, steps: NDArray, walls: NDArray) -> NDArray[np.float64]:
-    """Return the covariance of the curvature; a direction that does not curve spreads over its bounds' range."""
+    """Return the covariance of the curvature; where it leaves a parameter its whole range, that of its bounds counts.
+
+    Bounds count as a Gaussian of the variance of their range: what is seen of several parameters together stays seen.
+    """
     values, vectors = np.linalg.eigh(-hessian)
     ranges = (walls[:, 1] - walls[:, 0]) / steps
-    widest = np.where(np.isfinite(ranges), ranges / np.sqrt(12.0), 1e3 / STENCIL_SD)
-    least = 1.0 / np.maximum((vectors**2).T @ widest**2, 1e-300)
-    values = np.maximum(values, least)
+    widest = np.where(np.isfinite(ranges), np.maximum(ranges, 1e-6) / np.sqrt(12.0), 1e3 / STENCIL_SD)
+    with np.errstate(divide="ignore"):
+        known = np.all(values > 0) and np.all(vectors**2 @ (1.0 / values) <= widest**2)
+    if not known:
+        curved = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        values, vectors = np.linalg.eigh(curved + np.diag(1.0 / widest**2))
     return (vectors / values) @ vectors.T * np.outer(steps, steps)
 
 

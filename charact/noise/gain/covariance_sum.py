@@ -8,6 +8,7 @@ import numpy as np
 from charact.method import Context, register
 from charact.noise.checks import (
     QUANTISED_DN2,
+    bend_allowance,
     bent,
     coarse_findings,
     exposure_findings,
@@ -110,10 +111,13 @@ def _of_series(session: Session, series: Series, context: Context, fields: dict[
     tube = intensified([level.conditions for level in (*series.flats, *series.all_darks)], context)
     if tube and not pooled.white:
         pooled = pooled.at_low_signal(context)
+    bend = bend_allowance(series)
+    if bend and not (tube and not pooled.white):
+        pooled = pooled.allowing(bend, np.random.default_rng([context.seed, 24]))
     fit = pooled.fit
     common = series_findings(series, context=context)
     hidden = bent(series) + exposure_findings(pooled.exposures)
-    allowance = allowance_of(pooled.neighbours, pooled.exposures, tube=tube)
+    allowance = float(np.hypot(allowance_of(pooled.neighbours, pooled.exposures, tube=tube), bend))
     gains = None if tube and not pooled.white else gain_of(pooled, allowance, context)
     gain = None if gains is None else gains[1]
     told = _told(session, pooled, gain, context)

@@ -165,9 +165,9 @@ def _mixed(peaks: Sequence[Peak], seed: int, quick: bool) -> Posterior:
     height = np.array([peak.log_evidence for peak in peaks])
     share = np.exp(EVIDENCE_POWER * (height - height.max()))
     share = np.where(share < LEAST_WEIGHT * share.sum(), 0.0, share) / share.sum()
-    own = [
-        (peak, _drawn(peak, part, seed, quick)) for peak, part in zip(peaks, share / share.sum(), strict=True) if part
-    ]
+    # Shares rounded one by one would not always add up to all draws.
+    numbers = np.diff(np.rint(np.cumsum(share / share.sum()) * DRAWS).astype(int), prepend=0)
+    own = [(peak, _drawn(peak, int(n), seed, quick)) for peak, n in zip(peaks, numbers, strict=True) if n]
     draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in own])
     # What a form needs no more of, such as a tail, leans on its bound and harms nothing where another goes without.
     harmless = {"prior-bound"} if len(peaks) > 1 else set()
@@ -179,12 +179,12 @@ def _mixed(peaks: Sequence[Peak], seed: int, quick: bool) -> Posterior:
     )  # fmt: skip
 
 
-def _drawn(peak: Peak, part: float, seed: int, quick: bool) -> Posterior:
+def _drawn(peak: Peak, number: int, seed: int, quick: bool) -> Posterior:
     """Draw a form's part of all draws.
 
     By importance where there is time: strength, falls and exponent lie on a curved ridge along which a chain is slow.
     """
-    form, number = peak.form, max(1, round(part * DRAWS))
+    form, part = peak.form, number / DRAWS
     told: dict[str, Any] = {
         "names": form.names, "units": ("1",) * len(form.names), "start": peak.point, "covariance": peak.covariance,
         "seed": seed, "bounds": form.bounds, "draws": number,

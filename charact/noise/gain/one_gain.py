@@ -71,6 +71,11 @@ class OneGain:
         posterior = _at_low_signal(self.posterior, self.series, self.levels_dn, self.levels_sd_dn, context)
         return replace(self, fit=replace(self.fit, posterior=posterior))
 
+    def allowing(self, relative_sd: float, rng: np.random.Generator) -> "OneGain":
+        """Return the same with one more independent error on the covariance gain."""
+        posterior = standard.widened(self.posterior, "covariance_gain", relative_sd, rng)
+        return replace(self, fit=replace(self.fit, posterior=posterior))
+
     def level_share(self, index: int) -> float:
         """Covariance over signal of a flat, by the straight line along the levels, over that of all."""
         if self.series.fitted.sum() < 3:
@@ -106,14 +111,14 @@ def one_gain(series: Series, *, context: Context, quick: bool) -> OneGain:
     forms = forms_of(blur_exponent(context), blurred=neighbours.seen, floor=summary.beyond is not None)
     found = fit(summary, seed=context.seed, quick=quick, forms=forms)
     if share := stepped_share(series, summary):
-        rng = np.random.default_rng([context.seed, 17])
-        found = replace(found, posterior=standard.widened(found.posterior, "blur_factor", share, rng))
+        found = replace(found, posterior=_with_steps(found.posterior, share * summary.variance_dn, context))
     levels, spread = _level_gains(series, summary, found)
     exposures = shared_by_exposures(series)
-    if not summary.lag.tested and exposures.allowance:
-        found = replace(found, posterior=_allowing(found.posterior, exposures, context))
-    return OneGain(series=series, summary=summary, fit=found, levels_dn=levels, levels_sd_dn=spread,
-                   neighbours=neighbours, exposures=exposures)  # fmt: skip
+    pooled = OneGain(series=series, summary=summary, fit=found, levels_dn=levels, levels_sd_dn=spread,
+                     neighbours=neighbours, exposures=exposures)  # fmt: skip
+    # What too few frames cannot exclude of lag.
+    hidden = 0.0 if summary.lag.tested else exposures.allowance
+    return pooled.allowing(hidden, np.random.default_rng([context.seed, 6])) if hidden else pooled
 
 
 def stepped_share(series: Series, summary: Summary) -> float:
@@ -129,6 +134,19 @@ def stepped_share(series: Series, summary: Summary) -> float:
     if min(level.variance_dn2 for level in levels) >= QUANTISED_DN2:
         return 0.0
     return float(standard.QUANTISATION_DN2 * weight.sum() / max(summary.variance_dn, 1e-12))
+
+
+def _with_steps(posterior: Posterior, power_dn: float, context: Context) -> Posterior:
+    """Return the posterior with white noise of unknown height, of a standard deviation, in variance and spectrum alike.
+
+    Neighbours share none of the error of rounding: it stands at every frequency, also at none.
+    """
+    draws, power = posterior.draws.copy(), posterior["power"]
+    steps = np.maximum(power_dn * np.random.default_rng([context.seed, 17]).standard_normal(len(draws)), -0.9 * power)
+    names = posterior.names.index
+    draws[:, names("covariance_gain")] += steps
+    draws[:, names("blur_factor")] = (posterior["blur_factor"] * power + steps) / (power + steps)
+    return replace(posterior, draws=draws)
 
 
 def _at_low_signal(posterior: Posterior, series: Series, levels, spread, context: Context) -> Posterior:
@@ -200,12 +218,6 @@ def _level_gains(series: Series, summary: Summary, fit: Fit):
         own = np.sqrt(weight**2 @ (scaled - gains[-1]) ** 2)
         errors.append(float(np.hypot(own, gains[-1] * flat.variance_sd_dn2 / max(flat.variance_dn2, 1e-12))))
     return np.array(gains) * summary.lag.factor, np.array(errors) * summary.lag.factor
-
-
-def _allowing(posterior: Posterior, exposures: Effect, context: Context) -> Posterior:
-    """Return the posterior with what too few frames cannot exclude of lag."""
-    rng = np.random.default_rng([context.seed, 6])
-    return standard.widened(posterior, "covariance_gain", exposures.allowance, rng)
 
 
 def _lag_findings(summary: Summary, exposures: Effect) -> list[Finding]:

@@ -136,9 +136,14 @@ def errors_of(series: Series) -> tuple[Array, float]:
 
 
 def widened(posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator) -> Posterior:
-    """Return the posterior with one more independent error on a parameter, of a relative standard deviation."""
-    draws = posterior.draws.copy()
-    draws[:, posterior.names.index(name)] *= np.exp(relative_sd * rng.standard_normal(len(draws)))
+    """Return the posterior with one more independent error on a parameter, of a relative standard deviation.
+
+    It widens the parameter and leaves its median where it is.
+    """
+    draws, column = posterior.draws.copy(), posterior.names.index(name)
+    wider = draws[:, column] * np.exp(relative_sd * rng.standard_normal(len(draws)))
+    middle = float(np.median(wider))
+    draws[:, column] = wider * (float(np.median(draws[:, column])) / middle if middle else 1.0)
     return replace(posterior, draws=draws)
 
 

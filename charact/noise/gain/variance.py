@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context, register
-from charact.noise.checks import bent, exposure_flags, hidden_findings, light_findings, series_findings
+from charact.noise.checks import bend_allowance, bent, exposure_flags, hidden_findings, light_findings, series_findings
 from charact.noise.cube.three_dimensional import three_dimensional
 from charact.noise.dark_current import dark_current
 from charact.noise.evidence import transfer_evidence
@@ -53,7 +53,7 @@ def variance(session: Session, *, context: Context) -> Result:
     flags = flags_of(findings)
     findings += bent(series) + hidden_findings(neighbours, exposures)
     tube = intensified([level.conditions for level in (*darks, *flats)], context)
-    allowance = allowance_of(neighbours, exposures, tube=tube)
+    allowance = float(np.hypot(allowance_of(neighbours, exposures, tube=tube), bend_allowance(series)))
     gain = standard.gain_line(series, context=context, allowance=allowance)
     own = flags_of(findings) + gain.posterior.flags
     excess = excess_of(series.flats[0].conditions, context)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import Finding
 from charact.noise.gain.excess import excess_of
 from charact.noise.gain.one_gain import OneGain
@@ -75,7 +76,8 @@ def predictive(entries: tuple[StackEntry, ...], pooled: OneGain, gain_dn: Array 
 
     Notes
     -----
-    Noise of the dark is not modelled: frames of the dark, turned over and shifted at random, are added. Light that is
+    Noise of the dark is not modelled: frames of the dark, turned over and shifted at random, are added; of the error
+    of rounding, which a dark quieter than a step does not show, anything from none to a whole step. Light that is
     uneven over the image stays so. Replicates scatter with chance and with the posterior; what the spectrum does not
     tell, how unequal the pulses are, scatters over its prior. Gelman, Meng & Stern, Statistica Sinica 6, 733 (1996).
     """
@@ -88,7 +90,8 @@ def predictive(entries: tuple[StackEntry, ...], pooled: OneGain, gain_dn: Array 
         if frames is None or base is None:
             continue
         law = _laws(pooled, index, gain_dn, context, rng)
-        out += _told(flat.label, frames, base, law, 2 if context.interlaced else 1, rng)
+        steps = float(dark.variance_dn2 < QUANTISED_DN2)
+        out += _told(flat.label, frames, base, law, 2 if context.interlaced else 1, rng, steps)
     return out
 
 
@@ -153,19 +156,31 @@ def _laws(pooled: OneGain, index: int, gain_dn: Array | None, context: Context, 
     return lambda: of_pulses(posterior, int(rng.integers(len(posterior.draws))), share, reading, rng)
 
 
-def _told(label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator
-          ) -> list[Told]:  # fmt: skip
-    """Signs of one stack beside those of its replicates."""
+def _told(label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator,
+          steps_dn: float = 0.0) -> list[Told]:  # fmt: skip
+    """Signs of one stack beside those of its replicates, with rounding by steps of up to `steps_dn`."""
     from scipy.ndimage import uniform_filter
 
     light = np.maximum(uniform_filter(frames.mean(axis=0) - base.mean(axis=0), EVEN_PX, mode="nearest"), 0.0)
     change = (base - base.mean(axis=0)) * np.sqrt(len(base) / (len(base) - 1))
     drawn = [
-        signs_of(law().frames(light, len(frames), every, rng) + _turned(change, len(frames), rng))
+        signs_of(
+            law().frames(light, len(frames), every, rng)
+            + _turned(change, len(frames), rng)
+            + _rounding(frames.shape, steps_dn, rng)
+        )
         for _ in range(REPLICATES)
     ]
     ours = signs_of(frames)
     return [_one(label, name, value, np.array([one[name] for one in drawn])) for name, value in ours.items()]
+
+
+def _rounding(shape: tuple[int, ...], most_dn: float, rng: np.random.Generator) -> Array:
+    """Error of rounding by a step of unknown height, DN."""
+    if not most_dn:
+        return np.zeros(shape)
+    height = rng.uniform(0.0, most_dn)
+    return height * rng.uniform(-0.5, 0.5, shape)
 
 
 def _turned(change: Array, count: int, rng: np.random.Generator) -> Array:

@@ -96,10 +96,13 @@ def test_a_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
     assert_one_sentence(charact("measure", tmp_path), "session.toml")
 
 
-def test_bars_whose_number_the_session_does_not_say_are_named(edge: Path, tmp_path: Path) -> None:
+def test_a_session_of_bars_that_shows_none_is_refused_in_one_sentence(edge: Path, tmp_path: Path) -> None:
     assert charact("import", "frames", edge, tmp_path / "mine", "--kind", "bars").exit_code == 0
     done = charact("measure", tmp_path / "mine", "--json")
-    assert_one_sentence(done, "number, bars, and frequency_cy_per_px", "stack 'edge'", "got None and None")
+    (refusal,) = json.loads(done.stdout)["measurements"]
+    assert done.exit_code == 1
+    assert (refusal["status"], refusal["flags"]) == ("refused", ["no-target"])
+    assert refusal["reason"] in done.stderr
 
 
 def test_of_a_session_of_scenes_nothing_is_measured_and_no_verb_says_otherwise(edge: Path, tmp_path: Path) -> None:

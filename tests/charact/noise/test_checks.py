@@ -129,6 +129,30 @@ def test_levels_beyond_the_variance_peak_are_left_out(pulses, series, seed):
     assert not result.evidence["photon-transfer"]["fitted"][-1]
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("levels", [(600.0,), (600.0, 1200.0)])
+def test_what_few_levels_leave_open_of_the_response_is_in_the_interval(pulses, series, seed, method, levels):
+    """One or two levels cannot tell a response that bends by 2 % from a straight one of another gain.
+
+    The variance over signal of the brightest is 6 % low by arithmetic: (1 - 2 x 0.02)^2 / (1 - 0.02).
+    """
+    low = {}
+    for bend in (0.0, 0.02):
+        camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, bend_per_dn=bend / (0.5 * levels[-1]))
+        session = series(camera, np.random.default_rng(seed), levels)
+        found = noise.measure(session, method=method, context=QUICK).find("system_gain")[0]
+        assert "nonlinear" in found.flags or found.interval95[0] < 0.5 < found.interval95[1]
+        low[bend] = found
+    assert low[0.0].status == "ok" and low[0.0].value == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_two_levels_show_a_bend(pulses, series, seed, method):
+    camera = pulses(gain_dn=0.0, electron_gain_dn=0.5, bend_per_dn=0.15 / 600.0)
+    session = series(camera, np.random.default_rng(seed), (600.0, 1200.0))
+    assert "nonlinear" in noise.measure(session, method=method, context=QUICK).find("system_gain")[0].flags
+
+
 def test_saturation_that_no_flat_reaches_is_refused(pulses, series, seed):
     result = noise.measure(series(pulses(), np.random.default_rng(seed), LEVELS, frames=4), context=QUICK)
     (saturation,) = result.find("saturation")

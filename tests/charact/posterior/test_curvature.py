@@ -44,6 +44,17 @@ def test_a_direction_without_curvature_spreads_over_its_bounds():
     assert covariance[1, 1] == pytest.approx(4.0 / 12.0, rel=1e-6)
 
 
+def test_a_direction_without_curvature_keeps_each_parameter_in_its_range():
+    """Of two parameters that are seen through their sum alone, the bounded one holds back the other."""
+
+    def of_the_sum(points):
+        return -0.5 * ((points[:, 0] + 1e-3 * points[:, 1] - 1.0) / 1e-3) ** 2
+
+    _, covariance = maximum(of_the_sum, [1.0, 0.2], [[0.0, np.inf], [-0.5, 1.0]])
+    assert np.sqrt(covariance[1, 1]) < 1.01 * 1.5 / np.sqrt(12.0)
+    assert np.sqrt(covariance[0, 0]) < 2e-3
+
+
 def test_a_start_that_cannot_be_is_refused():
     with pytest.raises(ValueError, match="finite log-probability"):
         maximum(lambda points: np.full(len(points), -np.inf), [0.0])
