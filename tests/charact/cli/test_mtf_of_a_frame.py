@@ -12,12 +12,12 @@ from charact.cli.annotate import COLOURS, drawn
 from charact.cli.application import app
 from charact.cli.captions import placed
 from charact.cli.units import FrequencyUnit
-from charact.study.bars.pulses import PulsedBars
 from charact.study.edge.scene import Blur, EdgeScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured
 from labdata.measurement import measured, refused
+from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
 
 
 def charact(*arguments: object) -> Result:

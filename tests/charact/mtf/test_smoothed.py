@@ -9,8 +9,8 @@ from scipy.ndimage import gaussian_filter, median_filter
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.pixels.find import find_edge
-from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, EdgeScene
+from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 QUICK = Context(quick=True)
 EDGE = EdgeScene(frames=8, snr=25.0, rows=90, cols=90)

@@ -10,10 +10,10 @@ from charact.method import Context
 from charact.mtf.edge.pixels.find import find_edge
 from charact.mtf.wander import CHANCE, wander_of
 from charact.study.bars.scene import BarScene
-from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, EdgeScene, level_crossing
 from charact.study.point.scene import PointScene
 from labdata.frames import FrameStack
+from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 QUICK = Context(quick=True)
 PULSES = PulseEdge(blur=Blur(sigma_px=1.0), photoelectrons=2.0, frames=12, rows=80, cols=80, angle_deg=6.0)

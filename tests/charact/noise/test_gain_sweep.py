@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.studies.gain_sweeps import SweepScene, covered
 from charact import noise
 from charact.method import Context
 from charact.noise.sweep.knob import KNOBS
 from charact.noise.sweep.settings import Sweep
 from charact.noise.sweep.sweep import of_sweep
-from charact.study.flats.gain_sweeps import SweepScene, covered
 from labdata.conditions import Conditions
 
 QUICK = Context(seed=1, quick=True)

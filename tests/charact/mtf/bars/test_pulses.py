@@ -7,9 +7,9 @@ import pytest
 
 from charact.method import Context
 from charact.mtf import measure
-from charact.study.bars.pulses import PulsedBars
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import Blur
+from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
 
 BRIGHT = {"photoelectrons": 1e5, "gain_spread": 0.0, "bright_dn": 30000.0, "black_dn": 1000.0, "full_scale_dn": 65535.0}
 DIM = PulsedBars(

@@ -9,10 +9,10 @@ from charact.method import Context
 from charact.mtf import measure
 from charact.mtf.bars import found, response
 from charact.mtf.bars.response import Response, straightened
-from charact.study.bars.pulses import PulsedBars
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import Blur
 from labdata.frames import FrameStack
+from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
 
 FINE = PulsedBars(
     blur=Blur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), pulse_px=0.6, photoelectrons=12.0,

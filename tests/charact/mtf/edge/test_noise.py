@@ -17,8 +17,8 @@ from charact.mtf.growth import (
     growth_of_variance,
     noise_flags,
 )
-from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, EdgeScene
+from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 STRAIGHT = EdgeScene(
     blur=Blur(sigma_px=1.0), rows=110, cols=110, angle_deg=8.0, dark_dn=1300.0, bright_dn=2800.0, snr=20.0,

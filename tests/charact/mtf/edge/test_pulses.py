@@ -8,9 +8,9 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.checks import _bowed
-from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, edge_spread
 from charact.study.session.agreement import Chain
+from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 SCENE = PulseEdge(
     blur=Blur(form="exponential", frequency_cy_per_px=0.3, exponent=1.3), pulse_px=0.7, photoelectrons=4.0,

@@ -8,8 +8,8 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.pixels.find import find_edge
-from charact.study.edge.pulses import PulseEdge
 from charact.study.edge.scene import Blur, EdgeScene
+from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 QUICK = Context(quick=True)
 ROUGH = EdgeScene(blur=Blur(sigma_px=1.3), frames=4, snr=25.0, roughness_px=0.7)

@@ -19,9 +19,9 @@ from charact.mtf.point.table import Aperture, cosines, pixel_matrix, radial
 from charact.posterior import draw, drawing
 from charact.study.edge.scene import Blur
 from charact.study.point.scene import PointScene
-from charact.study.point.spots import Spot, SpotCamera
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
+from tests.charact.mtf.point.photon_spots import Spot, SpotCamera
 
 QUICK = Context(quick=True)
 

@@ -12,7 +12,7 @@ from charact.mtf.point.parametric import point_parametric
 from charact.mtf.point.response import LIT, profile, response_of
 from charact.study.edge.scene import Blur
 from charact.study.point.scene import PointScene
-from charact.study.point.spots import Spot, SpotCamera
+from tests.charact.mtf.point.photon_spots import Spot, SpotCamera
 
 QUICK = Context(quick=True)
 SIZE = 9

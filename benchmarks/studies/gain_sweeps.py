@@ -1,6 +1,6 @@
 """Gain sweeps of exactly known law, knee and saturation, drawn as statistics: how often the intervals hold.
 
-`python -m charact.study.flats.gain_sweeps` draws a thousand sweeps and prints, for every quantity, in how many of those
+`python -m benchmarks.studies.gain_sweeps` draws a thousand sweeps and prints, for every quantity, in how many of those
 that gave a number its 95 % interval held the truth. Truths are closed forms; no frame and no simulator takes part.
 """
 
