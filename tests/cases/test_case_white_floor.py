@@ -92,7 +92,7 @@ def test_a_gaussian_over_a_white_floor_is_read_without_bias(seed, sigma_px, floo
     truth, errors, shares = 2.0 * pulse_dn + floor_dn, [], []
     for number in range(4):
         session = drawn(np.random.default_rng([seed, number]), gaussian(sigma_px), pulse_dn=pulse_dn,
-                        floor_dn=floor_dn, bits=bits, shape=shape, levels=(20.0, 60.0))  # fmt: skip
+                        floor_dn=floor_dn, bits=bits, shape=shape, levels=(20.0, 40.0, 60.0))  # fmt: skip
         gain, floor = gains(session, number)
         half = 0.5 * (gain.interval95[1] - gain.interval95[0])
         assert gain.status == "ok" and half < 0.15 * truth
