@@ -13,21 +13,21 @@ class BenchError(Exception):
         self.instrument = instrument
 
 
-class InstrumentSilent(BenchError):
+class InstrumentTimeout(BenchError):
     """No answer, or only a part of one, within the time allowed.
 
     Use this when the line is open and the instrument says nothing: it may be off, hung, or late.
     """
 
 
-class InstrumentLost(BenchError):
+class InstrumentDisconnected(BenchError):
     """The port is gone, cannot be opened or is held by another program.
 
     Use this when talking again makes no sense before somebody looks at the cable.
     """
 
 
-class InstrumentRefused(BenchError):
+class InstrumentRejected(BenchError):
     """The instrument heard the command and did not obey, or reads back another value than it was given.
 
     Use this when the instrument is healthy and the setting is not; `code` is the instrument's own error code.
@@ -45,7 +45,7 @@ class InstrumentTripped(BenchError):
     """
 
 
-class InstrumentConfused(BenchError):
+class InstrumentReplyError(BenchError):
     """The answer is not of the form that the question asks for.
 
     Use this when another instrument, or an answer to another question, is on the line.

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from drivers.wire.line import Line
+from drivers.serial_lines.line import InstrumentLine
 from labdata.gating import Sync
 
 
@@ -11,12 +11,12 @@ class Instrument(Protocol):
     """What every instrument of the bench can do."""
 
     @property
-    def line(self) -> Line:
+    def line(self) -> InstrumentLine:
         """The line that it speaks on."""
         ...
 
     def identify(self) -> str:
-        """Return who answers, and clear old errors; another instrument than expected is InstrumentConfused."""
+        """Return who answers, and clear old errors; another instrument than expected is InstrumentReplyError."""
         ...
 
     def look(self) -> None:

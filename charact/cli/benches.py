@@ -18,9 +18,9 @@ from labdata.tube_dose import warnings
 from labdata.wires import Role, Wires
 
 if TYPE_CHECKING:
+    from drivers.bench.tube_bench import TubeBench
     from drivers.interface import Camera, Operator
-    from drivers.tube.bench import Bench
-    from drivers.wire.line import Line
+    from drivers.serial_lines.line import InstrumentLine
     from simulate.rig.bench import VirtualBench
     from simulate.rig.fault_script import FaultScript
 
@@ -130,7 +130,7 @@ def _eye(plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]) -> "A
         return camera_named(plan.wires.camera, tell=tell)
     if virtual.camera is None:
         return virtual.in_process_camera()
-    from drivers.aravis.camera import AravisCamera
+    from drivers.cameras.aravis.camera import AravisCamera
 
     return AravisCamera(virtual.camera.identifier, silence_s=virtual.silence_s, say=tell)
 
@@ -155,13 +155,13 @@ def _bench(
     *,
     wires: Wires,
     log: Path,
-    lines: "Mapping[Role, Line] | None" = None,
-) -> "Bench":
+    lines: "Mapping[Role, InstrumentLine] | None" = None,
+) -> "TubeBench":
     """Return the bench of a plan on wires; `lines`: what stands in for serial ports."""
     from drivers.acquisition.plan_check import field_hz
-    from drivers.tube.bench import Bench
+    from drivers.bench.tube_bench import TubeBench
 
-    return Bench(
+    return TubeBench(
         wires,
         limits_in_force(plan.limits, sensor, plan.overrides),
         log=log,
@@ -179,7 +179,7 @@ def _acquired(
     plan: Plan,
     session: Path,
     camera: "AbstractContextManager[Camera]",
-    bench: "Bench",
+    bench: "TubeBench",
     operator: "Operator",
     *,
     resume: bool,
@@ -188,7 +188,7 @@ def _acquired(
 ) -> Session:
     from charact.cli.judge import SaturationJudge
     from drivers.acquisition.acquire import acquire
-    from drivers.acquisition.requests import Requests
+    from drivers.acquisition.run_control import RunControl
 
     return acquire(
         plan,
@@ -199,5 +199,5 @@ def _acquired(
         judge=SaturationJudge(),
         resume=resume,
         progress=progress,
-        requests=Requests(tell),
+        requests=RunControl(tell),
     )

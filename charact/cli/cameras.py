@@ -30,17 +30,17 @@ def camera_named(name: str | None, *, tell: Callable[[str], None] = say) -> "Abs
     """
     kind, colon, rest = (name or "").partition(":")
     if not colon or kind not in ("v4l2", "replay"):
-        from drivers.aravis.camera import AravisCamera
+        from drivers.cameras.aravis.camera import AravisCamera
 
         return AravisCamera(name, say=tell)
     place, _, part = rest.partition("#")
     if not place:
         raise BadInput(f"a camera {kind}: must name its {'file' if kind == 'v4l2' else 'folder'}, got {name!r}")
     if kind == "replay":
-        from drivers.replay import ReplayCamera
+        from drivers.cameras.replay import ReplayCamera
 
         return ReplayCamera(place, label=part or None, say=tell)
-    from drivers.v4l2 import V4l2Camera
+    from drivers.cameras.v4l2 import V4l2Camera
 
     if part and not part.isdigit():
         raise BadInput(f"the input of a capture card must be a whole number, got {part!r} in {name!r}")

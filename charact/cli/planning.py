@@ -133,7 +133,7 @@ def _dose_document(dose: "Dose") -> dict[str, float]:
 
 
 def _lines(asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None", *, every: bool) -> list[str]:
-    from drivers.acquisition.pace import duration
+    from drivers.acquisition.run_progress import duration
 
     shown = foreseen.steps if every else foreseen.steps[:MOST_LINES]
     left = len(foreseen.steps) - len(shown)

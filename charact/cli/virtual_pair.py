@@ -9,8 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.instruments.models import Model, models
-from drivers.wire.line import OwnedLine
+from drivers.instruments.models import InstrumentModel, models
+from drivers.serial_lines.line import LocalLine
 from labdata.errors import BadInput
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.models import virtual_model
@@ -48,12 +48,12 @@ class VirtualPair:
         known = models()
         if name not in known:
             raise BadInput(f"a model must be one of {', '.join(sorted(known))}, got {name!r}")
-        self.model: Model = known[name]
+        self.model: InstrumentModel = known[name]
         self._place, self._folder = virtual_model(name).place, Path(folder)
         self._instruments = VirtualInstruments(
             self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
         )
-        self._line: OwnedLine | None = None
+        self._line: LocalLine | None = None
         self._power_cycles, self._tripped = 0, False
 
     def __enter__(self) -> Self:

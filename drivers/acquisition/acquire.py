@@ -4,13 +4,13 @@ from collections.abc import Callable, Container, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
-from drivers.acquisition.opening import bit_depth, keep_plan, session_writer
-from drivers.acquisition.pace import Pace
-from drivers.acquisition.picture import picture_of
+from drivers.acquisition.frame_format_check import picture_of
 from drivers.acquisition.plan_check import check_plan
-from drivers.acquisition.requests import Requests
 from drivers.acquisition.run import Run
-from drivers.acquisition.search import search
+from drivers.acquisition.run_control import RunControl
+from drivers.acquisition.run_progress import RunProgress
+from drivers.acquisition.run_start import bit_depth, keep_plan, session_writer
+from drivers.acquisition.saturation_search import search
 from drivers.interface import Bench, Camera, Operator
 from labdata.calibrated_gain import gain_table_of, in_volts
 from labdata.errors import BadInput
@@ -33,7 +33,7 @@ def acquire(
     judge: Judge | None = None,
     resume: bool = False,
     progress: Callable[[str, float], None] = lambda sentence, share: None,
-    requests: Requests | None = None,
+    requests: RunControl | None = None,
 ) -> Session:
     """Take a plan's stacks into a session.
 
@@ -84,7 +84,7 @@ def acquire(
     check_plan(plan, folder, sensor)
     _require_judge(plan, judge)
     keep_plan(plan, folder, resume=resume)
-    asked = requests or Requests()
+    asked = requests or RunControl()
     with ExitStack() as opened:
         log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume))
         opened.enter_context(asked.heard())
@@ -123,15 +123,15 @@ def acquire(
     return open_session(folder)
 
 
-def _pace(plan: Plan, finished: Container[str]) -> Pace:
+def _pace(plan: Plan, finished: Container[str]) -> RunProgress:
     """Return how far the frames of a plan are, stacks that are finished counted as done."""
-    return Pace(
+    return RunProgress(
         frames=sum(step.most_frames for step in plan.steps),
         done=sum(step.most_frames for step in plan.steps if step.label in finished),
     )
 
 
-def _take(run: Run, plan: Plan, finished: Container[str], asked: Requests) -> None:
+def _take(run: Run, plan: Plan, finished: Container[str], asked: RunControl) -> None:
     """Take the stacks that are not finished, and search where a step asks for it."""
     for step in plan.steps:
         if step.search is not None:

@@ -4,10 +4,10 @@ import shutil
 from dataclasses import fields
 from pathlib import Path
 
-from drivers.acquisition.picture import check_picture, frame_bytes_of
-from drivers.tube.bench import FIELD_RATE_HZ
-from drivers.tube.interlock import Interlock
-from drivers.tube.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
+from drivers.acquisition.frame_format_check import check_picture, frame_bytes_of
+from drivers.bench.interlock import Interlock
+from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
+from drivers.bench.tube_bench import FIELD_RATE_HZ
 from labdata.errors import BadInput
 from labdata.gating import Gating
 from labdata.lamp import Lamp

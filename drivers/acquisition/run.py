@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.acquisition.pace import Pace, StepClock
 from drivers.acquisition.read_back import merged, require_same
-from drivers.acquisition.requests import Requests
+from drivers.acquisition.run_control import RunControl
+from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError
 from drivers.interface import Bench, Camera, Operator
 from labdata.calibrated_gain import by_calibration
@@ -45,7 +45,7 @@ class Run:
         judge: Judge | None,
         settle: Settle,
         gain_table: GainTable | None,
-        pace: Pace,
+        pace: RunProgress,
         progress: Callable[[str, float], None],
         finished: Sequence[str],
         partial: Mapping[str, int],
@@ -58,7 +58,7 @@ class Run:
         self._settle, self._gain_table, self._before = settle, gain_table, None
         self.finished, self._partial, self._doubtful = finished, partial, doubtful
 
-    def between_steps(self, requests: Requests) -> None:
+    def between_steps(self, requests: RunControl) -> None:
         """Stop or pause if that was asked; the gate is shut, and while the run pauses the light is out."""
         if requests.pause and not requests.stop:
             self._log("paused")

@@ -3,10 +3,10 @@
 import re
 import time
 
-from drivers.errors import InstrumentConfused, InstrumentRefused
-from drivers.instruments.pulse import check_pulse
-from drivers.wire.answers import asked_whole, expect, number
-from drivers.wire.line import Line
+from drivers.errors import InstrumentRejected, InstrumentReplyError
+from drivers.instruments.gate_limits import check_pulse
+from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.replies import parse_float, query_int, verify_read_back
 from labdata.gating import HOLDOFF, Sync
 
 IDENTITY = r".*DG645.*"
@@ -63,19 +63,19 @@ class DelayGenerator:
     Parameters
     ----------
     line
-        Line to the instrument.
+        InstrumentLine to the instrument.
     """
 
     shut_commands = SHUT_COMMANDS
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: InstrumentLine) -> None:
         self.line = line
 
     def identify(self) -> str:
-        """Return the instrument's identity and empty its error queue; another instrument is InstrumentConfused."""
+        """Return the instrument's identity and empty its error queue; another instrument is InstrumentReplyError."""
         identity = self.line.ask("*IDN?")
         if not re.fullmatch(IDENTITY, identity):
-            raise InstrumentConfused(
+            raise InstrumentReplyError(
                 f"the {self.line.name} must be a DG645, got {identity[:80]!r}", instrument=self.line.name
             )
         self.line.write("*CLS")
@@ -83,7 +83,7 @@ class DelayGenerator:
 
     def look(self) -> None:
         """Ask for a sign of life."""
-        asked_whole(self.line, "TSRC?")
+        query_int(self.line, "TSRC?")
 
     def check_pulse(
         self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
@@ -97,7 +97,7 @@ class DelayGenerator:
             self.line.write(command)
         self._refuse_errors("; ".join(SHUT_COMMANDS))
         for setting, shut in (("TSRC?", SINGLE_SHOT), ("LPOL? 1", 1), ("LOFF? 1", 0)):
-            expect(self.line, setting, shut)
+            verify_read_back(self.line, setting, shut)
 
     def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
         """Open the gate for a time at each trigger.
@@ -123,7 +123,7 @@ class DelayGenerator:
         ------
         BadInput
             If the gate cannot open and close between two triggers, or width or delay are finer than 5 ps.
-        InstrumentRefused
+        InstrumentRejected
             If the instrument refuses a setting, reads another one back, loses triggers, or gets none.
         """
         self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns)
@@ -139,11 +139,11 @@ class DelayGenerator:
         self._set(f"DLAY {EDGE_A},0,{delay_ns * 1e-9:.12f}")
         self._set(f"DLAY {EDGE_B},{EDGE_A},{width_ns * 1e-9:.12f}")
         if sync == "free-running":
-            expect(self.line, "TRAT?", rate_hz, within=1e-5 * rate_hz)
-        expect(self.line, f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, within=0.05)
+            verify_read_back(self.line, "TRAT?", rate_hz, within=1e-5 * rate_hz)
+        verify_read_back(self.line, f"LAMP? {OUTPUT_AB}", GATE_LEVEL_V, within=0.05)
         read_ns = self._width_ns()
         if abs(read_ns - width_ns) > STEP_NS:
-            raise InstrumentRefused(
+            raise InstrumentRejected(
                 f"the {self.line.name} must keep a gate of {width_ns:g} ns, got {read_ns:g} ns back",
                 instrument=self.line.name,
             )
@@ -159,24 +159,24 @@ class DelayGenerator:
             self._set(f"PRES {prescaler},1")
         self._set(f"HOLD {seconds:.12f}")
         self._set("ADVT 1")
-        expect(self.line, "HOLD?", seconds, within=1e-9)
-        expect(self.line, "ADVT?", 1)
+        verify_read_back(self.line, "HOLD?", seconds, within=1e-9)
+        verify_read_back(self.line, "ADVT?", 1)
 
     def _trigger(self, source: int, rate_hz: float) -> None:
         self.line.ask("INSR?")
         self._set(f"TSRC {source}")
-        expect(self.line, "TSRC?", source)
+        verify_read_back(self.line, "TSRC?", source)
         time.sleep(2.0 / rate_hz)
-        status = asked_whole(self.line, "INSR?")
+        status = query_int(self.line, "INSR?")
         if source != INTERNAL and not status & TRIGGERED:
             self.shut()
-            raise InstrumentRefused(
+            raise InstrumentRejected(
                 f"the {self.line.name} must be triggered {rate_hz:g} times a second, got no trigger",
                 instrument=self.line.name,
             )
         if status & RATE_ERROR:
             self.shut()
-            raise InstrumentRefused(
+            raise InstrumentRejected(
                 f"the {self.line.name} must use every trigger, got some lost at {rate_hz:g} Hz",
                 instrument=self.line.name,
             )
@@ -185,19 +185,19 @@ class DelayGenerator:
         answer = self.line.ask(f"DLAY? {EDGE_B}")
         reference, _, seconds = answer.partition(",")
         if reference != str(EDGE_A):
-            raise InstrumentRefused(
+            raise InstrumentRejected(
                 f"edge B of the {self.line.name} must follow edge A, got {answer[:80]!r}", instrument=self.line.name
             )
-        return number(seconds, line=self.line, question=f"DLAY? {EDGE_B}") * 1e9
+        return parse_float(seconds, line=self.line, question=f"DLAY? {EDGE_B}") * 1e9
 
     def _set(self, command: str) -> None:
         self.line.write(command)
         self._refuse_errors(command)
 
     def _refuse_errors(self, command: str) -> None:
-        if code := asked_whole(self.line, "LERR?"):
+        if code := query_int(self.line, "LERR?"):
             meaning = ERRORS.get(code, "an error it does not explain")
-            raise InstrumentRefused(
+            raise InstrumentRejected(
                 f"the {self.line.name} must accept {command!r}, got error {code}: {meaning}",
                 instrument=self.line.name,
                 code=code,

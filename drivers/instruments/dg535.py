@@ -7,9 +7,9 @@ A question is a command without its last argument; there is no question for the 
 import re
 import time
 
-from drivers.instruments.pulse import check_pulse
-from drivers.wire.answers import asked_whole, confused, expect, number, refused
-from drivers.wire.line import Line
+from drivers.instruments.gate_limits import check_pulse
+from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.replies import parse_float, query_int, rejected_error, reply_error, verify_read_back
 from labdata.errors import BadInput
 from labdata.gating import Sync
 
@@ -39,12 +39,12 @@ class Dg535:
     Parameters
     ----------
     line
-        Line to the instrument.
+        InstrumentLine to the instrument.
     """
 
     shut_commands = (f"TM {SINGLE_SHOT}", f"OM {AB},{TTL}", f"OP {AB},{POSITIVE}")
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: InstrumentLine) -> None:
         self.line = line
 
     def identify(self) -> str:
@@ -55,7 +55,7 @@ class Dg535:
 
     def look(self) -> None:
         """Ask for a sign of life."""
-        asked_whole(self.line, "TM")
+        query_int(self.line, "TM")
 
     def check_pulse(
         self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
@@ -70,9 +70,9 @@ class Dg535:
         """Shut the gate: no triggers, TTL level of positive polarity, so that rest is 0 V; read back."""
         for command in self.shut_commands:
             self._set(command)
-        expect(self.line, "TM", SINGLE_SHOT)
-        expect(self.line, f"OM {AB}", TTL)
-        expect(self.line, f"OP {AB}", POSITIVE)
+        verify_read_back(self.line, "TM", SINGLE_SHOT)
+        verify_read_back(self.line, f"OM {AB}", TTL)
+        verify_read_back(self.line, f"OP {AB}", POSITIVE)
 
     def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
         """Open the gate for a time at each trigger and return its width as read back, ns.
@@ -81,7 +81,7 @@ class Dg535:
         ------
         BadInput
             If the pulse does not fit or is finer than a step.
-        InstrumentRefused
+        InstrumentRejected
             If a setting is refused or read back otherwise, or triggers are lost.
         """
         self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
@@ -94,35 +94,35 @@ class Dg535:
         self._set(f"DT {A},{T0},{delay_ns * 1e-9:.12f}")
         self._set(f"DT {B},{A},{width_ns * 1e-9:.12f}")
         if sync == "free-running":
-            expect(self.line, "TR 0", rate_hz, within=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz)
+            verify_read_back(self.line, "TR 0", rate_hz, within=0.5 * 10.0 ** (1 - RATE_DIGITS) * rate_hz)
         read_ns = self._delay_ns(B, after=A)
         if abs(read_ns - width_ns) > STEP_NS:
-            raise refused(self.line, f"keep a gate of {width_ns:g} ns", f"{read_ns:g} ns back")
+            raise rejected_error(self.line, f"keep a gate of {width_ns:g} ns", f"{read_ns:g} ns back")
         self._trigger(SOURCES[sync], rate_hz)
         return read_ns
 
     def _trigger(self, source: int, rate_hz: float) -> None:
-        asked_whole(self.line, "IS")
+        query_int(self.line, "IS")
         self._set(f"TM {source}")
-        expect(self.line, "TM", source)
+        verify_read_back(self.line, "TM", source)
         time.sleep(2.0 / rate_hz)
-        if asked_whole(self.line, "IS") & RATE_ERROR:
+        if query_int(self.line, "IS") & RATE_ERROR:
             self.shut()
-            raise refused(self.line, "use every trigger", f"some lost at {rate_hz:g} Hz")
+            raise rejected_error(self.line, "use every trigger", f"some lost at {rate_hz:g} Hz")
 
     def _delay_ns(self, edge: int, *, after: int | None = None) -> float:
         answer = self.line.ask(f"DT {edge}")
         match = _DELAY.fullmatch(answer)
         if match is None:
-            raise confused(self.line, f"answer DT {edge} with an edge and a delay, as a DG535 does", repr(answer))
+            raise reply_error(self.line, f"answer DT {edge} with an edge and a delay, as a DG535 does", repr(answer))
         if after is not None and int(match[1]) != after:
-            raise refused(self.line, f"keep edge {edge} behind edge {after}", repr(answer))
-        return number(match[2], line=self.line, question=f"DT {edge}") * 1e9
+            raise rejected_error(self.line, f"keep edge {edge} behind edge {after}", repr(answer))
+        return parse_float(match[2], line=self.line, question=f"DT {edge}") * 1e9
 
     def _set(self, command: str) -> None:
         self.line.write(command)
-        if status := asked_whole(self.line, "ES"):
+        if status := query_int(self.line, "ES"):
             meanings = ", ".join(meaning for bit, meaning in enumerate(ERRORS) if status >> bit & 1)
-            raise refused(
+            raise rejected_error(
                 self.line, f"accept {command!r}", f"error status {status}: {meanings or 'unexplained'}", code=status
             )

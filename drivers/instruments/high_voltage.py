@@ -4,10 +4,10 @@ import re
 import time
 from collections.abc import Callable
 
-from drivers.errors import InstrumentConfused, InstrumentRefused, InstrumentTripped
-from drivers.instruments.voltage import DISCHARGED_V, FALL_S, check_voltage
-from drivers.wire.answers import asked_number, asked_whole
-from drivers.wire.line import Line
+from drivers.errors import InstrumentRejected, InstrumentReplyError, InstrumentTripped
+from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, check_voltage
+from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.replies import query_float, query_int
 
 IDENTITY = r"(?i).*(PS3\d\d|2290).*"
 MINIMUM_V, FULL_SCALE_V, STEP_V = 50.0, 5000.0, 1.0  # minimum and step are recalled
@@ -27,22 +27,22 @@ class HighVoltage:
     Parameters
     ----------
     line
-        Line to the instrument.
+        InstrumentLine to the instrument.
     """
 
     off_commands = (OFF_COMMAND,)
     reading = "VOUT?"
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: InstrumentLine) -> None:
         self.line = line
         self.is_on = False
         """Whether this object switched it on and not off; the status byte belongs to whoever watches for trips."""
 
     def identify(self) -> str:
-        """Return the instrument's identity and clear old status; another instrument is InstrumentConfused."""
+        """Return the instrument's identity and clear old status; another instrument is InstrumentReplyError."""
         identity = self.line.ask("*IDN?")
         if not re.fullmatch(IDENTITY, identity):
-            raise InstrumentConfused(
+            raise InstrumentReplyError(
                 f"the {self.line.name} must be of the PS300 series, got {identity[:80]!r}", instrument=self.line.name
             )
         self.line.write("*CLS")
@@ -63,7 +63,7 @@ class HighVoltage:
             raise self._tripped("before anything was switched on")
         self._set(f"VSET {MINIMUM_V:.0f}")
         self._set(f"VLIM {limit_v:.0f}")
-        if (kept_v := asked_number(self.line, "VLIM?")) > limit_v:
+        if (kept_v := query_float(self.line, "VLIM?")) > limit_v:
             raise self._refused(f"must keep a limit of {limit_v:g} V, got {kept_v:g} V back")
 
     def order_off(self) -> None:
@@ -76,7 +76,7 @@ class HighVoltage:
         """Switch on at the lowest voltage; a trip that was not cleared at the instrument is InstrumentTripped."""
         self._set(f"VSET {MINIMUM_V:.0f}")
         self.line.write("HVON")
-        if asked_whole(self.line, "*ESR?") & EXECUTION_ERROR:
+        if query_int(self.line, "*ESR?") & EXECUTION_ERROR:
             raise self._tripped("not cleared since: find its cause, then clear it at the instrument")
         self.is_on = True
 
@@ -103,11 +103,11 @@ class HighVoltage:
             If the goal is below the supply's minimum.
         InstrumentTripped
             If the supply switches off on the way.
-        InstrumentRefused
+        InstrumentRejected
             If it refuses a step or its output does not follow.
         """
         self.check_voltage(goal_v)
-        start_v = asked_number(self.line, "VSET?")
+        start_v = query_float(self.line, "VSET?")
         step_v = min(STEP_LARGEST_V, rate_v_per_s * STEP_S)
         began_s, level_v = time.monotonic(), start_v
         while level_v < goal_v:
@@ -139,7 +139,7 @@ class HighVoltage:
 
     def measured_v(self) -> float:
         """Voltage at the output, V."""
-        return asked_number(self.line, "VOUT?")
+        return query_float(self.line, "VOUT?")
 
     def check_on(self) -> None:
         """Raise InstrumentTripped if the supply switched itself off.
@@ -173,15 +173,15 @@ class HighVoltage:
         self._refuse_errors(command)
 
     def _refuse_errors(self, command: str) -> None:
-        if code := asked_whole(self.line, "*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
+        if code := query_int(self.line, "*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
             meaning = "not possible in its present state or range" if code & EXECUTION_ERROR else "not understood"
             raise self._refused(f"must accept {command!r}, got event status {code}: {meaning}", code)
 
     def _status(self) -> int:
-        return asked_whole(self.line, "*STB?")
+        return query_int(self.line, "*STB?")
 
-    def _refused(self, rule: str, code: int | None = None) -> InstrumentRefused:
-        return InstrumentRefused(f"the {self.line.name} {rule}", instrument=self.line.name, code=code)
+    def _refused(self, rule: str, code: int | None = None) -> InstrumentRejected:
+        return InstrumentRejected(f"the {self.line.name} {rule}", instrument=self.line.name, code=code)
 
     def _tripped(self, how: str) -> InstrumentTripped:
         return InstrumentTripped(f"the {self.line.name} must stay on, got a trip {how}", instrument=self.line.name)

@@ -9,9 +9,9 @@ import time
 from collections.abc import Callable
 
 from drivers.errors import InstrumentTripped
-from drivers.instruments.voltage import DISCHARGED_V, FALL_S, check_voltage
-from drivers.wire.answers import asked_whole, confused, refused
-from drivers.wire.line import Line
+from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, check_voltage
+from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.replies import query_int, rejected_error, reply_error
 from labdata.errors import BadInput
 
 LOWEST_V = 10.0
@@ -38,7 +38,7 @@ class Iseg:
     Parameters
     ----------
     line
-        Line to the instrument.
+        InstrumentLine to the instrument.
     """
 
     off_commands = (f"V1={FASTEST_V_PER_S}", "D1=0", "G1")
@@ -46,20 +46,20 @@ class Iseg:
 
     reading = "U1"
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: InstrumentLine) -> None:
         self.line = line
         self.is_on = False
         self._nominal_v = math.inf
 
     def identify(self) -> str:
-        """Return serial number, firmware and ratings, and clear old latches; a negative unit is InstrumentRefused."""
+        """Return serial number, firmware and ratings, and clear old latches; a negative unit is InstrumentRejected."""
         identity = self.line.ask("#")
         match = _IDENTITY.fullmatch(identity)
         if match is None:
-            raise confused(self.line, "be an iseg supply of the legacy command set", repr(identity))
+            raise reply_error(self.line, "be an iseg supply of the legacy command set", repr(identity))
         self._nominal_v = float(match[3])
-        if not asked_whole(self.line, "T1") & POSITIVE:
-            raise refused(self.line, "be of positive polarity", "a negative one: turn its polarity switch")
+        if not query_int(self.line, "T1") & POSITIVE:
+            raise rejected_error(self.line, "be of positive polarity", "a negative one: turn its polarity switch")
         return identity
 
     def look(self) -> None:
@@ -80,9 +80,9 @@ class Iseg:
             raise self._tripped(f"{TRIPS[state]} before anything was switched on")
         position_v = self._nominal_v * SWITCH_STEP_PERCENT / 100.0
         allowed_v = math.ceil(limit_v / position_v - 1e-9) * position_v
-        kept_v = self._nominal_v * asked_whole(self.line, "M1") / 100.0
+        kept_v = self._nominal_v * query_int(self.line, "M1") / 100.0
         if kept_v > allowed_v + 0.5:
-            raise refused(
+            raise rejected_error(
                 self.line,
                 f"limit itself to {allowed_v:g} V for a limit of {limit_v:g} V",
                 f"{kept_v:g} V: turn its rotary switch down",
@@ -96,12 +96,12 @@ class Iseg:
         self._start()
 
     def switch_on(self) -> None:
-        """Raise to the lowest voltage; a unit that is switched off or to manual at its panel is InstrumentRefused."""
-        status = asked_whole(self.line, "T1")
+        """Raise to the lowest voltage; a unit that is switched off or to manual at its panel is InstrumentRejected."""
+        status = query_int(self.line, "T1")
         if status & SWITCH_OFF:
-            raise refused(self.line, "be switched on at its panel", "its switch off")
+            raise rejected_error(self.line, "be switched on at its panel", "its switch off")
         if status & MANUAL:
-            raise refused(self.line, "be under remote control", "its switch at manual")
+            raise rejected_error(self.line, "be under remote control", "its switch at manual")
         self._go(LOWEST_V, FASTEST_V_PER_S)
         self.is_on = True
 
@@ -121,7 +121,7 @@ class Iseg:
         ------
         BadInput
             If goal or rate are none that the unit can set.
-        InstrumentRefused
+        InstrumentRejected
             If the output does not get there.
         """
         self.check_voltage(goal_v)
@@ -141,7 +141,9 @@ class Iseg:
         deadline_s = time.monotonic() + FALL_S
         while (volts := self.measured_v()) > DISCHARGED_V:
             if time.monotonic() > deadline_s:
-                raise refused(self.line, f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V")
+                raise rejected_error(
+                    self.line, f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V"
+                )
             time.sleep(POLL_S)
         return volts
 
@@ -166,7 +168,7 @@ class Iseg:
         while abs((now_v := self.measured_v()) - goal_v) > SETTLED_V:
             check()
             if time.monotonic() > deadline_s:
-                raise refused(self.line, f"put out {goal_v:g} V as set", f"{now_v:g} V")
+                raise rejected_error(self.line, f"put out {goal_v:g} V as set", f"{now_v:g} V")
             time.sleep(POLL_S)
         return now_v
 
@@ -174,7 +176,7 @@ class Iseg:
         self.line.write(f"V1={rate_v_per_s}")
         self.line.write(f"D1={goal_v:.0f}")
         if abs((kept_v := self._volts("D1")) - goal_v) > STEP_V / 2:
-            raise refused(self.line, f"keep a set value of {goal_v:g} V", f"{kept_v:g} V back")
+            raise rejected_error(self.line, f"keep a set value of {goal_v:g} V", f"{kept_v:g} V back")
         self._start()
 
     def _start(self) -> None:
@@ -186,14 +188,14 @@ class Iseg:
     def _known_state(self, answer: str, question: str) -> str:
         name, mark, state = answer.partition("=")
         if name != "S1" or not mark or state.strip() not in STATES:
-            raise confused(self.line, f"answer {question} with its state", repr(answer))
+            raise reply_error(self.line, f"answer {question} with its state", repr(answer))
         return state.strip()
 
     def _volts(self, question: str) -> float:
         answer = self.line.ask(question)
         value = legacy_number(answer)
         if value is None:
-            raise confused(self.line, f"answer {question} with a number", repr(answer))
+            raise reply_error(self.line, f"answer {question} with a number", repr(answer))
         return value
 
     def _tripped(self, how: str) -> InstrumentTripped:

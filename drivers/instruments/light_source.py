@@ -6,8 +6,8 @@ Commands, status bits and form of errors are as the maker's own adapter for Micr
 import math
 import re
 
-from drivers.wire.answers import asked_number, asked_whole, confused, expect, refused
-from drivers.wire.line import KnownAnswer, Line
+from drivers.serial_lines.line import InstrumentLine, KnownAnswer
+from drivers.serial_lines.replies import query_float, query_int, rejected_error, reply_error, verify_read_back
 from labdata.errors import BadInput
 
 KNOWN = KnownAnswer(question="n?", form=r".*DC2[01]\d\d.*")
@@ -23,42 +23,42 @@ class LightSource:
     Parameters
     ----------
     line
-        Line to the instrument.
+        InstrumentLine to the instrument.
     """
 
     dark_commands = ("o 0",)
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: InstrumentLine) -> None:
         self.line = line
 
     def identify(self) -> str:
-        """Return the name and clear an old error; another instrument is InstrumentConfused."""
+        """Return the name and clear an old error; another instrument is InstrumentReplyError."""
         name = self.line.ask("n?")
         if not re.fullmatch(KNOWN.form, name):
-            raise confused(self.line, "be a DC2100 or DC2010", repr(name))
+            raise reply_error(self.line, "be a DC2100 or DC2010", repr(name))
         self._error()
         return name
 
     def look(self) -> None:
         """Raise what the status says is wrong with the diode."""
-        status = asked_whole(self.line, "r?")
+        status = query_int(self.line, "r?")
         for bit, meaning in FAULTS.items():
             if status & bit:
-                raise refused(self.line, "light its diode", meaning, code=status)
+                raise rejected_error(self.line, "light its diode", meaning, code=status)
 
     def prepare(self, *, limit_a: float) -> None:
         """Go dark, and make the driver itself refuse more than a current, A."""
         self.darken()
         self._set(f"m {CONSTANT_CURRENT}")
         self._set(f"l {_milliamperes(limit_a)}")
-        if (kept_ma := asked_number(self.line, "l?")) > 1e3 * limit_a + 0.5:
-            raise refused(self.line, f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
+        if (kept_ma := query_float(self.line, "l?")) > 1e3 * limit_a + 0.5:
+            raise rejected_error(self.line, f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
 
     def darken(self) -> None:
         """Take the light out; read back."""
         for command in self.dark_commands:
             self._set(command)
-        expect(self.line, "o?", 0)
+        verify_read_back(self.line, "o?", 0)
 
     def shine(self, current_a: float) -> float:
         """Drive the diode with a current and return it as read back, A.
@@ -67,29 +67,29 @@ class LightSource:
         ------
         BadInput
             If the current is negative or no whole number of mA.
-        InstrumentRefused
+        InstrumentRejected
             If it is beyond the limit, or the diode does not light.
         """
         milliamperes = _milliamperes(current_a)
         self._set(f"cc {milliamperes}")
-        expect(self.line, "cc?", milliamperes)
+        verify_read_back(self.line, "cc?", milliamperes)
         self._set("o 1")
-        expect(self.line, "o?", 1)
+        verify_read_back(self.line, "o?", 1)
         self.look()
-        return asked_number(self.line, "cc?") * 1e-3
+        return query_float(self.line, "cc?") * 1e-3
 
     def _set(self, command: str) -> None:
         self.line.write(command)
         code, meaning = self._error()
         if code:
-            raise refused(self.line, f"accept {command!r}", f"error {code}: {meaning}", code=code)
+            raise rejected_error(self.line, f"accept {command!r}", f"error {code}: {meaning}", code=code)
 
     def _error(self) -> tuple[int, str]:
         """The last error, which asking takes away."""
         answer = self.line.ask("e?")
         match = _ERROR.fullmatch(answer)
         if match is None:
-            raise confused(self.line, "answer e? with a code and its meaning", repr(answer))
+            raise reply_error(self.line, "answer e? with a code and its meaning", repr(answer))
         return int(match[1]), match[2].strip()
 
 

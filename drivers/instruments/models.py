@@ -1,6 +1,6 @@
 """The models of instruments that can stand at the bench: the shipped ones, and those that other packages bring.
 
-A package brings one with a Python entry point of the group `charact.instruments` whose value is a `Model`:
+A package brings one with a Python entry point of the group `charact.instruments` whose value is a `InstrumentModel`:
 
     [project.entry-points."charact.instruments"]
     my-supply = "my_package:MY_SUPPLY"
@@ -19,8 +19,8 @@ from drivers.instruments.iseg import Iseg
 from drivers.instruments.light_source import LightSource
 from drivers.instruments.power_meter import PowerMeter
 from drivers.instruments.thermometer import Thermometer
-from drivers.wire.line import Line, OwnedLine
-from drivers.wire.lines import (
+from drivers.serial_lines.line import InstrumentLine, LocalLine
+from drivers.serial_lines.line_factory import (
     GATE_NAME,
     LIGHT_NAME,
     METER_NAME,
@@ -36,7 +36,7 @@ from drivers.wire.lines import (
     thermometer_line,
     wheel_line,
 )
-from drivers.wire.port import Port, SerialPort
+from drivers.serial_lines.port import Port, SerialPort
 from labdata.errors import BadInput
 from labdata.wires import Reached, Role, Wires
 
@@ -44,7 +44,7 @@ GROUP = "charact.instruments"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model:
+class InstrumentModel:
     """One model of instrument.
 
     Parameters
@@ -68,19 +68,19 @@ class Model:
     name: str
     role: Role
     title: str
-    line: Callable[[Port, int], OwnedLine]
-    driver: Callable[[Line], Any]
+    line: Callable[[Port, int], LocalLine]
+    driver: Callable[[InstrumentLine], Any]
     baud: int = 9600
     hardware_handshake: bool = False
 
-    def open_line(self, port: str, address: int = 0) -> OwnedLine:
-        """Open a serial port and return the line to the instrument; a port that cannot be had is InstrumentLost."""
+    def open_line(self, port: str, address: int = 0) -> LocalLine:
+        """Open a serial port and return the line to the instrument; one not to be had is InstrumentDisconnected."""
         opened = SerialPort(port, name=self.title, baud=self.baud, hardware_handshake=self.hardware_handshake)
         return self.line(opened, address)
 
 
 SHIPPED = (
-    Model(
+    InstrumentModel(
         name="dg645",
         role="gate",
         title=GATE_NAME,
@@ -88,22 +88,24 @@ SHIPPED = (
         driver=DelayGenerator,
         hardware_handshake=True,
     ),
-    Model(
+    InstrumentModel(
         name="ps350",
         role="supply",
         title=SUPPLY_NAME,
         line=lambda port, address: supply_line(port, address=address),
         driver=HighVoltage,
     ),
-    Model(
+    InstrumentModel(
         name="dg535",
         role="gate",
         title=GATE_NAME,
         line=lambda port, address: bus_line(port, name=GATE_NAME, address=address),
         driver=Dg535,
     ),
-    Model(name="iseg", role="supply", title=SUPPLY_NAME, line=lambda port, address: iseg_line(port), driver=Iseg),
-    Model(
+    InstrumentModel(
+        name="iseg", role="supply", title=SUPPLY_NAME, line=lambda port, address: iseg_line(port), driver=Iseg
+    ),
+    InstrumentModel(
         name="fw102c",
         role="filter-wheel",
         title=WHEEL_NAME,
@@ -111,7 +113,7 @@ SHIPPED = (
         driver=FilterWheel,
         baud=115200,
     ),
-    Model(
+    InstrumentModel(
         name="dc2100",
         role="light-source",
         title=LIGHT_NAME,
@@ -119,7 +121,7 @@ SHIPPED = (
         driver=LightSource,
         baud=115200,
     ),
-    Model(
+    InstrumentModel(
         name="pm101",
         role="light-meter",
         title=METER_NAME,
@@ -127,7 +129,7 @@ SHIPPED = (
         driver=PowerMeter,
         baud=115200,
     ),
-    Model(
+    InstrumentModel(
         name="ctc100",
         role="thermometer",
         title=THERMOMETER_NAME,
@@ -137,7 +139,7 @@ SHIPPED = (
 )
 
 
-def models() -> dict[str, Model]:
+def models() -> dict[str, InstrumentModel]:
     """Every model that is known here, by name; a shipped one cannot be replaced.
 
     Raises
@@ -151,7 +153,7 @@ def models() -> dict[str, Model]:
     return known
 
 
-def model(name: str, role: Role) -> Model:
+def model(name: str, role: Role) -> InstrumentModel:
     """Return a model by its name; one that is unknown, or has another role, is BadInput."""
     known = models()
     found = known.get(name)
@@ -161,23 +163,23 @@ def model(name: str, role: Role) -> Model:
     return found
 
 
-def model_of(reached: Reached) -> Model:
+def model_of(reached: Reached) -> InstrumentModel:
     """Return the model of an instrument of the bench; one that is unknown, or has another role, is BadInput."""
     return model(reached.model, reached.role)
 
 
-def lines_on(ports: Mapping[Role, Port], wires: Wires) -> dict[Role, OwnedLine]:
+def lines_on(ports: Mapping[Role, Port], wires: Wires) -> dict[Role, LocalLine]:
     """Return lines to the instruments of a bench whose ports are open already, by their role."""
     return {one.role: model_of(one).line(ports[one.role], one.address) for one in wires.instruments}
 
 
-def _brought(point: Any, known: dict[str, Model]) -> Model:
+def _brought(point: Any, known: dict[str, InstrumentModel]) -> InstrumentModel:
     try:
         brought = point.load()
     except Exception as error:
         raise BadInput(f"the instrument {point.name!r} of {point.value} must load, got: {error}") from error
-    if not isinstance(brought, Model) or brought.name != point.name:
-        raise BadInput(f"the entry point {point.name!r} must be a Model of that name, got {brought!r}")
+    if not isinstance(brought, InstrumentModel) or brought.name != point.name:
+        raise BadInput(f"the entry point {point.name!r} must be a InstrumentModel of that name, got {brought!r}")
     if point.name in known:
         raise BadInput(f"the instrument {point.name!r} of {point.value} must have a name of its own, got a taken one")
     return brought

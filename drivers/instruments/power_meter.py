@@ -2,8 +2,8 @@
 
 import re
 
-from drivers.wire.answers import asked_number, confused, expect, refused
-from drivers.wire.line import Line
+from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.replies import query_float, rejected_error, reply_error, verify_read_back
 
 IDENTITY = re.compile(r"(?i).*thorlabs,\s*PM1\d\d.*")
 AVERAGED = 100
@@ -19,17 +19,17 @@ class PowerMeter:
     Parameters
     ----------
     line
-        Line to the instrument.
+        InstrumentLine to the instrument.
     """
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: InstrumentLine) -> None:
         self.line = line
 
     def identify(self) -> str:
         """Return the identity, clear old errors, and have it measure watts at its own range."""
         identity = self.line.ask("*IDN?")
         if not IDENTITY.fullmatch(identity):
-            raise confused(self.line, "be of the PM100 family", repr(identity))
+            raise reply_error(self.line, "be of the PM100 family", repr(identity))
         self.line.write("*CLS")
         for command in ("SENS:POW:UNIT W", "SENS:POW:RANG:AUTO ON", f"SENS:AVER:COUN {AVERAGED}"):
             self._set(command)
@@ -43,17 +43,17 @@ class PowerMeter:
     def tune(self, wavelength_nm: float) -> None:
         """Have it correct for the sensitivity of its head at a wavelength, nm; read back."""
         self._set(f"SENS:CORR:WAV {wavelength_nm:g}")
-        expect(self.line, "SENS:CORR:WAV?", wavelength_nm, within=0.5)
+        verify_read_back(self.line, "SENS:CORR:WAV?", wavelength_nm, within=0.5)
 
     def power_w(self) -> float:
         """Power on the head, W."""
-        return asked_number(self.line, "MEAS:POW?")
+        return query_float(self.line, "MEAS:POW?")
 
     def _set(self, command: str) -> None:
         self.line.write(command)
         answer = self.line.ask("SYST:ERR?")
         match = _ERROR.fullmatch(answer)
         if match is None:
-            raise confused(self.line, "answer SYST:ERR? with a code and its meaning", repr(answer))
+            raise reply_error(self.line, "answer SYST:ERR? with a code and its meaning", repr(answer))
         if code := int(match[1]):
-            raise refused(self.line, f"accept {command!r}", f"error {code}: {match[2]}", code=code)
+            raise rejected_error(self.line, f"accept {command!r}", f"error {code}: {match[2]}", code=code)

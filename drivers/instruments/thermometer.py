@@ -2,8 +2,8 @@
 
 import re
 
-from drivers.wire.answers import confused, number
-from drivers.wire.line import KnownAnswer, Line
+from drivers.serial_lines.line import InstrumentLine, KnownAnswer
+from drivers.serial_lines.replies import parse_float, reply_error
 
 CHANNEL = "In1"
 IDENTITY = r"(?i).*(CTC100|PTC10).*"
@@ -19,17 +19,17 @@ class Thermometer:
     Parameters
     ----------
     line
-        Line to the instrument.
+        InstrumentLine to the instrument.
     """
 
-    def __init__(self, line: Line) -> None:
+    def __init__(self, line: InstrumentLine) -> None:
         self.line = line
 
     def identify(self) -> str:
-        """Return the identity; another instrument is InstrumentConfused."""
+        """Return the identity; another instrument is InstrumentReplyError."""
         identity = self.line.ask(KNOWN.question)
         if not re.fullmatch(IDENTITY, identity):
-            raise confused(self.line, "be a CTC100 or PTC10", repr(identity))
+            raise reply_error(self.line, "be a CTC100 or PTC10", repr(identity))
         return identity
 
     def look(self) -> None:
@@ -37,18 +37,18 @@ class Thermometer:
         self.temperature_c()
 
     def temperature_c(self) -> float:
-        """Temperature of the sensor, degrees Celsius; a sensor that is open or missing is InstrumentConfused."""
+        """Temperature of the sensor, degrees Celsius; a sensor that is open or missing is InstrumentReplyError."""
         unit = self._asked(f"{CHANNEL}.units?")
-        value = number(self._asked(f"{CHANNEL}.value?"), line=self.line, question=f"{CHANNEL}.value?")
+        value = parse_float(self._asked(f"{CHANNEL}.value?"), line=self.line, question=f"{CHANNEL}.value?")
         if unit.endswith("C"):
             return value
         if unit == "K":
             return value - ZERO_C_IN_K
-        raise confused(self.line, "measure in degrees Celsius or kelvin", repr(unit))
+        raise reply_error(self.line, "measure in degrees Celsius or kelvin", repr(unit))
 
     def _asked(self, question: str) -> str:
         answer = self.line.ask(question)
         match = _SAID.fullmatch(answer)
         if match is None:
-            raise confused(self.line, f"answer {question} with a value", repr(answer))
+            raise reply_error(self.line, f"answer {question} with a value", repr(answer))
         return match[1]

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from drivers.v4l2 import requests
-from drivers.v4l2.fields import PROGRESSIVE
-from drivers.v4l2.structures import BUFFER_FAULTY, CAN_CAPTURE, CAN_STREAM, NEXT_CONTROL, code_of
+from drivers.cameras.v4l2 import requests
+from drivers.cameras.v4l2.fields import PROGRESSIVE
+from drivers.cameras.v4l2.structures import BUFFER_FAULTY, CAN_CAPTURE, CAN_STREAM, NEXT_CONTROL, code_of
 
 ROWS, COLUMNS = 24, 32
 SIZES = ((ROWS, COLUMNS), (12, 16))

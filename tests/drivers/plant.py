@@ -6,9 +6,9 @@ It knows the interlock's commands and none of its rules: what hurts is computed 
 import math
 from dataclasses import dataclass, field
 
-from drivers.tube.interlock import Interlock
-from drivers.tube.rules import REACTIONS, RULES
-from drivers.tube.state import (
+from drivers.bench.interlock import Interlock
+from drivers.bench.rules import REACTIONS, RULES
+from drivers.bench.state import (
     DarkSeen,
     Failed,
     FilterMoved,

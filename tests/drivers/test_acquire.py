@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from drivers.acquisition.picture import picture_of
+from drivers.acquisition.frame_format_check import picture_of
 from drivers.acquisition.plan_check import bytes_of, check_plan
 from drivers.errors import InstrumentTripped
 from drivers.interface import CameraError

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from drivers.aravis.camera import AravisCamera
+from drivers.bench.tube_bench import TubeBench
+from drivers.cameras.aravis.camera import AravisCamera
 from drivers.instruments.models import lines_on
-from drivers.tube.bench import Bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
@@ -74,7 +74,7 @@ def taken(folder, wires, lamp=None):
         elif rig.camera:
             camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
         limits = limits_in_force(plan.limits, small, plan.overrides)
-        bench = Bench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines, lamp=lamp)
+        bench = TubeBench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines, lamp=lamp)
         session = acquire(plan, folder / "session", camera=camera, bench=bench, operator=rig.operator)
         left_open, left_v = rig.outputs().gate_open, rig.outputs().mcp_v
         return session, rig.left_out, left_open, left_v

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.aravis.camera import AravisCamera, list_cameras
+from drivers.cameras.aravis.camera import AravisCamera, list_cameras
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
@@ -198,7 +198,7 @@ def test_a_camera_that_another_program_holds_is_said_to_be_held(small):
 
 HOLDER = """
 import sys
-from drivers.aravis.camera import AravisCamera
+from drivers.cameras.aravis.camera import AravisCamera
 with AravisCamera(sys.argv[1], silence_s=30.0) as camera, camera.capture(frames=10_000) as capture:
     for frame in capture:
         print("frame", flush=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.aravis.camera import AravisCamera
+from drivers.cameras.aravis.camera import AravisCamera
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.sensors import load_sensor

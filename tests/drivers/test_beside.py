@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from drivers.errors import BenchError, InstrumentSilent
+from drivers.bench import safe_state
+from drivers.bench.tube_bench import TubeBench
+from drivers.errors import BenchError, InstrumentTimeout
 from drivers.instruments import high_voltage
 from drivers.instruments.models import lines_on
-from drivers.tube import safe
-from drivers.tube.bench import Bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -26,7 +26,7 @@ TRUE_LUX = 2e-4
 
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
-    monkeypatch.setattr(safe, "FOLLOW_S", 0.03)
+    monkeypatch.setattr(safe_state, "FOLLOW_S", 0.03)
     monkeypatch.setattr(high_voltage, "SETTLE_S", 0.03)
 
 
@@ -37,10 +37,10 @@ def virtual():
     return instruments
 
 
-def opened(virtual, tmp_path, **meters) -> Bench:
+def opened(virtual, tmp_path, **meters) -> TubeBench:
     limits = Limits(ramp_v_per_s=10000.0)
     lines = lines_on(virtual.ports, WIRES)
-    return Bench(WIRES, limits, log=tmp_path / "log", lines=lines, meters=Meters(lux_per_w=LUX_PER_W, **meters))
+    return TubeBench(WIRES, limits, log=tmp_path / "log", lines=lines, meters=Meters(lux_per_w=LUX_PER_W, **meters))
 
 
 def test_what_is_read_has_its_unit_and_its_time(virtual, tmp_path):
@@ -67,7 +67,7 @@ def test_a_silent_meter_is_told_and_the_other_one_is_read(virtual, tmp_path, rol
 @pytest.mark.parametrize(("role", "key"), [("light-meter", "light_needed"), ("thermometer", "temperature_needed")])
 def test_a_silent_meter_that_is_needed_ends_the_work(virtual, tmp_path, role, key):
     virtual.ports[role].faults = Faults(silent=True)
-    with pytest.raises(InstrumentSilent), opened(virtual, tmp_path, **{key: True}):
+    with pytest.raises(InstrumentTimeout), opened(virtual, tmp_path, **{key: True}):
         pass
 
 
@@ -75,7 +75,7 @@ def test_a_silent_meter_that_is_needed_ends_the_work(virtual, tmp_path, role, ke
 def test_a_meter_that_is_needed_may_not_fall_silent_either(virtual, tmp_path, role, key):
     with opened(virtual, tmp_path, **{key: True}) as bench:
         virtual.ports[role].faults = Faults(silent=True)
-        with pytest.raises(InstrumentSilent):
+        with pytest.raises(InstrumentTimeout):
             bench.read_beside()
 
 

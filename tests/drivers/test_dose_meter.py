@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.tube.dose_meter import LONGEST_S, DoseMeter
-from drivers.tube.state import TubeState
+from drivers.bench.dose_meter import LONGEST_S, DoseMeter
+from drivers.bench.state import TubeState
 from labdata.dose_ledger import DoseLedger
 from labdata.limits import Limits, limits_in_force
 from labdata.sensors import load_sensor

@@ -14,8 +14,8 @@ from simulate.rig.models import virtual_models
 pytestmark = pytest.mark.wires
 
 MODULE = """
-    from drivers.instruments.models import Model
-    from drivers.wire.line import FramedLine, KnownAnswer
+    from drivers.instruments.models import InstrumentModel
+    from drivers.serial_lines.line import FramedLine, KnownAnswer
     from simulate.rig.models import VirtualModel
     from simulate.rig.thermometer import Thermometer as Virtual
 
@@ -33,7 +33,7 @@ MODULE = """
             return float(self.line.ask("In1.value?"))
 
     KNOWN = KnownAnswer(question="*IDN?", form=".*CTC100.*")
-    MODEL = Model(
+    MODEL = InstrumentModel(
         name="room-sensor",
         role="thermometer",
         title="room sensor",
@@ -77,8 +77,8 @@ def test_an_instrument_of_another_package_stands_at_the_bench_and_keeps_the_rule
     ("point", "sentence"),
     [
         ("room-sensor = room_sensor:NOTHING", "the instrument 'room-sensor' of room_sensor:NOTHING must load, got"),
-        ("other = room_sensor:MODEL", "the entry point 'other' must be a Model of that name"),
-        ("dg645 = room_sensor:MODEL", "the entry point 'dg645' must be a Model of that name"),
+        ("other = room_sensor:MODEL", "the entry point 'other' must be a InstrumentModel of that name"),
+        ("dg645 = room_sensor:MODEL", "the entry point 'dg645' must be a InstrumentModel of that name"),
     ],
 )
 def test_a_package_that_brings_something_else_is_told_in_a_sentence(installed, point, sentence):

@@ -3,10 +3,10 @@
 import pytest
 
 from drivers.acquisition.plan_check import check_plan
-from drivers.errors import InstrumentRefused
+from drivers.errors import InstrumentRejected
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.dg535 import Dg535
-from drivers.wire.lines import bus_line, gate_line
+from drivers.serial_lines.line_factory import bus_line, gate_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gating import HOLDOFF, Gating
@@ -38,7 +38,7 @@ def test_a_triggered_gate_opens_once_for_each_field_and_holds_off_what_comes_too
 
 def test_a_gate_at_whose_input_nothing_comes_is_told_and_left_shut():
     gate, port = dg645(external_hz=0.0)
-    with pytest.raises(InstrumentRefused, match=r"must be triggered 59\.9401 times a second, got no trigger"):
+    with pytest.raises(InstrumentRejected, match=r"must be triggered 59\.9401 times a second, got no trigger"):
         gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
     assert not port.gate().gate_open
 

@@ -4,8 +4,8 @@ import socket
 
 import pytest
 
-from drivers.aravis import gige
-from drivers.aravis.gige import BlockNumbers
+from drivers.cameras.aravis import gige_control
+from drivers.cameras.aravis.gige_control import BlockNumbers
 
 
 def test_running_numbers_go_on_where_16_bits_start_again_at_1():
@@ -39,14 +39,14 @@ def control_port(monkeypatch):
     """A port of our own in place of the one GigE Vision port, which a virtual camera may hold."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
         port.bind(("127.0.0.1", 0))
-        monkeypatch.setattr(gige, "CONTROL_PORT", port.getsockname()[1])
+        monkeypatch.setattr(gige_control, "CONTROL_PORT", port.getsockname()[1])
         yield port
 
 
 def test_a_port_where_nobody_listens_refuses_at_once(control_port):
     control_port.close()
-    assert gige.ask("127.0.0.1", timeout_s=5.0) == "refused"
+    assert gige_control.ask("127.0.0.1", timeout_s=5.0) == "refused"
 
 
 def test_a_port_that_says_nothing_is_silent(control_port):
-    assert gige.ask("127.0.0.1", timeout_s=0.05) == "silent"
+    assert gige_control.ask("127.0.0.1", timeout_s=0.05) == "silent"

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
-from drivers.tube.rules import REACTIONS, RULES
-from drivers.tube.state import (
+from drivers.bench.rules import REACTIONS, RULES
+from drivers.bench.state import (
     DarkSeen,
     Failed,
     FilterMoved,

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from drivers.errors import BenchError, InstrumentRefused
+from drivers.bench import safe_state
+from drivers.bench.state import InterlockRefused, TurnFilter
+from drivers.bench.tube_bench import TubeBench
+from drivers.errors import BenchError, InstrumentRejected
 from drivers.instruments import high_voltage
 from drivers.instruments.filter_wheel import FilterWheel
 from drivers.instruments.models import lines_on
-from drivers.tube import safe
-from drivers.tube.bench import Bench
-from drivers.tube.state import InterlockRefused, TurnFilter
-from drivers.wire.lines import wheel_line
+from drivers.serial_lines.line_factory import wheel_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
@@ -47,7 +47,7 @@ class Hands:
 
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
-    monkeypatch.setattr(safe, "FOLLOW_S", 0.03)
+    monkeypatch.setattr(safe_state, "FOLLOW_S", 0.03)
     monkeypatch.setattr(high_voltage, "SETTLE_S", 0.03)
 
 
@@ -58,7 +58,7 @@ def virtual():
 
 @pytest.fixture
 def bench(virtual, tmp_path):
-    return Bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines_on(virtual.ports, WIRES), lamp=LAMP)
+    return TubeBench(WIRES, LIMITS, log=tmp_path / "log", lines=lines_on(virtual.ports, WIRES), lamp=LAMP)
 
 
 def at_gain(bench, hands):
@@ -131,7 +131,7 @@ def test_the_source_itself_refuses_more_than_was_calibrated(bench, virtual):
     with bench:
         at_gain(bench, Hands()).place(kind="flat", target=Target(), illuminance_lux=1e-2, filter_density=2.0)
         assert virtual.outputs().lamp_a == pytest.approx(1.0)  # the end of the table is no fault of the diode
-        with pytest.raises(InstrumentRefused):
+        with pytest.raises(InstrumentRejected):
             bench._lamp._source.shine(1.01)
 
 
@@ -140,17 +140,17 @@ def test_a_wheel_that_somebody_turned_is_told(virtual):
     ours.look()
     ours.look()
     theirs.turn_to(4)
-    with pytest.raises(InstrumentRefused, match="filter wheel must stay at 1, got 4: somebody turned it"):
+    with pytest.raises(InstrumentRejected, match="filter wheel must stay at 1, got 4: somebody turned it"):
         ours.look()
 
 
 def test_a_lamp_without_a_calibration_and_a_wheel_without_enough_filters_are_refused(virtual, tmp_path):
     lines = lines_on(virtual.ports, WIRES)
     with pytest.raises(BadInput, match="a light source must have its calibration, got None"):
-        Bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines)
+        TubeBench(WIRES, LIMITS, log=tmp_path / "log", lines=lines)
     many = Lamp(**{**vars(LAMP), "filter_density": tuple(float(each) for each in range(9))})
     with (
         pytest.raises(BadInput, match="a position for each filter, got 6 for 9"),
-        Bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines, lamp=many),
+        TubeBench(WIRES, LIMITS, log=tmp_path / "log", lines=lines, lamp=many),
     ):
         pass

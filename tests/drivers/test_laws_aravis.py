@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from drivers.aravis.camera import AravisCamera
+from drivers.cameras.aravis.camera import AravisCamera
 from labdata.capture import CameraSettings, Frame
 from simulate.rig import aravis_library
 from tests.drivers import pattern_camera

@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from drivers.cameras.replay import LONGEST_PAUSE_S, ReplayCamera
 from drivers.interface import CameraError
-from drivers.replay import LONGEST_PAUSE_S, ReplayCamera
 from labdata.capture import CameraSettings, Frame, lost_for
 from labdata.conditions import Conditions
 from labdata.errors import BadInput

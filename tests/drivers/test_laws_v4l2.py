@@ -5,7 +5,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from drivers.v4l2 import V4l2Camera
+from drivers.cameras.v4l2 import V4l2Camera
 from labdata.capture import CameraSettings, Frame
 from tests.drivers.camera_laws import Bench, CameraLaws
 from tests.drivers.fake_video import FakeDevice, Sent, luma, steadily

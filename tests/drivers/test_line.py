@@ -7,9 +7,9 @@ import tty
 
 import pytest
 
-from drivers.errors import BenchError, InstrumentLost, InstrumentSilent
-from drivers.wire.line import FramedLine
-from drivers.wire.port import SerialPort
+from drivers.errors import BenchError, InstrumentDisconnected, InstrumentTimeout
+from drivers.serial_lines.line import FramedLine
+from drivers.serial_lines.port import SerialPort
 
 ANSWER_S = 0.15
 KNOWN = b"a,b,c,d\r\n"
@@ -59,13 +59,15 @@ def test_an_answer_comes_whole_though_its_bytes_come_in_pieces(line, port):
 
 def test_a_fragment_without_terminator_is_silence_and_is_named(line, port):
     port.answers[b"TRAT?\n"] = [(0.0, b"+59.9")]
-    with pytest.raises(InstrumentSilent, match=r"delay generator must answer TRAT\? within 0.15 s, got only b'\+59.9'"):
+    with pytest.raises(
+        InstrumentTimeout, match=r"delay generator must answer TRAT\? within 0.15 s, got only b'\+59.9'"
+    ):
         line.ask("TRAT?")
 
 
 def test_silence_is_told_within_its_time(line):
     began_s = time.monotonic()
-    with pytest.raises(InstrumentSilent, match="got nothing"):
+    with pytest.raises(InstrumentTimeout, match="got nothing"):
         line.ask("TSRC?")
     assert ANSWER_S <= time.monotonic() - began_s < ANSWER_S + 0.2
 
@@ -73,7 +75,7 @@ def test_silence_is_told_within_its_time(line):
 def test_a_late_answer_is_not_taken_for_the_next_one(line, port):
     port.answers[b"TSRC?\n"] = [(ANSWER_S + 0.02, b"5\r\n")]
     port.answers[b"LERR?\n"] = [(0.0, b"0\r\n")]
-    with pytest.raises(InstrumentSilent):
+    with pytest.raises(InstrumentTimeout):
         line.ask("TSRC?")
     time.sleep(0.04)
     assert line.ask("LERR?") == "0"
@@ -83,7 +85,7 @@ def test_even_an_answer_that_comes_during_resynchronisation_is_not_mistaken(line
     port.answers[b"TSRC?\n"] = [(ANSWER_S + 0.08, b"5\r\n")]
     port.answers[b"LERR?\n"] = [(0.0, b"0\r\n")]
     port.answers[b"*IDN?\n"] = [(0.05, KNOWN)]
-    with pytest.raises(InstrumentSilent):
+    with pytest.raises(InstrumentTimeout):
         line.ask("TSRC?")
     assert line.ask("LERR?") == "0"
     assert port.sent == [b"*IDN?\n", b"TSRC?\n", b"*IDN?\n", b"LERR?\n"]
@@ -104,7 +106,7 @@ def test_two_answers_at_once_are_kept_apart(line, port):
 def test_a_wait_gives_up_at_once_when_the_bench_is_made_safe(line):
     threading.Timer(0.03, line.hurry.set).start()
     began_s = time.monotonic()
-    with pytest.raises(InstrumentSilent):
+    with pytest.raises(InstrumentTimeout):
         line.ask("TSRC?")
     assert time.monotonic() - began_s < 0.13
 
@@ -120,14 +122,14 @@ def terminal():
 
 
 def test_a_port_that_does_not_exist_is_lost():
-    with pytest.raises(InstrumentLost, match="the port /dev/no-such-port of the supply must be free to open"):
+    with pytest.raises(InstrumentDisconnected, match="the port /dev/no-such-port of the supply must be free to open"):
         SerialPort("/dev/no-such-port", name="supply")
 
 
 def test_a_port_held_by_another_is_lost(terminal):
     path = os.ttyname(terminal[1])
     first = SerialPort(path, name="supply")
-    with pytest.raises(InstrumentLost, match="must be free to open"):
+    with pytest.raises(InstrumentDisconnected, match="must be free to open"):
         SerialPort(path, name="supply")
     first.close()
 
@@ -137,16 +139,16 @@ def test_an_unplugged_port_is_lost_in_reading_and_in_writing(terminal):
     for end in reversed(terminal):
         os.close(end)
     terminal.clear()
-    with pytest.raises(InstrumentLost, match="the supply must stay on"):
+    with pytest.raises(InstrumentDisconnected, match="the supply must stay on"):
         port.receive(0.1)
-    with pytest.raises(InstrumentLost, match="the supply must stay on"):
+    with pytest.raises(InstrumentDisconnected, match="the supply must stay on"):
         port.send(b"HVOF\n")
     port.close()
 
 
 def test_a_line_that_takes_no_more_bytes_is_silent(terminal):
     port = SerialPort(os.ttyname(terminal[1]), name="supply")
-    with pytest.raises(InstrumentSilent, match="must take a command within"):
+    with pytest.raises(InstrumentTimeout, match="must take a command within"):
         for _ in range(100):
             port.send(b"x" * 4096)
     port.close()
@@ -163,6 +165,6 @@ def test_bytes_pass_both_ways(terminal):
 
 
 def test_every_failure_of_an_instrument_is_a_bench_error_that_names_it():
-    for kind in (InstrumentSilent, InstrumentLost):
+    for kind in (InstrumentTimeout, InstrumentDisconnected):
         assert issubclass(kind, BenchError)
         assert kind("a sentence", instrument="supply").instrument == "supply"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.tube.bench import Bench
+from drivers.bench.tube_bench import TubeBench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -33,7 +33,7 @@ def test_a_real_thermometer_is_read_beside_a_virtual_tube(somewhere_else, tmp_pa
         assert virtual.wires.thermometer_port == somewhere_else
         assert str(virtual.wires.gate_port).startswith(str(tmp_path / "bench"))
         assert any("the thermometer is a real ctc100" in sentence for sentence in told)
-        with Bench(virtual.wires, Limits(ramp_v_per_s=8000.0), log=tmp_path / "log") as bench:
+        with TubeBench(virtual.wires, Limits(ramp_v_per_s=8000.0), log=tmp_path / "log") as bench:
             bench.set_conditions(Conditions(mcp_v=200.0, gate_ns=1e6))
             read, silent = bench.read_beside()
             assert (read.temperature_c, silent) == (pytest.approx(23.4), ())

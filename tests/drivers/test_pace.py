@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from drivers.acquisition.pace import Pace, StepClock, duration
+from drivers.acquisition.run_progress import RunProgress, StepClock, duration
 
 
 def test_only_what_is_neither_wire_nor_settling_is_our_own():
@@ -32,7 +32,7 @@ def test_only_what_is_neither_wire_nor_settling_is_our_own():
 def test_the_time_left_follows_from_the_pace_so_far(monkeypatch):
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    pace = Pace(frames=400, done=100)
+    pace = RunProgress(frames=400, done=100)
     pace.step_begins()
     now[0] += 5.0
     assert pace.words(1) == ""

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from drivers.acquisition.requests import PAUSED, STOPPING, Requests
+from drivers.acquisition.run_control import PAUSED, STOPPING, RunControl
 from drivers.errors import InstrumentTripped
 from labdata.conditions import Conditions
 from labdata.event_log import events
@@ -48,7 +48,7 @@ def lengths(folder) -> list[int]:
 def test_one_interrupt_finishes_the_step_and_leaves_the_tube_safe(tmp_path):
     said, rig = [], rig_that_signals(signal.SIGINT, at_frame=6)
     with pytest.raises(KeyboardInterrupt):
-        take(rig, tmp_path / "s", requests=Requests(said.append))
+        take(rig, tmp_path / "s", requests=RunControl(said.append))
     assert said == [STOPPING]
     assert lengths(tmp_path / "s") == [4, 4]
     assert all(entry.finished for entry in open_session(tmp_path / "s").stacks)
@@ -87,14 +87,14 @@ def test_a_paused_run_waits_dark_and_shut_and_goes_on_at_the_next_signal(tmp_pat
             threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGUSR1)).start()
 
     began_s = time.monotonic()
-    session = take(rig, tmp_path / "s", requests=Requests(say))
+    session = take(rig, tmp_path / "s", requests=RunControl(say))
     assert state == [(False, 0.0, 8)]
     assert time.monotonic() - began_s > 0.2
     assert [len(entry.read()) for entry in session.stacks] == [4, 4, 4]
 
 
 def test_a_paused_run_still_looks_at_its_bench(tmp_path):
-    requests, looks = Requests(), iter(range(100))
+    requests, looks = RunControl(), iter(range(100))
     requests.pause = True
 
     def trip(event: str):

@@ -2,10 +2,10 @@
 
 import pytest
 
+from drivers.bench.safe_state import make_safe
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.high_voltage import HighVoltage
-from drivers.tube.safe import make_safe
-from drivers.wire.lines import gate_line, supply_line
+from drivers.serial_lines.line_factory import gate_line, supply_line
 from simulate.rig.faults import Faults
 from simulate.rig.in_process import InProcessInstruments
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from drivers.errors import InstrumentConfused, InstrumentRefused, InstrumentTripped
+from drivers.errors import InstrumentRejected, InstrumentReplyError, InstrumentTripped
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.high_voltage import HighVoltage
-from drivers.wire.prologix import PrologixLine
+from drivers.serial_lines.prologix import PrologixLine
 from labdata.errors import BadInput
 
 
@@ -77,7 +77,7 @@ def test_the_gate_is_programmed_while_shut_and_read_back_before_it_opens():
 def test_lost_triggers_shut_the_gate_again():
     with (
         Exchanges(*SHUT, *PROGRAM, *READ_BACK, *TRIGGER, ("INSR?", "7"), *SHUT, name="delay generator") as line,
-        pytest.raises(InstrumentRefused, match="must use every trigger, got some lost at 60 Hz"),
+        pytest.raises(InstrumentRejected, match="must use every trigger, got some lost at 60 Hz"),
     ):
         DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
 
@@ -86,7 +86,7 @@ def test_a_width_read_back_otherwise_never_opens_the_gate():
     back = [*READ_BACK[:2], ("DLAY? 3", "2,+0.015000000000")]
     with (
         Exchanges(*SHUT, *PROGRAM, *back) as line,
-        pytest.raises(InstrumentRefused, match=r"must keep a gate of 1.6e[+]07 ns, got 1.5e[+]07 ns back"),
+        pytest.raises(InstrumentRejected, match=r"must keep a gate of 1.6e[+]07 ns, got 1.5e[+]07 ns back"),
     ):
         DelayGenerator(line).open(width_ns=1.6e7, rate_hz=60.0)
 
@@ -94,7 +94,7 @@ def test_a_width_read_back_otherwise_never_opens_the_gate():
 def test_a_refused_command_is_told_with_its_meaning():
     with (
         Exchanges(("TSRC 5", None), ("LPOL 1,1", None), ("LOFF 1,0", None), ("LERR?", "171")) as line,
-        pytest.raises(InstrumentRefused, match="error 171: overrun") as refusal,
+        pytest.raises(InstrumentRejected, match="error 171: overrun") as refusal,
     ):
         DelayGenerator(line).shut()
     assert refusal.value.code == 171
@@ -109,7 +109,7 @@ def test_a_gate_that_does_not_fit_between_triggers_is_refused_before_anything_is
 def test_a_supply_on_the_gates_line_is_no_delay_generator():
     with (
         Exchanges(("*IDN?", "StanfordResearchSystems,PS350,2067,1.40")) as line,
-        pytest.raises(InstrumentConfused, match="must be a DG645"),
+        pytest.raises(InstrumentReplyError, match="must be a DG645"),
     ):
         DelayGenerator(line).identify()
 
@@ -127,7 +127,7 @@ def test_the_supply_is_off_and_limited_before_anything_else():
 def test_a_limit_read_back_higher_is_refused():
     with (
         Exchanges(*done("HVOF"), ("*STB?", "0"), *done("VSET 50", "VLIM 900"), ("VLIM?", "5000")) as line,
-        pytest.raises(InstrumentRefused, match="must keep a limit of 900 V, got 5000 V back"),
+        pytest.raises(InstrumentRejected, match="must keep a limit of 900 V, got 5000 V back"),
     ):
         HighVoltage(line).prepare(limit_v=900)
 
@@ -142,7 +142,7 @@ def test_the_voltage_rises_in_small_steps_and_is_verified_at_the_output():
 def test_an_output_that_does_not_follow_is_refused():
     with (
         Exchanges(("VSET?", "50"), *done("VSET 100"), ("VOUT?", "50"), ("VOUT?", "50")) as line,
-        pytest.raises(InstrumentRefused, match="must put out 100 V as set, got 50 V"),
+        pytest.raises(InstrumentRejected, match="must put out 100 V as set, got 50 V"),
     ):
         HighVoltage(line).raise_to(100, rate_v_per_s=1000)
 
@@ -150,7 +150,7 @@ def test_an_output_that_does_not_follow_is_refused():
 def test_a_step_beyond_the_supplys_own_limit_is_refused_with_its_meaning():
     with (
         Exchanges(("VSET?", "50"), ("VSET 100", None), ("*ESR?", "16")) as line,
-        pytest.raises(InstrumentRefused, match="'VSET 100', got event status 16: not possible"),
+        pytest.raises(InstrumentRejected, match="'VSET 100', got event status 16: not possible"),
     ):
         HighVoltage(line).raise_to(100, rate_v_per_s=1000)
 
@@ -183,7 +183,10 @@ def test_off_follows_the_output_until_it_is_discharged():
 
 
 def test_words_where_a_number_belongs_are_confusion():
-    with Exchanges(("VOUT?", "OK")) as line, pytest.raises(InstrumentConfused, match=r"VOUT\? with a number, got 'OK'"):
+    with (
+        Exchanges(("VOUT?", "OK")) as line,
+        pytest.raises(InstrumentReplyError, match=r"VOUT\? with a number, got 'OK'"),
+    ):
         HighVoltage(line).measured_v()
 
 
@@ -210,10 +213,10 @@ def test_what_the_adapter_would_eat_is_escaped():
 def test_an_adapter_that_keeps_another_address_is_confusion():
     with Exchanges(*ADAPTER[:-1], ("++addr", "9"), name="supply") as line:
         line.hurry = None
-        with pytest.raises(InstrumentConfused, match="must keep the address 14, got '9'"):
+        with pytest.raises(InstrumentReplyError, match="must keep the address 14, got '9'"):
             PrologixLine(line, address=14)
 
 
 def test_a_voltage_that_is_not_finite_is_confusion():
-    with Exchanges(("VOUT?", "nan")) as line, pytest.raises(InstrumentConfused):
+    with Exchanges(("VOUT?", "nan")) as line, pytest.raises(InstrumentReplyError):
         HighVoltage(line).measured_v()

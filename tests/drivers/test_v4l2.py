@@ -7,9 +7,9 @@ from itertools import chain, count, islice
 import numpy as np
 import pytest
 
+from drivers.cameras.v4l2 import V4l2Camera
+from drivers.cameras.v4l2.fields import ALTERNATE, BOTTOM, BOTTOM_THEN_TOP, INTERLACED, TOP, TOP_THEN_BOTTOM
 from drivers.interface import CameraError
-from drivers.v4l2 import V4l2Camera
-from drivers.v4l2.fields import ALTERNATE, BOTTOM, BOTTOM_THEN_TOP, INTERLACED, TOP, TOP_THEN_BOTTOM
 from labdata.capture import CameraSettings
 from tests.drivers.camera_laws import taken
 from tests.drivers.fake_video import COLUMNS, ROWS, FakeDevice, Sent, luma, steadily
@@ -66,7 +66,7 @@ def test_a_camera_may_take_long_to_begin_and_not_to_go_on():
 
 
 def test_a_driver_that_tells_a_frame_period_of_a_century_is_not_waited_for_as_long(monkeypatch):
-    monkeypatch.setattr("drivers.v4l2.camera.LONGEST_WAIT_S", 0.1)
+    monkeypatch.setattr("drivers.cameras.v4l2.camera.LONGEST_WAIT_S", 0.1)
     device = FakeDevice(list)
     device.period = (4_000_000_000, 1)
     began_s = time.monotonic()

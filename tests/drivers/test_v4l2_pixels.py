@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.aravis.packed_pixels import PACKINGS
-from drivers.v4l2 import requests, structures
-from drivers.v4l2.pixels import LAYOUTS, Picture
-from drivers.v4l2.structures import code_of, four_letters
+from drivers.cameras.aravis.packed_pixels import PACKINGS
+from drivers.cameras.v4l2 import requests, structures
+from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage
+from drivers.cameras.v4l2.structures import code_of, four_letters
 from labdata.capture import PIXEL_BITS
 from labdata.errors import BadInput
 
@@ -44,8 +44,8 @@ KERNEL = {
 ASKED = {one.name: one for one in vars(requests).values() if isinstance(one, requests.Request)}
 
 
-def picture(letters: str, rows: int, columns: int, row_bytes: int, **more) -> Picture:
-    return Picture(rows=rows, columns=columns, row_bytes=row_bytes, layout=LAYOUTS[code_of(letters)], **more)
+def picture(letters: str, rows: int, columns: int, row_bytes: int, **more) -> BufferImage:
+    return BufferImage(rows=rows, columns=columns, row_bytes=row_bytes, layout=LAYOUTS[code_of(letters)], **more)
 
 
 def grey(letters: str, rows: int, columns: int, row_bytes: int, data: list[int]) -> list[list[int]]:
@@ -99,7 +99,7 @@ def test_deeper_grey_comes_little_end_first(letters, value):
 def test_grey_of_16_bits_with_the_big_end_first():
     code = code_of("Y16 ") | structures.BIG_ENDIAN
     assert four_letters(code) == "Y16-BE"
-    one = Picture(rows=1, columns=2, row_bytes=4, layout=LAYOUTS[code])
+    one = BufferImage(rows=1, columns=2, row_bytes=4, layout=LAYOUTS[code])
     assert one.grey(np.array([0x12, 0x34, 0, 1], np.uint8)).tolist() == [[0x1234, 1]]
 
 

@@ -5,10 +5,10 @@ import sys
 from pathlib import Path
 
 from drivers.acquisition.acquire import acquire
-from drivers.aravis.camera import AravisCamera
+from drivers.bench.tube_bench import TubeBench
+from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.instruments.models import lines_on
-from drivers.tube.bench import Bench
 from labdata.border import from_toml
 from labdata.errors import BadInput
 from labdata.limits import limits_in_force
@@ -45,7 +45,7 @@ def main() -> int:
                 camera=AravisCamera(rig.wires.camera, silence_s=rig.silence_s, say=tell)
                 if wired
                 else rig.in_process_camera(),
-                bench=Bench(
+                bench=TubeBench(
                     rig.wires,
                     limits_in_force(plan.limits, sensor, plan.overrides),
                     log=options.bench / "safety.jsonl",

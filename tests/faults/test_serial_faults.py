@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from drivers.errors import BenchError, InstrumentLost, InstrumentSilent, InstrumentTripped, WatchdogLost
-from drivers.tube.bench import Bench
+from drivers.bench.tube_bench import TubeBench
+from drivers.errors import BenchError, InstrumentDisconnected, InstrumentTimeout, InstrumentTripped, WatchdogLost
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -34,7 +34,7 @@ def log(tmp_path):
 
 @pytest.fixture
 def bench(virtual, log):
-    return Bench(Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=log)
+    return TubeBench(Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=log)
 
 
 def run_until_failure(bench, provoked) -> float:
@@ -62,7 +62,7 @@ def assert_one_sentence(error: BaseException, rule: str) -> None:
 
 
 def test_a_silent_gate_line_ends_the_work_and_the_voltage_goes_within_a_second(bench, virtual, log):
-    with pytest.raises(InstrumentSilent) as end:
+    with pytest.raises(InstrumentTimeout) as end:
         run_until_failure(bench, lambda: provoke(virtual.folder, "delay_generator", Faults(silent=True)))
     assert_one_sentence(end.value, "the delay generator must answer TSRC? within 0.4 s, got nothing")
     assert ordered_s(log, "high voltage: HVOF") < WITHIN_S
@@ -71,7 +71,7 @@ def test_a_silent_gate_line_ends_the_work_and_the_voltage_goes_within_a_second(b
 
 
 def test_a_silent_supply_ends_the_work_and_the_gate_is_shut_within_a_second(bench, virtual, log):
-    with pytest.raises(InstrumentSilent) as end:
+    with pytest.raises(InstrumentTimeout) as end:
         run_until_failure(bench, lambda: provoke(virtual.folder, "high_voltage", Faults(silent=True)))
     assert_one_sentence(end.value, "the high-voltage supply must answer *STB? within 0.4 s, got nothing")
     assert ordered_s(log, "gate: TSRC 5") < WITHIN_S
@@ -80,7 +80,7 @@ def test_a_silent_supply_ends_the_work_and_the_gate_is_shut_within_a_second(benc
 
 
 def test_a_supply_that_obeys_but_does_not_answer_is_off_all_the_same(bench, virtual, log):
-    with pytest.raises(InstrumentSilent):
+    with pytest.raises(InstrumentTimeout):
         run_until_failure(bench, lambda: provoke(virtual.folder, "high_voltage", Faults(mute=True)))
     assert ordered_s(log, "high voltage: HVOF") < WITHIN_S
     assert read_outputs(virtual.folder).mcp_v < 11
@@ -98,7 +98,7 @@ def test_a_trip_ends_the_work_with_everything_verified_safe(bench, virtual, log)
 
 @pytest.mark.parametrize("instrument", ["delay_generator", "high_voltage"])
 def test_an_unplugged_instrument_ends_the_work_and_the_other_is_made_safe(bench, virtual, log, instrument):
-    with pytest.raises(InstrumentLost) as end:
+    with pytest.raises(InstrumentDisconnected) as end:
         run_until_failure(bench, lambda: virtual.unplug(instrument))
     assert_one_sentence(end.value, "must stay on")
     out = read_outputs(virtual.folder)
@@ -116,35 +116,35 @@ def test_answers_that_come_late_end_the_work_but_the_line_gets_into_step_to_veri
         time.sleep(0.7)
         provoke(virtual.folder, "delay_generator", Faults())
 
-    with pytest.raises(InstrumentSilent):
+    with pytest.raises(InstrumentTimeout):
         run_until_failure(bench, late)
     assert ordered_s(log, "high voltage: HVOF") < WITHIN_S
     assert not read_outputs(virtual.folder).gate_open
 
 
 def test_a_port_that_is_missing_is_told_at_once(virtual, log):
-    bench = Bench(Wires(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"), LIMITS, log=log)
+    bench = TubeBench(Wires(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"), LIMITS, log=log)
     with (
-        pytest.raises(InstrumentLost, match="the port /dev/no-such-port of the high-voltage supply must"),
+        pytest.raises(InstrumentDisconnected, match="the port /dev/no-such-port of the high-voltage supply must"),
         bench,
     ):
         pass
 
 
 def test_a_port_in_use_is_told_at_once(bench, virtual, log, tmp_path):
-    second = Bench(
+    second = TubeBench(
         Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=tmp_path / "second.jsonl"
     )
     with bench:
         bench.set_conditions(Conditions(mcp_v=300.0, gate_ns=1e6))
-        with pytest.raises(InstrumentLost, match="must be free to open"), second:
+        with pytest.raises(InstrumentDisconnected, match="must be free to open"), second:
             pass
         bench.check()
         assert read_outputs(virtual.folder).gate_open
 
 
 def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log):
-    bench = Bench(Wires(gate_port=virtual.supply_port, supply_port=virtual.gate_port), LIMITS, log=log)
+    bench = TubeBench(Wires(gate_port=virtual.supply_port, supply_port=virtual.gate_port), LIMITS, log=log)
     with pytest.raises(BenchError), bench:
         pass
     assert read_outputs(virtual.folder).mcp_v == 0
@@ -164,5 +164,5 @@ def test_a_client_that_talks_nonsense_to_its_watchdog_is_made_safe_from(bench, v
 
 def test_a_log_that_cannot_be_written_is_told_before_anything_is_opened(virtual, tmp_path):
     wires = Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port)
-    with pytest.raises(BadInput, match="must be a file that can be written"), Bench(wires, LIMITS, log=tmp_path):
+    with pytest.raises(BadInput, match="must be a file that can be written"), TubeBench(wires, LIMITS, log=tmp_path):
         pass

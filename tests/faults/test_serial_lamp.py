@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.bench.tube_bench import TubeBench
 from drivers.errors import BenchError
-from drivers.tube.bench import Bench
 from labdata.conditions import Conditions
 from labdata.event_log import events
 from labdata.lamp import Lamp
@@ -48,7 +48,7 @@ CLIENT = """
 """
 
 
-def bench_at(folder: Path, log: Path) -> Bench:
+def bench_at(folder: Path, log: Path) -> TubeBench:
     wires = Wires(
         gate_port=f"{folder}/delay_generator",
         supply_port=f"{folder}/high_voltage",
@@ -57,10 +57,10 @@ def bench_at(folder: Path, log: Path) -> Bench:
         wheel="fw102c",
         wheel_port=f"{folder}/filter_wheel",
     )
-    return Bench(wires, Limits(ramp_v_per_s=8000.0), log=log, lamp=LAMP)
+    return TubeBench(wires, Limits(ramp_v_per_s=8000.0), log=log, lamp=LAMP)
 
 
-def light_up(bench: Bench, folder: Path) -> None:
+def light_up(bench: TubeBench, folder: Path) -> None:
     light = bench.guard(VirtualOperator(folder))
     light.place(kind="flat", target=Target(), illuminance_lux=0.0)
     bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1.6e7))

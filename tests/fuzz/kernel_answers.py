@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from drivers.cameras.v4l2 import V4l2Camera
+from drivers.cameras.v4l2.listing import describe
 from drivers.interface import CameraError
-from drivers.v4l2 import V4l2Camera
-from drivers.v4l2.listing import describe
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 from tests.drivers.camera_laws import taken

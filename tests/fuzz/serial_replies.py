@@ -18,11 +18,11 @@ from drivers.instruments.filter_wheel import FilterWheel
 from drivers.instruments.high_voltage import HighVoltage
 from drivers.instruments.iseg import Iseg, legacy_number
 from drivers.instruments.light_source import KNOWN, LightSource
-from drivers.wire.echo_line import EchoLine
-from drivers.wire.incoming import LONGEST_ANSWER
-from drivers.wire.line import ADAPTER_ANSWER, FramedLine
-from drivers.wire.prologix import PrologixLine
-from drivers.wire.prompt_line import PromptLine
+from drivers.serial_lines.iseg_line import IsegLine
+from drivers.serial_lines.line import ADAPTER_ANSWER, FramedLine
+from drivers.serial_lines.prologix import PrologixLine
+from drivers.serial_lines.prompt_line import PromptLine
+from drivers.serial_lines.receive_buffer import LONGEST_ANSWER
 from labdata.errors import BadInput
 
 ANSWER_S = 0.002
@@ -73,8 +73,8 @@ def _bus(port: NoisyPort) -> PrologixLine:
     return line
 
 
-def _echo(port: NoisyPort) -> EchoLine:
-    return _in_step(EchoLine(port, name="instrument", answer_s=ANSWER_S))
+def _echo(port: NoisyPort) -> IsegLine:
+    return _in_step(IsegLine(port, name="instrument", answer_s=ANSWER_S))
 
 
 def _prompt(port: NoisyPort) -> PromptLine:

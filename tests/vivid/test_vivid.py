@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.cameras.v4l2 import V4l2Camera, list_devices
 from drivers.interface import CameraError
-from drivers.v4l2 import V4l2Camera, list_devices
 from labdata.capture import CameraSettings, Frame
 from tests.drivers.camera_laws import Bench, CameraLaws, taken
 

@@ -18,7 +18,7 @@ def findings() -> Iterator[Finding]:
 
 def aravis_cameras() -> Iterator[Finding]:
     """Yield the cameras that answer Aravis, or why there can be none."""
-    from drivers.aravis.camera import list_cameras
+    from drivers.cameras.aravis.camera import list_cameras
     from drivers.errors import BenchError
 
     try:
@@ -64,7 +64,7 @@ def video_devices(
 
 def _offered() -> dict[str, str]:
     """Return inputs and readable pixel formats of each device that can capture."""
-    from drivers.v4l2.listing import list_devices
+    from drivers.cameras.v4l2.listing import list_devices
 
     told = {}
     for one in list_devices():

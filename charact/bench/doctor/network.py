@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from charact.bench.doctor.finding import Finding
-from drivers.aravis.capture import SOCKET_BUFFER_BYTES
+from drivers.cameras.aravis.capture import SOCKET_BUFFER_BYTES
 
 LIMITS, INTERFACES = Path("/proc/sys/net/core"), Path("/sys/class/net")
 LEAST_PACKET_BYTES = 1500  # of plain Ethernet

@@ -4,42 +4,42 @@ import contextlib
 import time
 from typing import Any
 
-from drivers.errors import BenchError, InstrumentLost, InstrumentSilent
-from drivers.instruments.conformance.pair import Pair, Rule, must_raise
-from drivers.wire.port import ANSWER_S
+from drivers.errors import BenchError, InstrumentDisconnected, InstrumentTimeout
+from drivers.instruments.conformance.conformance_pair import ConformancePair, Rule, must_raise
+from drivers.serial_lines.port import ANSWER_S
 
 PATIENCE_S = 1.0
 
 
-def says_who_it_is(pair: Pair) -> None:
+def says_who_it_is(pair: ConformancePair) -> None:
     """It says who it is, twice the same."""
     driver = pair.driver()
     assert driver.identify() == driver.identify() != ""
 
 
-def silence_is_told_in_time(pair: Pair) -> None:
-    """An instrument that says nothing is InstrumentSilent within its answer time and a second."""
+def silence_is_told_in_time(pair: ConformancePair) -> None:
+    """An instrument that says nothing is InstrumentTimeout within its answer time and a second."""
     driver = pair.driver()
     identity = driver.identify()
     pair.suffer("silent")
     began_s = time.monotonic()
-    must_raise(InstrumentSilent, lambda: _probe(pair, driver))
+    must_raise(InstrumentTimeout, lambda: _probe(pair, driver))
     assert time.monotonic() - began_s < ANSWER_S + PATIENCE_S
     pair.heal()
     assert driver.identify() == identity
 
 
-def half_lines_are_no_answers(pair: Pair) -> None:
+def half_lines_are_no_answers(pair: ConformancePair) -> None:
     """Half an answer is an error, and the line is in step afterwards."""
     _suffers_and_recovers(pair, "half-lines")
 
 
-def garbage_is_no_answer(pair: Pair) -> None:
+def garbage_is_no_answer(pair: ConformancePair) -> None:
     """Characters that are no answer are an error, and the line is in step afterwards."""
     _suffers_and_recovers(pair, "garbage")
 
 
-def a_late_answer_is_not_taken_for_the_next(pair: Pair) -> None:
+def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
     """An answer that comes late is not taken for the answer to the next question."""
     driver = pair.driver()
     identity = driver.identify()
@@ -50,7 +50,7 @@ def a_late_answer_is_not_taken_for_the_next(pair: Pair) -> None:
     assert driver.identify() == identity
 
 
-def an_answer_left_due_is_not_taken_by_who_opens_the_line_next(pair: Pair) -> None:
+def an_answer_left_due_is_not_taken_by_who_opens_the_line_next(pair: ConformancePair) -> None:
     """An answer that comes late is not taken by the next program for its own, whatever that asks first."""
     driver = pair.driver()
     identity = driver.identify()
@@ -63,17 +63,17 @@ def an_answer_left_due_is_not_taken_by_who_opens_the_line_next(pair: Pair) -> No
     _probe(pair, driver)
 
 
-def a_pulled_plug_is_told_and_put_back(pair: Pair) -> None:
-    """A pulled plug is InstrumentLost; with the plug back in, a new line works."""
+def a_pulled_plug_is_told_and_put_back(pair: ConformancePair) -> None:
+    """A pulled plug is InstrumentDisconnected; with the plug back in, a new line works."""
     driver = pair.driver()
     identity = driver.identify()
     pair.suffer("unplugged")
-    must_raise(InstrumentLost, lambda: _probe(pair, driver))
+    must_raise(InstrumentDisconnected, lambda: _probe(pair, driver))
     pair.heal()
     assert pair.driver().identify() == identity
 
 
-def a_loss_of_power_leaves_it_at_rest(pair: Pair) -> None:
+def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair) -> None:
     """After a loss of power the line works again, and nothing is on that was not on before."""
     driver = pair.driver()
     identity = driver.identify()
@@ -100,12 +100,12 @@ COMMON: tuple[Rule, ...] = (
 )
 
 
-def _probe(pair: Pair, driver: Any) -> None:
+def _probe(pair: ConformancePair, driver: Any) -> None:
     """One question that changes nothing; a supply at rest is not asked whether it is on."""
     driver.measured_v() if pair.model.role == "supply" else driver.look()
 
 
-def _suffers_and_recovers(pair: Pair, wrong: str) -> None:
+def _suffers_and_recovers(pair: ConformancePair, wrong: str) -> None:
     driver = pair.driver()
     identity = driver.identify()
     pair.suffer(wrong)

@@ -1,30 +1,37 @@
 """What every gate must do: open as read back, refuse what it cannot, and shut, heard or not."""
 
-from drivers.instruments.conformance.pair import Pair, Rule, awaited, identified, must_raise, unheard
-from drivers.tube.safe import make_safe
+from drivers.bench.safe_state import make_safe
+from drivers.instruments.conformance.conformance_pair import (
+    ConformancePair,
+    Rule,
+    discard_log,
+    identify_driver,
+    must_raise,
+    wait_for,
+)
 from labdata.errors import BadInput
 
 _RATE_HZ, _WIDTH_NS = 60.0, 1e6
 
 
-def the_gate_opens_as_read_back_and_shuts(pair: Pair) -> None:
+def the_gate_opens_as_read_back_and_shuts(pair: ConformancePair) -> None:
     """The gate opens for the width and at the rate that were read back, and shuts."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.shut()
     assert not pair.outputs()["gate_open"]
     read_ns = driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ, delay_ns=500.0)
     assert abs(read_ns - _WIDTH_NS) <= 1e-6 * _WIDTH_NS
-    awaited(lambda: pair.outputs()["gate_open"])
+    wait_for(lambda: pair.outputs()["gate_open"])
     out = pair.outputs()
     assert abs(out["gate_ns"] - read_ns) <= 1e-6 * read_ns
     assert abs(out["gate_hz"] - _RATE_HZ) <= 1e-3 * _RATE_HZ
     driver.shut()
-    awaited(lambda: not pair.outputs()["gate_open"])
+    wait_for(lambda: not pair.outputs()["gate_open"])
 
 
-def an_impossible_pulse_is_refused_untouched(pair: Pair) -> None:
+def an_impossible_pulse_is_refused_untouched(pair: ConformancePair) -> None:
     """A pulse that is too short, too fine, or longer than the time between triggers is refused before it is sent."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.shut()
     for width_ns in (0.0, 1e-3, 10.0012, 1e9 / _RATE_HZ + 1.0, float("nan")):
         must_raise(BadInput, lambda width_ns=width_ns: driver.open(width_ns=width_ns, rate_hz=_RATE_HZ))
@@ -32,23 +39,23 @@ def an_impossible_pulse_is_refused_untouched(pair: Pair) -> None:
     assert not pair.outputs()["gate_open"]
 
 
-def making_safe_shuts_the_gate(pair: Pair) -> None:
+def making_safe_shuts_the_gate(pair: ConformancePair) -> None:
     """The safe action shuts an open gate and verifies it."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ)
-    awaited(lambda: pair.outputs()["gate_open"])
-    assert make_safe(gate=driver, supply=None, record=unheard).gate_shut
-    awaited(lambda: not pair.outputs()["gate_open"])
+    wait_for(lambda: pair.outputs()["gate_open"])
+    assert make_safe(gate=driver, supply=None, record=discard_log).gate_shut
+    wait_for(lambda: not pair.outputs()["gate_open"])
 
 
-def making_safe_shuts_a_gate_that_cannot_answer(pair: Pair) -> None:
+def making_safe_shuts_a_gate_that_cannot_answer(pair: ConformancePair) -> None:
     """The safe action shuts the gate of an instrument that hears and cannot be heard, and says that nothing is sure."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ)
-    awaited(lambda: pair.outputs()["gate_open"])
+    wait_for(lambda: pair.outputs()["gate_open"])
     pair.suffer("mute")
-    assert not make_safe(gate=driver, supply=None, record=unheard).gate_shut
-    awaited(lambda: not pair.outputs()["gate_open"])
+    assert not make_safe(gate=driver, supply=None, record=discard_log).gate_shut
+    wait_for(lambda: not pair.outputs()["gate_open"])
     pair.heal()
 
 

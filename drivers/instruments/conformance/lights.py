@@ -1,72 +1,79 @@
 """What every filter wheel and light source must do: stand where it says, shine as it says, and go dark."""
 
-from drivers.errors import BenchError, InstrumentRefused
-from drivers.instruments.conformance.pair import Pair, Rule, awaited, identified, must_raise, unheard
-from drivers.tube.safe import make_safe
+from drivers.bench.safe_state import make_safe
+from drivers.errors import BenchError, InstrumentRejected
+from drivers.instruments.conformance.conformance_pair import (
+    ConformancePair,
+    Rule,
+    discard_log,
+    identify_driver,
+    must_raise,
+    wait_for,
+)
 from labdata.errors import BadInput
 
 _LIMIT_A = 0.5
 
 
-def the_wheel_reaches_every_position(pair: Pair) -> None:
+def the_wheel_reaches_every_position(pair: ConformancePair) -> None:
     """The wheel reaches every position, and its own lamps are out."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     for position in range(driver.positions, 0, -1):
         assert driver.turn_to(position) == position
-        awaited(lambda position=position: pair.outputs()["position"] == position)
+        wait_for(lambda position=position: pair.outputs()["position"] == position)
     assert not pair.outputs()["sensors_lit"]
 
 
-def a_position_that_is_not_there_is_refused(pair: Pair) -> None:
+def a_position_that_is_not_there_is_refused(pair: ConformancePair) -> None:
     """A position that the wheel has not is refused, and it stands still."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.turn_to(2)
     for position in (0, -1, driver.positions + 1):
         must_raise(BadInput, lambda position=position: driver.turn_to(position))
     assert driver.position() == 2
 
 
-def the_light_shines_as_read_back_and_goes_dark(pair: Pair) -> None:
+def the_light_shines_as_read_back_and_goes_dark(pair: ConformancePair) -> None:
     """The light takes the current that was read back, and goes dark."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.prepare(limit_a=_LIMIT_A)
     assert pair.outputs()["current_a"] == 0.0
     read_a = driver.shine(0.1)
-    awaited(lambda: abs(pair.outputs()["current_a"] - read_a) < 1e-9)
+    wait_for(lambda: abs(pair.outputs()["current_a"] - read_a) < 1e-9)
     driver.darken()
-    awaited(lambda: pair.outputs()["current_a"] == 0.0)
+    wait_for(lambda: pair.outputs()["current_a"] == 0.0)
 
 
-def the_source_itself_refuses_more_than_its_limit(pair: Pair) -> None:
+def the_source_itself_refuses_more_than_its_limit(pair: ConformancePair) -> None:
     """More than the limit is refused by the instrument, and a current finer than a step before it is sent."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.prepare(limit_a=_LIMIT_A)
-    must_raise(InstrumentRefused, lambda: driver.shine(_LIMIT_A + 0.1))
+    must_raise(InstrumentRejected, lambda: driver.shine(_LIMIT_A + 0.1))
     must_raise(BadInput, lambda: driver.shine(0.0001))
     must_raise(BadInput, lambda: driver.shine(-0.1))
     assert pair.outputs()["current_a"] == 0.0
 
 
-def a_lamp_that_goes_out_is_told(pair: Pair) -> None:
+def a_lamp_that_goes_out_is_told(pair: ConformancePair) -> None:
     """A lamp that goes out by itself is told at the next look."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.prepare(limit_a=_LIMIT_A)
     driver.shine(0.1)
     pair.suffer("trip")
-    awaited(lambda: pair.outputs()["current_a"] == 0.0)
+    wait_for(lambda: pair.outputs()["current_a"] == 0.0)
     must_raise(BenchError, driver.look)
     pair.heal()
     driver.darken()
 
 
-def making_safe_puts_a_mute_lamp_out(pair: Pair) -> None:
+def making_safe_puts_a_mute_lamp_out(pair: ConformancePair) -> None:
     """The safe action puts a lamp out that hears and cannot be heard, and claims nothing."""
-    driver = identified(pair)
+    driver = identify_driver(pair)
     driver.prepare(limit_a=_LIMIT_A)
     driver.shine(0.1)
     pair.suffer("mute")
-    assert not make_safe(gate=None, supply=None, lamps=[driver], record=unheard).light_dark
-    awaited(lambda: pair.outputs()["current_a"] == 0.0)
+    assert not make_safe(gate=None, supply=None, lamps=[driver], record=discard_log).light_dark
+    wait_for(lambda: pair.outputs()["current_a"] == 0.0)
     pair.heal()
 
 

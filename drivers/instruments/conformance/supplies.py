@@ -3,16 +3,23 @@
 import time
 from typing import Any
 
-from drivers.errors import InstrumentRefused, InstrumentSilent, InstrumentTripped
-from drivers.instruments.conformance.pair import Pair, Rule, awaited, identified, must_raise, unheard
-from drivers.instruments.voltage import DISCHARGED_V
-from drivers.tube.safe import make_safe
+from drivers.bench.safe_state import make_safe
+from drivers.errors import InstrumentRejected, InstrumentTimeout, InstrumentTripped
+from drivers.instruments.conformance.conformance_pair import (
+    ConformancePair,
+    Rule,
+    discard_log,
+    identify_driver,
+    must_raise,
+    wait_for,
+)
+from drivers.instruments.voltage_limits import DISCHARGED_V
 from labdata.errors import BadInput
 
 _LIMIT_V = 900.0
 
 
-def the_voltage_rises_no_faster_than_asked_and_is_measured(pair: Pair) -> None:
+def the_voltage_rises_no_faster_than_asked_and_is_measured(pair: ConformancePair) -> None:
     """The voltage rises no faster than asked, is measured where it is, falls, and goes off."""
     driver = _ready(pair)
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V
@@ -28,7 +35,7 @@ def the_voltage_rises_no_faster_than_asked_and_is_measured(pair: Pair) -> None:
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V + 1.0
 
 
-def the_ramp_is_checked_at_every_step(pair: Pair) -> None:
+def the_ramp_is_checked_at_every_step(pair: ConformancePair) -> None:
     """What the caller's check raises ends a ramp before its goal."""
     driver = _ready(pair)
     driver.switch_on()
@@ -41,7 +48,7 @@ def the_ramp_is_checked_at_every_step(pair: Pair) -> None:
     driver.off()
 
 
-def an_impossible_voltage_is_refused_untouched(pair: Pair) -> None:
+def an_impossible_voltage_is_refused_untouched(pair: ConformancePair) -> None:
     """A voltage that is too low, too high or too fine for the model is refused before it is sent."""
     driver = _ready(pair)
     for volts in (1.0, 100.3, 1e5, float("nan")):
@@ -49,45 +56,45 @@ def an_impossible_voltage_is_refused_untouched(pair: Pair) -> None:
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V
 
 
-def the_supply_itself_refuses_more_than_its_limit(pair: Pair) -> None:
+def the_supply_itself_refuses_more_than_its_limit(pair: ConformancePair) -> None:
     """More than the limit is refused by the instrument too, should a caller ask for it."""
     driver = _ready(pair)
     driver.switch_on()
     driver.raise_to(880.0, rate_v_per_s=1e6)
-    must_raise(InstrumentRefused, lambda: driver.raise_to(_LIMIT_V + 10.0, rate_v_per_s=1e6))
+    must_raise(InstrumentRejected, lambda: driver.raise_to(_LIMIT_V + 10.0, rate_v_per_s=1e6))
     assert pair.outputs()["mcp_v"] <= _LIMIT_V + 1.0
     driver.off()
 
 
-def a_trip_is_told(pair: Pair) -> None:
+def a_trip_is_told(pair: ConformancePair) -> None:
     """A supply that switched itself off is InstrumentTripped, and its output falls."""
     _goes_off_by_itself(pair, "trip")
 
 
-def a_loss_of_power_while_on_is_told(pair: Pair) -> None:
+def a_loss_of_power_while_on_is_told(pair: ConformancePair) -> None:
     """A supply that lost its power while on is not taken for one that is still on."""
     _goes_off_by_itself(pair, "power-cycle")
 
 
-def making_safe_takes_the_voltage_off(pair: Pair) -> None:
+def making_safe_takes_the_voltage_off(pair: ConformancePair) -> None:
     """The safe action takes the voltage off and follows it down."""
     driver = _ready(pair)
     driver.switch_on()
     driver.raise_to(300.0, rate_v_per_s=1e6)
-    safety = make_safe(gate=None, supply=driver, record=unheard)
+    safety = make_safe(gate=None, supply=driver, record=discard_log)
     assert safety.off_ordered
     assert safety.residual_v is not None and safety.residual_v <= DISCHARGED_V
     assert pair.outputs()["mcp_v"] <= DISCHARGED_V + 1.0
 
 
-def making_safe_takes_the_voltage_of_a_mute_supply_off(pair: Pair) -> None:
+def making_safe_takes_the_voltage_of_a_mute_supply_off(pair: ConformancePair) -> None:
     """The safe action takes the voltage off a supply that hears and cannot be heard, and claims nothing."""
     driver = _ready(pair)
     driver.switch_on()
     driver.raise_to(300.0, rate_v_per_s=1e6)
     pair.suffer("mute")
-    assert make_safe(gate=None, supply=driver, record=unheard).residual_v is None
-    awaited(lambda: pair.outputs()["mcp_v"] <= DISCHARGED_V)
+    assert make_safe(gate=None, supply=driver, record=discard_log).residual_v is None
+    wait_for(lambda: pair.outputs()["mcp_v"] <= DISCHARGED_V)
     pair.heal()
 
 
@@ -103,24 +110,24 @@ SUPPLY_RULES: tuple[Rule, ...] = (
 )
 
 
-def _ready(pair: Pair) -> Any:
-    driver = identified(pair)
+def _ready(pair: ConformancePair) -> Any:
+    driver = identify_driver(pair)
     driver.prepare(limit_v=_LIMIT_V)
     driver.off()
     return driver
 
 
-def _goes_off_by_itself(pair: Pair, wrong: str) -> None:
+def _goes_off_by_itself(pair: ConformancePair, wrong: str) -> None:
     driver = _ready(pair)
     driver.switch_on()
     driver.raise_to(300.0, rate_v_per_s=1e6)
     driver.check_on()
     pair.suffer(wrong)
-    awaited(lambda: pair.outputs()["mcp_v"] < 290.0)
+    wait_for(lambda: pair.outputs()["mcp_v"] < 290.0)
     # The line may have fallen out of step with the power: what is silent now must be told at the next look.
     try:
         driver.check_on()
-    except InstrumentSilent:
+    except InstrumentTimeout:
         must_raise(InstrumentTripped, driver.check_on)
     except InstrumentTripped:
         pass

@@ -3,9 +3,9 @@
 import pytest
 
 from charact.cli.cameras import camera_named
-from drivers.aravis.camera import AravisCamera
-from drivers.replay import ReplayCamera
-from drivers.v4l2 import V4l2Camera
+from drivers.cameras.aravis.camera import AravisCamera
+from drivers.cameras.replay import ReplayCamera
+from drivers.cameras.v4l2 import V4l2Camera
 from labdata.errors import BadInput
 
 

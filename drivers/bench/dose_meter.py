@@ -1,0 +1,76 @@
+"""The dose meter: it watches the interlock and writes what the tube went through into the tube's ledger."""
+
+import math
+
+from drivers.bench.state import TubeState
+from labdata.dose_ledger import DoseLedger
+from labdata.limits import LimitsInForce
+from labdata.tube_dose import Dose, dose_of, sum_of
+
+LONGEST_S = 10.0
+"""A dose is written down at least so often while the gate is open, s: what a crash can lose."""
+
+
+class DoseMeter:
+    """Integrates the current that may have flowed and keeps it.
+
+    Parameters
+    ----------
+    ledger
+        Where doses are kept.
+    limits
+        Limits in force; they know the tube's load.
+    session
+        Name of the session, for readers of the ledger.
+
+    Notes
+    -----
+    It counts what may be true of the tube (`TubeState`), so that it errs on the side of too much; a state of which
+    nothing has been read yet is not counted.
+    """
+
+    def __init__(self, ledger: DoseLedger, limits: LimitsInForce, *, session: str) -> None:
+        self._ledger, self._limits, self._session = ledger, limits, session
+        self.failure: str | None = None
+        """Why the dose could not be written, in a sentence."""
+        self._last_s: float | None = None
+        self._pending: list[Dose] = []
+        self._pending_s = 0.0
+
+    def watch(self, state: TubeState, now_s: float) -> None:
+        """Count the time that a state lasted until now; write it down once the gate is shut, or it lasts long."""
+        passed_s = 0.0 if self._last_s is None else now_s - self._last_s
+        self._last_s = now_s
+        if passed_s > 0.0 and math.isfinite(state.mcp_v) and math.isfinite(state.light_lux) and state.mcp_v > 0.0:
+            self._pending.append(self._dose(state, passed_s))
+            self._pending_s += passed_s
+        if self._pending and (self._pending_s >= LONGEST_S or (state.shut and self._charged())):
+            self.write()
+
+    def write(self) -> None:
+        """Write down what was counted since the last time; a disk that refuses is a `failure`, and the count is kept.
+
+        Nothing is raised: it may be the gate's shutting that waits for this.
+        """
+        if not self._pending:
+            return
+        try:
+            self._ledger.append(sum_of(self._pending), session=self._session)
+        except OSError as error:
+            self.failure = f"the tube's dose must be written to {self._ledger.path}, got: {error.strerror or error}"
+            return
+        self.failure = None
+        self._pending, self._pending_s = [], 0.0
+
+    def _dose(self, state: TubeState, seconds: float) -> Dose:
+        load = self._limits.load
+        return dose_of(
+            delivered_na_per_cm2=load.delivered_na_per_cm2(state.light_lux, state.mcp_v, state.duty),
+            lit_s=seconds,
+            at_gain_s=seconds,
+            point=state.point,
+            log_sd=load.log_sd(state.mcp_v),
+        )
+
+    def _charged(self) -> bool:
+        return any(one.charge_c_per_cm2 > 0.0 for one in self._pending)

@@ -1,0 +1,1 @@
+"""Cameras: V4L2, Aravis and GigE Vision, and a recorded session played back."""

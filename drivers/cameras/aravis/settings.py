@@ -1,0 +1,136 @@
+"""Settings of an Aravis camera: each is set as asked, read back, and refused in a sentence where it does not hold."""
+
+import ctypes
+import math
+
+from drivers.cameras.aravis.capture import PIXELS
+from drivers.cameras.aravis.library import Aravis
+from drivers.interface import CameraError
+from labdata.capture import CameraSettings
+from labdata.errors import BadInput
+
+
+class AravisSettings:
+    """The settings of one open camera.
+
+    Parameters
+    ----------
+    library
+        The Aravis library.
+    camera
+        Handle of the open camera.
+    identifier
+        The camera's name, for sentences.
+    """
+
+    def __init__(self, library: Aravis, camera: int, identifier: str) -> None:
+        self._library, self._camera, self._identifier = library, camera, identifier
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Set what is not None; a value that the camera does not allow is a BadInput."""
+        if settings.pixel_format is not None:
+            self._set_pixel_format(settings.pixel_format)
+        self._set_region(settings)
+        if settings.trigger is not None:
+            self._set_trigger(settings.trigger)
+        self._require_no_fields(settings)
+        self._set_number("frame_rate", "frame rate", "Hz", settings.frame_rate_hz)
+        self._set_number("exposure_time", "exposure", "us", settings.exposure_s and settings.exposure_s * 1e6)
+        self._set_number("gain", "gain", "dB", settings.gain_db)
+
+    def read(self) -> CameraSettings:
+        """Return every setting as the camera reads it back."""
+        first_column, first_row, columns, rows = self._region()
+        exposure_us, gain, rate = (self._number(name) for name in ("exposure_time", "gain", "frame_rate"))
+        return CameraSettings(
+            rows=rows,
+            columns=columns,
+            first_row=first_row,
+            first_column=first_column,
+            pixel_format=self._pixel_format(),
+            exposure_s=exposure_us and exposure_us * 1e-6,
+            gain_db=gain,
+            frame_rate_hz=rate,
+            trigger=self._trigger(),
+        )
+
+    def _set_pixel_format(self, name: str) -> None:
+        if name not in PIXELS:
+            raise BadInput(f"a pixel format must be one of {', '.join(PIXELS)}, got {name!r}")
+        self._library.call("arv_camera_set_pixel_format_from_string", self._camera, name.encode())
+
+    def _set_region(self, settings: CameraSettings) -> None:
+        """Set place and size of the picture; what is None stays."""
+        asked = (settings.first_column, settings.first_row, settings.columns, settings.rows)
+        if all(part is None for part in asked):
+            return
+        column, row, columns, rows = (
+            now if part is None else part for part, now in zip(asked, self._region(), strict=True)
+        )
+        most_columns, most_rows = self._library.pair("arv_camera_get_sensor_size", self._camera, ctypes.c_int)
+        if row + rows > most_rows or column + columns > most_columns:
+            raise BadInput(
+                f"a picture must fit into the sensor's {most_rows} rows and {most_columns} columns, "
+                f"got {rows} rows from row {row} and {columns} columns from column {column}"
+            )
+        self._library.call("arv_camera_set_region", self._camera, column, row, columns, rows)
+        if (is_now := self._region()) != (column, row, columns, rows):
+            raise CameraError(
+                f"camera {self._identifier} must take the region asked (column, row, columns, rows), "
+                f"{(column, row, columns, rows)}, but reads back {is_now}"
+            )
+
+    def _set_trigger(self, source: str) -> None:
+        """Let frames follow one another freely ("off"), or have each triggered by a source."""
+        if source == "off":
+            self._library.call("arv_camera_clear_triggers", self._camera)
+        else:
+            self._library.call("arv_camera_set_trigger", self._camera, source.encode())
+        if (is_now := self._trigger()) != source:
+            raise CameraError(
+                f"camera {self._identifier} must take the trigger asked, {source!r}, but reads back {is_now!r}"
+            )
+
+    def _require_no_fields(self, settings: CameraSettings) -> None:
+        if settings.field_order not in (None, "progressive"):
+            raise BadInput(
+                f"the field order of camera {self._identifier} cannot be set, GenICam has none, "
+                f"got {settings.field_order!r}"
+            )
+
+    def _set_number(self, feature: str, word: str, unit: str, value: float | None) -> None:
+        if value is None:
+            return
+        low, high = self._library.pair(f"arv_camera_get_{feature}_bounds", self._camera)
+        if not low <= value <= high:
+            raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
+        self._library.call(f"arv_camera_set_{feature}", self._camera, value)
+        is_value = self._library.call(f"arv_camera_get_{feature}", self._camera)
+        # Exposures step by a microsecond, raw gains by one.
+        if not math.isclose(is_value, value, rel_tol=0.01, abs_tol=1.0):
+            raise CameraError(
+                f"camera {self._identifier} must take the {word} asked, {value:g} {unit}, but reads back {is_value:g}"
+            )
+
+    def _number(self, feature: str) -> float | None:
+        if not self._library.call(f"arv_camera_is_{feature}_available", self._camera):
+            return None
+        return self._library.call(f"arv_camera_get_{feature}", self._camera)
+
+    def _region(self) -> tuple[int, int, int, int]:
+        """Return first column, first row, columns and rows."""
+        values = [ctypes.c_int() for _ in range(4)]
+        self._library.call("arv_camera_get_region", self._camera, *map(ctypes.byref, values))
+        column, row, columns, rows = (value.value for value in values)
+        return column, row, columns, rows
+
+    def _trigger(self) -> str | None:
+        """Return what triggers each frame; "off" where they follow one another freely, None where it cannot be told."""
+        if not self._library.call("arv_camera_is_feature_available", self._camera, b"TriggerMode"):
+            return None
+        if self._library.call("arv_camera_get_string", self._camera, b"TriggerMode") != b"On":
+            return "off"
+        return self._library.call("arv_camera_get_trigger_source", self._camera).decode()
+
+    def _pixel_format(self) -> str:
+        return self._library.call("arv_camera_get_pixel_format_as_string", self._camera).decode()

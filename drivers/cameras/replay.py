@@ -1,0 +1,214 @@
+"""A camera that plays a session back: the recorded frames with their numbers, time stamps and gaps."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from drivers.cameras.frame_assembly import FrameAssembler, IncompleteFrame
+from drivers.interface import CameraError
+from labdata.capture import CameraSettings, Frame, LostFrames
+from labdata.errors import BadInput
+from labdata.opened import OpenStack, open_stack
+from labdata.session import Session, StackEntry, open_session
+
+RATE_WITHOUT_STAMPS_HZ = 30.0
+LONGEST_PAUSE_S = 1.0
+"""Longest wait between two frames, however far apart they were recorded, s."""
+
+
+class ReplayCamera:
+    """A recorded session in place of a camera; use it in a `with` block.
+
+    What was recorded cannot be set: a setting asked must be the recorded one. Frames come as fast as they were
+    recorded.
+
+    Parameters
+    ----------
+    folder
+        The session's folder.
+    label
+        Stack that every capture plays from its beginning; None: each capture plays the next stack of the session.
+    speed
+        How much faster than recorded frames come, dimensionless; None: without waiting.
+    say
+        Told, in a sentence, what the recording lacks.
+
+    Raises
+    ------
+    BadInput
+        On entering: if there is no such session or stack.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        label: str | None = None,
+        speed: float | None = 1.0,
+        say: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
+        if speed is not None and not speed > 0:
+            raise BadInput(f"the speed of a replay must be positive, got {speed:g}")
+        self._folder, self._label, self._speed, self._say = Path(folder), label, speed, say
+        self._session: Session | None = None
+        self._played = 0
+
+    @property
+    def identifier(self) -> str:
+        """The session and stack that are played."""
+        return f"replay of {self._folder}" + (f"#{self._label}" if self._label else "")
+
+    def __enter__(self) -> Self:
+        session = open_session(self._folder)
+        if self._label is not None:
+            session.stack(self._label)
+        self._session, self._played = session, 0
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._session = None
+
+    def configure(self, settings: CameraSettings) -> CameraSettings:
+        """Return the settings under which the next stack was recorded.
+
+        Raises
+        ------
+        BadInput
+            If another setting is asked than was recorded.
+        """
+        recorded = self._settings(self._next(), open_stack(self._next()))
+        for item in fields(settings):
+            asked, is_value = getattr(settings, item.name), getattr(recorded, item.name)
+            if asked not in (None, ()) and not _same(asked, is_value):
+                raise BadInput(f"{item.name} of the {self.identifier} must be as recorded, {is_value}, got {asked}")
+        return recorded
+
+    def capture(self, *, frames: int, discard: int = 0) -> "ReplayCapture":
+        """Return a capture of `frames` recorded frames after `discard` that are passed over."""
+        if frames < 1 or discard < 0:
+            raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
+        entry = self._next()
+        self._played += 1
+        stack = open_stack(entry)
+        if len(stack) < frames + discard:
+            raise CameraError(
+                f"the {self.identifier} must hold the {frames + discard} frames asked for, "
+                f"stack {entry.label!r} has {len(stack)}"
+            )
+        return ReplayCapture(
+            stack,
+            self._stamps(entry, stack),
+            entry.losses,
+            frames=frames,
+            discard=discard,
+            speed=self._speed,
+            name=self.identifier,
+        )
+
+    def _next(self) -> StackEntry:
+        """Return the stack that the next capture plays."""
+        if self._session is None:
+            raise CameraError(f"the {self.identifier} must be opened with a with block before it is used")
+        if self._label is not None:
+            return self._session.stack(self._label)
+        if self._played >= len(self._session.stacks):
+            raise CameraError(f"the {self.identifier} has ended: all {self._played} stacks were played")
+        return self._session.stacks[self._played]
+
+    def _settings(self, entry: StackEntry, stack: OpenStack) -> CameraSettings:
+        _, rows, columns = stack.shape
+        if stack.dtype not in (np.uint8, np.uint16):
+            raise BadInput(f"a replayed stack must hold pixels of 8 or 16 bits, got {stack.dtype} in {entry.label!r}")
+        rate_hz = None
+        if len(stack.time_s) > 1 and (period_s := float(np.median(np.diff(stack.time_s)))) > 0:
+            rate_hz = 1.0 / period_s
+        return CameraSettings(
+            rows=rows,
+            columns=columns,
+            first_row=0,
+            first_column=0,
+            pixel_format="Mono8" if stack.dtype == np.uint8 else "Mono16",
+            exposure_s=entry.conditions.exposure_s,
+            gain_db=entry.conditions.camera_gain_db,
+            frame_rate_hz=rate_hz,
+            trigger="off",
+            notes=(f"frames are a {self.identifier}",),
+        )
+
+    def _stamps(self, entry: StackEntry, stack: OpenStack) -> list[tuple[int, float]]:
+        """Return number and time stamp of each frame; a recording without them is numbered anew, and said to be."""
+        numbers, times_s = stack.frame_number, stack.time_s
+        if not len(numbers):
+            numbers = np.arange(1, len(stack) + 1)
+            self._say(f"stack {entry.label!r} has no frame numbers: its frames are numbered as they follow")
+        if not len(times_s):
+            times_s = np.arange(len(stack)) / RATE_WITHOUT_STAMPS_HZ
+            self._say(f"stack {entry.label!r} has no time stamps: {RATE_WITHOUT_STAMPS_HZ:g} frames/s are assumed")
+        return list(zip(numbers.tolist(), times_s.tolist(), strict=True))
+
+
+class ReplayCapture:
+    """A running replay; frames that were lost when it was recorded are counted as they were then."""
+
+    def __init__(
+        self,
+        stack: OpenStack,
+        stamps: list[tuple[int, float]],
+        recorded: tuple[LostFrames, ...],
+        *,
+        frames: int,
+        discard: int,
+        speed: float | None,
+        name: str,
+    ) -> None:
+        self._stack, self._stamps, self._speed, self._name = stack, stamps, speed, name
+        self._recorded, self._at, self._first = recorded, 0, discard
+        self._whole = FrameAssembler(wanted=frames, discard=discard, identifier=name)
+
+    @property
+    def lost_frames(self) -> int:
+        """Frames missing between the recorded ones that were played."""
+        return self._whole.lost
+
+    @property
+    def losses(self) -> tuple[LostFrames, ...]:
+        """The same frames with their numbers and, where it was recorded, why they were lost."""
+        played = [number for number, _ in self._stamps[max(0, self._first - 1) : self._at]]
+        known = tuple(loss for loss in self._recorded if played and played[0] < loss.first and loss.last < played[-1])
+        return known if sum(map(len, known)) == self._whole.lost else self._whole.losses
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        return None
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Hand out the recorded frames at the pace of the recording."""
+        return self._whole.of(self._frame)
+
+    def _frame(self) -> Frame | IncompleteFrame:
+        if self._at >= len(self._stamps):
+            raise CameraError(f"the {self._name} has ended after {self._at} frames")
+        number, time_s = self._stamps[self._at]
+        if self._at and self._speed is not None:
+            pause_s = (time_s - self._stamps[self._at - 1][1]) / self._speed
+            time.sleep(min(max(0.0, pause_s), LONGEST_PAUSE_S))
+        (pixels,) = self._stack.frames(self._at, self._at + 1)
+        self._at += 1
+        return Frame(pixels=pixels, number=number, time_s=time_s)
+
+
+def _same(asked: float | str, recorded: float | str | None) -> bool:
+    if isinstance(asked, str) or isinstance(recorded, str) or recorded is None:
+        return asked == recorded
+    return abs(asked - recorded) <= 0.01 * abs(recorded)

@@ -1,0 +1,145 @@
+"""The boundary to the kernel: one open video device, of which five things can be asked."""
+
+import errno
+import fcntl
+import mmap
+import os
+import select
+import struct
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.cameras.v4l2.requests import Request
+from drivers.interface import CameraError
+
+MOST_LISTED = 256
+"""More formats, sizes, inputs or controls than this is a list without an end."""
+_GONE = {errno.ENODEV, errno.ENXIO, errno.EBADF}
+
+
+class Mapped(Protocol):
+    """Memory that the device fills."""
+
+    def copy(self, size_bytes: int) -> NDArray[np.uint8]:
+        """Return a copy of its first bytes."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+class Device(Protocol):
+    """An open device."""
+
+    def ask(self, request: Request, structure: Any) -> None:
+        """Hand a structure to the kernel and have it filled in; a refusal is an OSError."""
+        ...
+
+    def map(self, length_bytes: int, offset: int) -> Mapped:
+        """Map one of the device's buffers."""
+        ...
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until a buffer is filled or the device has something to say; False if nothing came in time."""
+        ...
+
+    def close(self) -> None:
+        """Close it."""
+        ...
+
+
+class KernelDevice:
+    """A video device of this machine, opened so that no request waits."""
+
+    def __init__(self, path: str) -> None:
+        if struct.calcsize("P") != 8:
+            raise CameraError("V4L2 cameras need a 64-bit Linux: the kernel's structures are laid out for it")
+        try:
+            self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError as error:
+            raise CameraError(f"the video device {path} must be there and free to use, got: {error.strerror}") from None
+
+    def ask(self, request: Request, structure: Any) -> None:
+        """Hand a structure to the kernel and have it filled in; a refusal is an OSError."""
+        fcntl.ioctl(self._file, request.code, structure, True)
+
+    def map(self, length_bytes: int, offset: int) -> "KernelMemory":
+        """Map one of the device's buffers."""
+        return KernelMemory(mmap.mmap(self._file, length_bytes, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset))
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until a buffer is filled or the device has something to say; False if nothing came in time."""
+        poll = select.poll()
+        poll.register(self._file, select.POLLIN)
+        return bool(poll.poll(max(0.0, timeout_s) * 1e3))
+
+    def close(self) -> None:
+        """Close it."""
+        os.close(self._file)
+
+
+class KernelMemory:
+    """One mapped buffer."""
+
+    def __init__(self, memory: mmap.mmap) -> None:
+        self._memory = memory
+
+    def copy(self, size_bytes: int) -> NDArray[np.uint8]:
+        """Return a copy of its first bytes."""
+        # Bytes first: an array over the map itself would keep the map from being closed.
+        return np.frombuffer(self._memory[:size_bytes], np.uint8)
+
+    def close(self) -> None:
+        """Give it back."""
+        self._memory.close()
+
+
+def listed(device: Device, request: Request, **known: int) -> Iterator[Any]:
+    """Yield one structure after another of a list that the kernel ends by refusing.
+
+    Parameters
+    ----------
+    device
+        The device.
+    request
+        One whose structure has an `index`.
+    known
+        Other fields that say of what the list is.
+
+    Raises
+    ------
+    CameraError
+        If the device is gone, or the list has no end.
+    """
+    for index in range(MOST_LISTED):
+        structure = request.structure(index=index, **known)
+        try:
+            device.ask(request, structure)
+        except OSError as error:
+            if error.errno in _GONE:
+                raise CameraError(f"the video device has gone ({error.strerror})") from None
+            return
+        yield structure
+    raise CameraError(f"a list of the video device must end, {request.name} gave {MOST_LISTED} entries")
+
+
+def query_device(device: Device, request: Request, structure: Any, rule: str) -> None:
+    """Ask the device; a refusal is a `CameraError` that begins with the rule it breaks."""
+    try:
+        device.ask(request, structure)
+    except OSError as error:
+        raise CameraError(f"{rule}, got: {error.strerror or error}") from None
+
+
+def copied(structure: Any) -> Any:
+    """Return a copy of one of the kernel's structures."""
+    return type(structure).from_buffer_copy(structure)
+
+
+def is_gone(error: OSError) -> bool:
+    """Whether a refusal means that the device is there no more."""
+    return error.errno in _GONE

@@ -1,0 +1,72 @@
+"""Fields of interlaced video: which rows of a frame were exposed first.
+
+Source: Linux Media userspace API, "Field Order": of video of 525 lines the bottom field is the older one, of any other
+the top field.
+"""
+
+from drivers.cameras.v4l2.structures import STANDARDS_525
+from labdata.capture import FieldOrder
+from labdata.errors import BadInput
+
+ANY, PROGRESSIVE, TOP, BOTTOM, INTERLACED, TOP_THEN_BOTTOM, BOTTOM_THEN_TOP, ALTERNATE = range(8)
+INTERLACED_TOP_FIRST, INTERLACED_BOTTOM_FIRST = 8, 9
+
+FIRST_ROW = {TOP_THEN_BOTTOM: 0, BOTTOM_THEN_TOP: 1}
+"""Where the fields stand one after the other in memory: first row of the one that comes first."""
+
+STANDARDS = {525: 0x0000B000, 625: 0x000000FF}
+"""V4L2_STD_NTSC and V4L2_STD_PAL by their lines."""
+
+_ORDERS: dict[int, FieldOrder] = {
+    PROGRESSIVE: "progressive",
+    TOP: "top only",
+    BOTTOM: "bottom only",
+    TOP_THEN_BOTTOM: "top first",
+    BOTTOM_THEN_TOP: "bottom first",
+    INTERLACED_TOP_FIRST: "top first",
+    INTERLACED_BOTTOM_FIRST: "bottom first",
+}
+_ASKED: dict[FieldOrder, int] = {
+    "progressive": PROGRESSIVE,
+    "top first": INTERLACED_TOP_FIRST,
+    "bottom first": INTERLACED_BOTTOM_FIRST,
+    "top only": TOP,
+    "bottom only": BOTTOM,
+}
+
+
+def field_order(field: int, standard: int) -> FieldOrder:
+    """Return the order of a frame's fields.
+
+    Parameters
+    ----------
+    field
+        The kernel's number of it.
+    standard
+        Video standards of the input, as the kernel's bits; 0 for a digital camera.
+
+    Raises
+    ------
+    BadInput
+        If the number is none of the kernel's.
+    """
+    if field in (INTERLACED, ALTERNATE):
+        return "bottom first" if older_field(standard) == BOTTOM else "top first"
+    if field not in _ORDERS:
+        raise BadInput(f"the order of a frame's fields must be one of the kernel's, got the field number {field}")
+    return _ORDERS[field]
+
+
+def older_field(standard: int) -> int:
+    """Return which field of a video standard is exposed first, the kernel's TOP or BOTTOM."""
+    return BOTTOM if standard & STANDARDS_525 else TOP
+
+
+def rows_of(height: int, field: int) -> int:
+    """Return the rows of a frame whose format has a height, px: that of one field only where fields come apart."""
+    return 2 * height if field == ALTERNATE else height
+
+
+def number_of(order: FieldOrder) -> int:
+    """Return the kernel's number of a field order."""
+    return _ASKED[order]

@@ -1,0 +1,149 @@
+"""Pictures in memory: grey pixels as they are, luma taken out of colour video, fields woven into rows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.cameras.v4l2.fields import FIRST_ROW
+from drivers.cameras.v4l2.structures import BIG_ENDIAN, Format, code_of, four_letters
+from labdata.errors import BadInput
+
+MOST_PIXELS_A_SIDE = 65536
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Where the grey value of a pixel lies.
+
+    Parameters
+    ----------
+    name
+        Name of the format, as in `labdata.capture.PIXEL_BITS`.
+    kind
+        NumPy type of one value.
+    first, step
+        Place of the first value of a row, and of each next one, in values.
+    planes
+        Size of the whole picture over that of the plane with the grey values, dimensionless.
+    """
+
+    name: str
+    kind: str = "u1"
+    first: int = 0
+    step: int = 1
+    planes: float = 1.0
+
+    @property
+    def is_video(self) -> bool:
+        """Whether it is the luma of colour video, whose black is 16 and whose white is 235 of 255 (ITU-R BT.601)."""
+        return self.name != "Mono8" and self.kind == "u1"
+
+    def row_bytes(self, columns: int) -> int:
+        """Bytes that the values of one row span."""
+        return columns * self.step * np.dtype(self.kind).itemsize
+
+
+def _layouts() -> dict[int, Layout]:
+    grey = {"GREY": Layout(name="Mono8")}
+    grey |= {f"Y{bits} ": Layout(name=f"Mono{bits}", kind="<u2") for bits in (10, 12, 14, 16)}
+    pairs = {name: Layout(name=name, step=2) for name in ("YUYV", "YVYU")}
+    pairs |= {name: Layout(name=name, step=2, first=1) for name in ("UYVY", "VYUY")}
+    planar = {name: Layout(name=name, planes=1.5) for name in ("NV12", "NV21", "YU12", "YV12")}
+    planar |= {name: Layout(name=name, planes=2.0) for name in ("NV16", "422P")}
+    known = {code_of(letters): layout for letters, layout in (grey | pairs | planar).items()}
+    return known | {code_of("Y16 ") | BIG_ENDIAN: Layout(name="Mono16", kind=">u2")}
+
+
+LAYOUTS = _layouts()
+"""Formats that can be read, by the kernel's number, the ones that need least work first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BufferImage:
+    """One picture as it lies in a buffer.
+
+    Parameters
+    ----------
+    rows, columns
+        Its size, px.
+    row_bytes
+        Bytes from one row to the next.
+    layout
+        Where its grey values lie.
+    first_field
+        Row at which the field begins whose rows all stand before those of the other, 0 (top) or 1 (bottom); None
+        where the rows of both stand where they belong.
+    """
+
+    rows: int
+    columns: int
+    row_bytes: int
+    layout: Layout
+    first_field: int | None = None
+
+    def __post_init__(self) -> None:
+        if not (0 < self.rows <= MOST_PIXELS_A_SIDE and 0 < self.columns <= MOST_PIXELS_A_SIDE):
+            raise BadInput(
+                f"a picture must have 1 to {MOST_PIXELS_A_SIDE} rows and columns, got {self.rows} and {self.columns}"
+            )
+        least = self.layout.row_bytes(self.columns)
+        if not least <= self.row_bytes <= 16 * least + 65536:
+            raise BadInput(
+                f"a row of {self.columns} {self.layout.name} pixels must take {least} bytes, got {self.row_bytes}"
+            )
+        if self.first_field is not None and (self.rows % 2 or self.layout.planes != 1.0):
+            raise BadInput(
+                f"fields one after the other must be halves of one plane, got {self.rows} rows of {self.layout.name}"
+            )
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of a whole picture, colour included."""
+        # The last row need not be padded.
+        plane = (self.rows - 1) * self.row_bytes + self.layout.row_bytes(self.columns)
+        return plane if self.layout.planes == 1.0 else int(self.rows * self.row_bytes * self.layout.planes)
+
+    def grey(self, data: NDArray[np.uint8]) -> NDArray:
+        """Return the grey values of a whole picture.
+
+        Parameters
+        ----------
+        data
+            At least `size_bytes` bytes.
+
+        Returns
+        -------
+        NDArray
+            Shape (row, col), DN, uint8 or uint16.
+        """
+        kind, layout = np.dtype(self.layout.kind), self.layout
+        plane = np.zeros((self.rows, self.row_bytes), np.uint8)
+        there = data[: plane.size]
+        plane.reshape(-1)[: len(there)] = there
+        values = plane[:, : layout.row_bytes(self.columns)].copy().view(kind)[:, layout.first :: layout.step]
+        return self._woven(values.astype(kind.newbyteorder("="), copy=True))
+
+    def _woven(self, rows: NDArray) -> NDArray:
+        """Put the rows of two fields that stand one after the other where they belong."""
+        if self.first_field is None:
+            return rows
+        woven, half = np.empty_like(rows), self.rows // 2
+        woven[self.first_field :: 2], woven[1 - self.first_field :: 2] = rows[:half], rows[half:]
+        return woven
+
+
+def picture_of(form: Format) -> BufferImage:
+    """Return the picture that a format of the kernel's describes; one that cannot be read is a BadInput."""
+    pix = form.of.pix
+    if pix.pixelformat not in LAYOUTS:
+        known = ", ".join(dict.fromkeys(layout.name for layout in LAYOUTS.values()))
+        raise BadInput(f"a pixel format must be one of {known}, got {four_letters(pix.pixelformat)!r}")
+    layout = LAYOUTS[pix.pixelformat]
+    return BufferImage(
+        rows=pix.height,
+        columns=pix.width,
+        row_bytes=pix.bytesperline or layout.row_bytes(pix.width),
+        layout=layout,
+        first_field=FIRST_ROW.get(pix.field),
+    )

@@ -1,0 +1,223 @@
+"""Settings of a V4L2 camera: each is set as asked, read back, and refused in a sentence where it does not hold."""
+
+import math
+from fractions import Fraction
+
+from drivers.cameras.v4l2 import controls, fields, requests
+from drivers.cameras.v4l2.controls import Control
+from drivers.cameras.v4l2.device import Device, copied, query_device
+from drivers.cameras.v4l2.listing import format_codes, list_sizes
+from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage, picture_of
+from drivers.cameras.v4l2.structures import CAPTURE, Format, StreamParameters
+from labdata.capture import CameraSettings
+from labdata.errors import BadInput
+
+FULL_RANGE = 1
+_FINEST_PERIOD = 100_000
+
+
+class V4l2Settings:
+    """The settings of one open device.
+
+    Parameters
+    ----------
+    device
+        The device.
+    identifier
+        The camera's name, for sentences.
+    """
+
+    def __init__(self, device: Device, identifier: str) -> None:
+        self._device, self._identifier = device, identifier
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Set what is not None; a value that the camera does not allow is a BadInput."""
+        if settings.first_row or settings.first_column:
+            raise BadInput(
+                f"a picture of camera {self._identifier} must begin at row 0 and column 0, "
+                f"got {settings.first_row} and {settings.first_column}"
+            )
+        if settings.trigger not in (None, "off"):
+            raise BadInput(f"camera {self._identifier} must run freely, V4L2 has no trigger, got {settings.trigger!r}")
+        self._set_format(settings)
+        if settings.frame_rate_hz is not None:
+            self._set_frame_rate(settings.frame_rate_hz)
+        if settings.exposure_s is not None:
+            self._set_exposure(settings.exposure_s)
+        if settings.gain_db is not None:
+            self._set_gain(settings.gain_db)
+
+    def read(self) -> CameraSettings:
+        """Return every setting as the camera reads it back."""
+        form = self.form()
+        picture = picture_of(form)
+        exposure, gain = (self._value(one) for one in (controls.EXPOSURE, controls.GAIN))
+        return CameraSettings(
+            rows=fields.rows_of(picture.rows, form.of.pix.field),
+            columns=picture.columns,
+            first_row=0,
+            first_column=0,
+            pixel_format=picture.layout.name,
+            exposure_s=exposure * controls.EXPOSURE_UNIT_S if exposure else None,
+            gain_db=None if gain is None else float(gain),
+            frame_rate_hz=self._frame_rate_hz(),
+            trigger="off",
+            field_order=fields.field_order(form.of.pix.field, self.standard()),
+            notes=self._notes(form, picture),
+        )
+
+    def form(self) -> Format:
+        """Return the format in force."""
+        form = Format(type=CAPTURE)
+        query_device(self._device, requests.GET_FORMAT, form, f"camera {self._identifier} must tell its picture format")
+        return form
+
+    def standard(self) -> int:
+        """Return the video standards of the input, as the kernel's bits; 0 where it has none."""
+        standard = requests.GET_STANDARD.structure()
+        try:
+            self._device.ask(requests.GET_STANDARD, standard)
+        except OSError:
+            return 0
+        return standard.value
+
+    def _set_format(self, settings: CameraSettings) -> None:
+        wanted = (settings.rows, settings.columns, settings.pixel_format, settings.field_order)
+        if all(part is None for part in wanted):
+            return
+        before = self.form()
+        form = copied(before)
+        pix = form.of.pix
+        rows, pix.width = settings.rows or fields.rows_of(pix.height, pix.field), settings.columns or pix.width
+        pix.pixelformat = self._code(settings.pixel_format, now=pix.pixelformat)
+        if settings.field_order is not None:
+            pix.field = fields.number_of(settings.field_order)
+        pix.height = rows // fields.rows_of(1, pix.field)
+        # What follows from the others is for the driver to say.
+        pix.bytesperline = pix.sizeimage = 0
+        self._ask_format(form)
+        if complaint := self._complaint(settings, form, code=pix.pixelformat):
+            self._ask_format(before)
+            raise BadInput(complaint)
+
+    def _ask_format(self, form: Format) -> None:
+        query_device(self._device, requests.SET_FORMAT, form, f"camera {self._identifier} must take a picture format")
+
+    def _complaint(self, settings: CameraSettings, given: Format, *, code: int) -> str | None:
+        """Say what the driver made of the format asked, where it is another."""
+        pix = given.of.pix
+        there = fields.rows_of(pix.height, pix.field)
+        rows, columns = settings.rows or there, settings.columns or pix.width
+        if (there, pix.width) != (rows, columns):
+            sizes = list_sizes(self._device, code)
+            offered = ", ".join(f"{one}x{other}" for one, other in sizes) or "others"
+            return (
+                f"a picture of camera {self._identifier} must have rows and columns that it offers ({offered}), "
+                f"got {rows}x{columns}, which it makes {there}x{pix.width}"
+            )
+        if settings.field_order is not None:
+            order = fields.field_order(pix.field, self.standard())
+            if order != settings.field_order:
+                return (
+                    f"camera {self._identifier} must take the field order asked, {settings.field_order!r}, "
+                    f"but reads back {order!r}"
+                )
+        if settings.pixel_format is not None and pix.pixelformat not in self._codes(settings.pixel_format):
+            return f"camera {self._identifier} must take the pixel format asked, {settings.pixel_format}, it does not"
+        return None
+
+    def _code(self, name: str | None, *, now: int) -> int:
+        """Return the kernel's number of a pixel format; grey of 8 bits is taken from the luma of video if need be."""
+        if name is None:
+            return now
+        codes = self._codes(name)
+        if not codes:
+            names = dict.fromkeys(LAYOUTS[one].name for one in format_codes(self._device) if one in LAYOUTS)
+            offered = ", ".join(names) or "none"
+            raise BadInput(f"a pixel format of camera {self._identifier} must be one of {offered}, got {name!r}")
+        return codes[0]
+
+    def _codes(self, name: str) -> list[int]:
+        offered = format_codes(self._device)
+        fitting = [code for code, layout in LAYOUTS.items() if layout.name == name]
+        if name == "Mono8":
+            fitting += [code for code, layout in LAYOUTS.items() if layout.is_video]
+        return [code for code in fitting if code in offered]
+
+    def _set_frame_rate(self, frame_rate_hz: float) -> None:
+        before = self._parameters()
+        period = Fraction(1 / frame_rate_hz).limit_denominator(_FINEST_PERIOD)
+        parameters = StreamParameters(type=CAPTURE)
+        parameters.of.capture.numerator, parameters.of.capture.denominator = period.numerator, period.denominator
+        self._ask_parameters(parameters)
+        is_now = self._frame_rate_hz()
+        if is_now is None or not math.isclose(is_now, frame_rate_hz, rel_tol=0.01):
+            if before is not None:
+                self._ask_parameters(before)
+            raise BadInput(
+                f"camera {self._identifier} must take the frame rate asked, {frame_rate_hz:g} Hz, "
+                f"but reads back {'none' if is_now is None else f'{is_now:g}'}"
+            )
+
+    def _ask_parameters(self, parameters: StreamParameters) -> None:
+        rule = f"camera {self._identifier} must take a frame rate"
+        query_device(self._device, requests.SET_PARAMETERS, parameters, rule)
+
+    def _parameters(self) -> StreamParameters | None:
+        parameters = StreamParameters(type=CAPTURE)
+        try:
+            self._device.ask(requests.GET_PARAMETERS, parameters)
+        except OSError:
+            return None
+        return parameters
+
+    def _frame_rate_hz(self) -> float | None:
+        parameters = self._parameters()
+        if parameters is None or not (parameters.of.capture.numerator and parameters.of.capture.denominator):
+            return None
+        return parameters.of.capture.denominator / parameters.of.capture.numerator
+
+    def _set_exposure(self, exposure_s: float) -> None:
+        control = self._control(controls.EXPOSURE, "exposure")
+        low, high = (end * controls.EXPOSURE_UNIT_S for end in (control.minimum, control.maximum))
+        self._require_within("exposure", "s", exposure_s, low, high)
+        self._switch(controls.EXPOSURE_MODE, controls.MANUAL_EXPOSURE)
+        units = round(exposure_s / controls.EXPOSURE_UNIT_S)
+        controls.write_control(self._device, self._control(controls.EXPOSURE, "exposure"), units)
+
+    def _set_gain(self, gain: float) -> None:
+        control = self._control(controls.GAIN, "gain")
+        self._require_within("gain", "of its own steps", gain, control.minimum, control.maximum)
+        self._switch(controls.AUTOMATIC_GAIN, 0)
+        controls.write_control(self._device, self._control(controls.GAIN, "gain"), round(gain))
+
+    def _require_within(self, word: str, unit: str, value: float, low: float, high: float) -> None:
+        # Before anything automatic is switched off: what is refused leaves the camera as it was.
+        if not low <= value <= high:
+            raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
+
+    def _switch(self, identifier: int, value: int) -> None:
+        """Set a mode, where the camera has it; what was automatic rules the control that is set next."""
+        mode = controls.find_control(self._device, identifier)
+        if mode is not None and not mode.is_read_only:
+            controls.write_control(self._device, mode, value)
+
+    def _control(self, identifier: int, word: str) -> Control:
+        control = controls.find_control(self._device, identifier)
+        if control is None:
+            raise BadInput(f"camera {self._identifier} must have a control for the {word} to set it, it has none")
+        return control
+
+    def _value(self, identifier: int) -> int | None:
+        control = controls.find_control(self._device, identifier)
+        return None if control is None else controls.read_control(self._device, control)
+
+    def _notes(self, form: Format, picture: BufferImage) -> tuple[str, ...]:
+        notes = []
+        if picture.layout.is_video and form.of.pix.quantization != FULL_RANGE:
+            notes.append(f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN")
+        if self._value(controls.AUTOMATIC_GAIN):
+            notes.append("the camera's automatic gain is on")
+        if self._value(controls.EXPOSURE_MODE) not in (None, controls.MANUAL_EXPOSURE):
+            notes.append("the camera's automatic exposure is on")
+        return tuple(notes)
