@@ -1,14 +1,14 @@
 """A rig that costs nothing: a camera that keeps its pace whoever reads it, instruments that take their time."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.interface import Operator
+from drivers.interface import FrameLevels, Operator
 from labdata.capture import CameraSettings, Frame, LostFrames, lost_for
 from labdata.conditions import Conditions
 from labdata.session import Kind
@@ -51,7 +51,9 @@ class PacedCamera(_Opened):
             self.settings = replace(self.settings, exposure_s=settings.exposure_s)
         return self.settings
 
-    def capture(self, *, frames: int, discard: int = 0) -> "PacedCapture":
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> "PacedCapture":
         """Return a capture; its frames come at the camera's rate from its beginning on."""
         return PacedCapture(self, frames=frames, discard=discard)
 
@@ -93,7 +95,7 @@ class SlowBench(_Opened):
         Time that each setting takes, s.
     """
 
-    dark_seen = True
+    dark_seen, last_words = True, ""
 
     def __init__(self, *, answer_s: float = 0.0) -> None:
         self._answer_s = answer_s
@@ -107,12 +109,26 @@ class SlowBench(_Opened):
         """Nothing to guard."""
         return operator
 
-    def saw_without_light(self, pixels: NDArray, full_scale_dn: float) -> None:
+    def dark_frame_seen(self, levels: FrameLevels) -> bool:
+        """Nothing to see."""
+        return True
+
+    def frame_seen(self, levels: FrameLevels) -> None:
         """Nothing to see."""
 
-    def read_beside(self) -> tuple[Conditions, tuple[str, ...]]:
-        """No meter stands beside it."""
+    def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:
+        """There is no meter."""
         return Conditions(), ()
+
+    def verify(self) -> None:
+        """Nothing changes by itself."""
+
+    def patience(self, seconds: float) -> AbstractContextManager[None]:
+        """Nobody waits."""
+        return nullcontext()
+
+    def safe_at_once(self) -> None:
+        """Nothing is on."""
 
     def check(self) -> None:
         """Nothing went wrong."""
@@ -123,6 +139,11 @@ class SlowBench(_Opened):
 
 class NoOperator:
     """Nobody moves anything."""
+
+    is_by_hand = False
+
+    def __init__(self) -> None:
+        self.while_waiting: Callable[[], None] = lambda: None
 
     def darken(self) -> None:
         """Nothing shines."""

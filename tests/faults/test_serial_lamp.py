@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.bench.tube_bench import TubeBench
+from drivers.bench.setup import open_bench
 from drivers.errors import BenchError
+from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
 from labdata.event_log import events
 from labdata.lamp import Lamp
@@ -48,7 +49,7 @@ CLIENT = """
 """
 
 
-def bench_at(folder: Path, log: Path) -> TubeBench:
+def bench_at(folder: Path, log: Path) -> Bench:
     wires = Wires(
         gate_port=f"{folder}/delay_generator",
         supply_port=f"{folder}/high_voltage",
@@ -57,14 +58,14 @@ def bench_at(folder: Path, log: Path) -> TubeBench:
         wheel="fw102c",
         wheel_port=f"{folder}/filter_wheel",
     )
-    return TubeBench(wires, Limits(ramp_v_per_s=8000.0), log=log, lamp=LAMP)
+    return open_bench(wires, Limits(ramp_v_per_s=8000.0), log=log, lamp=LAMP)
 
 
-def light_up(bench: TubeBench, folder: Path) -> None:
+def light_up(bench: Bench, folder: Path) -> None:
     light = bench.guard(VirtualOperator(folder))
     light.place(kind="flat", target=Target(), illuminance_lux=0.0)
     bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1.6e7))
-    bench.saw_without_light(np.full((4, 6), 12, np.uint8), 255.0)
+    bench.dark_frame_seen(FrameLevels.of(np.full((4, 6), 12, np.uint8), 255.0))
     light.place(kind="flat", target=Target(), illuminance_lux=1e-4)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from charact.cli.judge import SaturationJudge
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.run_start import PLAN
-from drivers.bench.tube_bench import TubeBench
+from drivers.bench.setup import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.cameras.aravis.capture import AravisCapture
 from drivers.errors import BenchError
@@ -112,7 +112,7 @@ def _exit_code(rig: CampaignRig, plan: Plan, session: Path, silence_s: float) ->
             plan,
             session,
             camera=_TellingCamera(rig.wires.camera, silence_s=silence_s),
-            bench=TubeBench(
+            bench=open_bench(
                 rig.wires,
                 limits_in_force(plan.limits, rig.sensor, plan.overrides),
                 log=rig.watchdog_log,
