@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.capture import Frame
-from labdata.durable import sync_folder, write_durably
+from labdata.durable import sync_folder, write_durably, write_whole
 from labdata.errors import BadInput
 from labdata.store.journal import JOURNAL, Acknowledged, journal, sha256
 from labdata.store.layout import METADATA, chunk, described, frame_bytes, metadata
@@ -110,7 +110,7 @@ class ArrayWriter:
         try:
             for place, frame in enumerate(frames):
                 files.append(os.open(chunk(self.path, self._frames + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC))
-                _write_all(files[-1], frame_bytes(frame.pixels))
+                write_whole(files[-1], frame_bytes(frame.pixels))
                 _start_writing_out(files[-1])
             forced += [self._disk.submit(os.fsync, file) for file in files]
             entries = tuple(_entry(self._frames + place, frame) for place, frame in enumerate(frames))
@@ -131,7 +131,7 @@ class ArrayWriter:
         self._journal.seek(self._end)
         self._journal.truncate()
         lines = b"".join(json.dumps(asdict(entry)).encode() + b"\n" for entry in entries)
-        _write_all(self._journal.fileno(), memoryview(lines))
+        write_whole(self._journal.fileno(), lines)
         os.fsync(self._journal.fileno())
         self._end += len(lines)
 
@@ -165,9 +165,3 @@ def _start_writing_out(file: int) -> None:
     """Have the kernel send a file to the disk without waiting for it, where the kernel can be told."""
     if hasattr(os, "posix_fadvise"):
         os.posix_fadvise(file, 0, 0, os.POSIX_FADV_DONTNEED)
-
-
-def _write_all(file: int, data: memoryview) -> None:
-    """Write bytes whole; a disk that takes only a part of them says why at the next try."""
-    while len(data):
-        data = data[os.write(file, data) :]

@@ -17,7 +17,7 @@ from labdata.border import from_toml
 from labdata.capture import CameraSettings
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.picture import Picture
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor
@@ -253,7 +253,7 @@ def test_a_level_stops_when_its_judge_has_seen_enough_and_says_so(tmp_path):
     assert [len(entry.read()) for entry in session.stacks] == [9, 4]
     assert all(entry.finished for entry in session.stacks)
     assert session.stack("level").notes == ("enough seen",)
-    (told,) = [each for each in events(tmp_path / "s" / "log.jsonl") if each.get("stopped_early")]
+    (told,) = [each for each in read_events(tmp_path / "s" / "log.jsonl") if each.get("stopped_early")]
     assert (told["step"], told["stopped_early"]) == ("level", "enough seen")
 
 
@@ -314,7 +314,7 @@ def test_the_log_tells_what_happened(tmp_path):
     with pytest.raises(CameraError):
         take(FakeRig(fail=at_frame(7, CameraError("camera fake has gone")), lose=2), tmp_path / "s")
     take(FakeRig(), tmp_path / "s", resume=True)
-    told = events(tmp_path / "s" / "log.jsonl")
+    told = read_events(tmp_path / "s" / "log.jsonl")
     begins = [number for number, each in enumerate(told) if each["event"] == "run begins"]
     first, second = told[: begins[1]], told[begins[1] :]
     assert [each["step"] for each in first if each["event"] == "step finished"] == ["dark"]

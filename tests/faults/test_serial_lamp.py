@@ -15,7 +15,7 @@ from drivers.bench.setup import open_bench
 from drivers.errors import BenchError
 from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.lamp import Lamp
 from labdata.limits import Limits
 from labdata.target import Target
@@ -92,7 +92,10 @@ def seconds_until_dark(virtual, since_s: float) -> float:
 
 def await_end(log: Path) -> None:
     deadline_s = time.monotonic() + 20.0
-    while events(log)[-1]["event"] not in ("end", "high voltage: VOUT?") or events(log)[-1].get("result", 0.0) > 10.0:
+    while (
+        read_events(log)[-1]["event"] not in ("end", "high voltage: VOUT?")
+        or read_events(log)[-1].get("result", 0.0) > 10.0
+    ):
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
 
@@ -111,7 +114,7 @@ def test_a_kill_puts_the_lamp_out_within_a_second(virtual, log, killed):
         assert client.stdout is not None and client.stdout.readline() == "lit\n"
         assert read_outputs(virtual.folder).lamp_a == pytest.approx(1.0)
         killed_s = time.monotonic()
-        os.kill(client.pid if killed == "client" else events(log)[0]["pid"], signal.SIGKILL)
+        os.kill(client.pid if killed == "client" else read_events(log)[0]["pid"], signal.SIGKILL)
         assert seconds_until_dark(virtual, killed_s) < WITHIN_S
         await_end(log)
     finally:
@@ -129,7 +132,7 @@ def test_an_instrument_that_falls_silent_ends_the_work_and_whatever_hears_is_mad
             time.sleep(0.02)
             bench.check()
     provoke(virtual.folder, struck, Faults())
-    told = {each["event"]: each["monotonic_s"] - struck_s for each in events(log) if "monotonic_s" in each}
+    told = {each["event"]: each["monotonic_s"] - struck_s for each in read_events(log) if "monotonic_s" in each}
     # The answer is waited for as long as an answer may take; then everything goes at once.
     assert told["light: o 0"] - told["making safe"] < WITHIN_S
     out = read_outputs(virtual.folder)

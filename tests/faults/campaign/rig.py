@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.sensors import load_sensor
 from labdata.wires import Wires
 from simulate.rig.bench import VirtualBench
@@ -137,7 +137,7 @@ class CampaignRig:
 
     def watchdog(self) -> int | None:
         """Process number of the watchdog that runs now."""
-        starts = [each["pid"] for each in events(self.watchdog_log) if each["event"] == "start"]
+        starts = [each["pid"] for each in read_events(self.watchdog_log) if each["event"] == "start"]
         return starts[-1] if starts and _runs(starts[-1]) else None
 
     def ordered_off_s(self, since_s: float) -> float | None:
@@ -145,7 +145,7 @@ class CampaignRig:
 
         A run that was at its end then had ordered it before: 0.
         """
-        told = list(events(self.watchdog_log))
+        told = list(read_events(self.watchdog_log))
         began_s = max((each["monotonic_s"] for each in told if _begins(each, since_s)), default=since_s)
         orders = (
             max(0.0, each["monotonic_s"] - since_s)

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.acquisition.acquire import LOG
 from labdata.errors import BadInput
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.plan import Plan
 from labdata.session import MANIFEST, open_session
 from tests.faults.campaign.client import Client
@@ -181,7 +181,7 @@ def _log_broken(session: Path, client: Client, fault: Fault, code: int | None) -
     """What the session's log does not tell."""
     if not (session / LOG).exists():
         return
-    told = events(session / LOG)
+    told = read_events(session / LOG)
     begins = [number for number, each in enumerate(told) if each["event"] == "run begins"]
     run = told[begins[-1] :] if begins else []
     ended = [each for each in run if each["event"] == "run ends"]
