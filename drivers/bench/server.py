@@ -13,14 +13,16 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
-from drivers.bench.safe_state import DANGEROUS
+from drivers.bench.last_bench import with_present_ports
+from drivers.bench.safe_state import DANGEROUS, Record
 from drivers.bench.setup import BenchSetup
-from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench
+from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, Station, TubeBench, stations_on
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.serial_lines.line import InstrumentLine
@@ -64,20 +66,30 @@ class BenchServer:
     setup
         The bench.
     log
-        Takes each step.
+        Takes each step; it must not block.
+    clock
+        Monotonic time, s.
     """
 
-    def __init__(self, connection: Connection, setup: BenchSetup, log: EventLog) -> None:
-        self._client, self._setup, self._log = connection, setup, log
+    def __init__(
+        self,
+        connection: Connection,
+        setup: BenchSetup,
+        log: Record,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._client, self._setup, self._log, self._clock = connection, setup, log, clock
         self._bench: TubeBench | None = None
-        self._orders: queue.SimpleQueue[Request | None] = queue.SimpleQueue()
-        self._to_make_safe: queue.SimpleQueue[tuple[str, int, threading.Event]] = queue.SimpleQueue()
         self._is_open = False
+        self.orders: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        """What the client asked for and nobody has begun."""
+        self.to_make_safe: queue.SimpleQueue[SafeOrder] = queue.SimpleQueue()
+        """Safe actions that nobody has begun."""
         self._over = threading.Event()
         self._stop_signal: int | None = None
-        self._stamp_s = self._beat_s = time.monotonic()
+        self._stamp_s = self._heard_s = clock()
         self._longest_silence_s = 0.0
-        self._inhibitor = SuspendInhibitor(log)
 
     def stop(self, number: int, _frame: object) -> None:
         """Signal handler: end soon, safely."""
@@ -86,7 +98,7 @@ class BenchServer:
     def serve(self) -> None:
         """Serve the client until it leaves or is lost; in the end the bench is safe."""
         self._log("start", pid=os.getpid())
-        for work in (self._obey, self._make_safe, self._look_at_light):
+        for work in (self._obey, self._obey_safe_orders, self._look_at_light):
             threading.Thread(target=work, daemon=True).start()
         reason, leaving = "the server itself failed", 0
         try:
@@ -96,67 +108,68 @@ class BenchServer:
         finally:
             self._end(reason, leaving)
 
-    # The main loop
+    # The main loop, which waits for nothing but messages
 
     def _converse(self) -> tuple[str, int]:
         """Return why the conversation ended, and the number of the request that ended it, or 0."""
         next_beat_s = 0.0
         while True:
             for message, _ in self._client.receive(TICK_S):
-                if isinstance(message, Beat):
-                    self._hear(message)
-                elif message.command == "leave":
+                if isinstance(message, Request) and message.command == "leave":
                     return "the client leaves", message.number
-                else:
-                    self._take(message)
-            now_s = time.monotonic()
-            if now_s >= next_beat_s:
+                self.take(message)
+            if (now_s := self._clock()) >= next_beat_s:
                 self._client.send(Beat())
                 next_beat_s = now_s + BEAT_S
-            if reason := self._end_reason(now_s):
+            if reason := self.end_reason():
                 # Before the gate is shut, so that a client that lives after all takes no dark frame for one of light.
                 self._client.send(Fault(error=BenchServerLost(f"the bench server ends: {reason}")))
                 return reason, 0
-            if self._bench is not None and self._is_open and self._bench.fault is None:
-                state = self._bench.interlock.state
-                hot = not state.shut or state.mcp_v > 0.0
-                if hot and (stalled_s := now_s - self._stamp_s) > STALLED_S:
-                    self._bench.fail(
-                        BenchError(f"the run must show life every {STALLED_S:g} s, got {stalled_s:.1f} s of silence")
-                    )
-                else:
-                    self._bench.react()
+            self.react()
 
-    def _hear(self, beat: Beat) -> None:
-        now_s = time.monotonic()
-        self._longest_silence_s = max(self._longest_silence_s, now_s - self._beat_s)
-        self._beat_s, self._stamp_s = now_s, now_s - beat.age_s
-        if self._bench is not None:
-            self._bench.heard()
-
-    def _take(self, request: Request) -> None:
-        if request.command == "frame_seen" and self._bench is not None:
-            self._bench.frame_seen(*request.arguments)
-        elif request.command == "safe":
-            self._to_make_safe.put(("the client asks for it", request.number, threading.Event()))
+    def take(self, message: Beat | Request) -> None:
+        """Take in a message, waiting for nothing."""
+        if isinstance(message, Beat):
+            now_s = self._clock()
+            self._longest_silence_s = max(self._longest_silence_s, now_s - self._heard_s)
+            self._heard_s, self._stamp_s = now_s, now_s - message.age_s
+            if self._bench is not None:
+                self._bench.heard()
+        elif message.command == "frame_seen" and self._bench is not None:
+            self._bench.frame_seen(*message.arguments)
+        elif message.command == "safe":
+            self.to_make_safe.put(SafeOrder(reason="the client asks for it", number=message.number))
         else:
-            self._orders.put(request)
+            self.orders.put(message)
 
-    def _end_reason(self, now_s: float) -> str | None:
+    def end_reason(self) -> str | None:
+        """Return why the server must end, or None."""
         if self._stop_signal is not None:
             return f"the server got signal {self._stop_signal}"
         if self._client.gone:
             return "the client is gone"
-        if (silence_s := now_s - self._beat_s) > SILENCE_S:
+        if (silence_s := self._clock() - self._heard_s) > SILENCE_S:
             return f"the client was silent for {silence_s:.2f} s"
         return None
+
+    def react(self) -> None:
+        """Have the tube made safe where the run shows no life, or a rule of the interlock demands it."""
+        if self._bench is None or not self._is_open or self._bench.fault is not None:
+            return
+        state = self._bench.interlock.state
+        stalled_s = self._clock() - self._stamp_s
+        if (not state.shut or state.mcp_v > 0.0) and stalled_s > STALLED_S:
+            why = f"the run must show life every {STALLED_S:g} s, got {stalled_s:.1f} s of silence"
+            self._bench.fail(BenchError(why))
+        else:
+            self._bench.react()
 
     def _end(self, reason: str, leaving: int) -> None:
         report = unwritten = None
         if self._bench is not None:
-            ended = threading.Event()
-            self._to_make_safe.put((reason, 0, ended))
-            while not ended.wait(BEAT_S):
+            order = SafeOrder(reason=reason)
+            self.to_make_safe.put(order)
+            while not order.done.wait(BEAT_S):
                 self._client.send(Beat())
             report, unwritten = self._bench.report, self._bench.close()
         if unwritten:
@@ -164,38 +177,28 @@ class BenchServer:
         if leaving:
             self._client.send(Reply(number=leaving, value=(report, unwritten)))
         self._over.set()
-        self._inhibitor.release()
         self._log("end", reason=reason, longest_silence_s=round(self._longest_silence_s, 3))
-        self._log.close(LOG_S)
 
     # Threads
 
     def _obey(self) -> None:
         """Open the bench, then do what is asked, one after the other."""
         try:
-            bench = self._opened()
+            self.open_bench(self._open_stations())
         except (BenchError, BadInput) as error:
             self._client.send(Fault(error=error if isinstance(error, BenchError) else BenchError(str(error))))
             self._client.send(Reply(number=0, error=error))
             return
-        self._client.send(Reply(number=0, value=bench.interlock.state.dark_seen))
-        while (request := self._orders.get()) is not None:
-            try:
-                if request.command not in COMMANDS:
-                    raise BadInput(f"a command must be one of {', '.join(COMMANDS)}, got {request.command}")
-                value = getattr(bench, request.command)(*request.arguments, **request.named)
-                self._client.send(Reply(number=request.number, value=value))
-            except (BenchError, BadInput) as error:
-                self._client.send(Reply(number=request.number, error=error))
-            except Exception as error:
-                failed = BenchError(f"the bench server failed at {request.command}: {error!r}")
-                bench.fail(failed)
-                self._client.send(Reply(number=request.number, error=failed))
+        self._client.send(Reply(number=0))
+        inhibitor = SuspendInhibitor(self._log)
+        while not self._over.is_set():
+            self.obey(self.orders.get())
+        inhibitor.release()
 
-    def _opened(self) -> TubeBench:
+    def _open_stations(self) -> dict[Role, Station]:
         lines: dict[Role, InstrumentLine] = {}
         missing: BenchError | None = None
-        for one in self._setup.wires.instruments:
+        for one in with_present_ports(self._setup.wires).instruments:
             try:
                 lines[one.role] = model_of(one).open_line(str(one.port), one.address)
                 self._log("port opened", line=one.role)
@@ -203,55 +206,87 @@ class BenchServer:
                 self._log("port not opened", line=one.role, error=str(error))
                 if one.role not in DISPENSABLE:
                     missing = missing or error
-        roles = tuple(role for role in DANGEROUS if role in lines)
+        roles: tuple[Role, ...] = tuple(role for role in DANGEROUS if role in lines)
         self._client.send(Ports(roles=roles), tuple(lines[role].fileno() for role in roles))
-        bench = TubeBench(self._setup, lines, record=self._log, on_failure=self._failed)
-        bench.heard()
-        self._bench = bench
+        stations = stations_on(lines, self._setup.wires)
         if missing is not None:
-            bench.fail(missing)
+            self._bench = TubeBench(self._setup, stations, record=self._log, on_failure=self._failed)
+            self._bench.fail(missing)
             raise missing
+        return stations
+
+    def open_bench(self, stations: Mapping[Role, Station]) -> None:
+        """Open the bench on its instruments; each is looked at by a thread of its own from then on."""
+        self._bench = bench = TubeBench(
+            self._setup, stations, record=self._log, on_failure=self._failed, clock=self._clock
+        )
+        bench.heard()
         bench.open()
         self._is_open = True
-        self._inhibitor.hold()
         for role in bench.stations:
             if role not in DISPENSABLE:
                 threading.Thread(target=self._look, args=(role,), daemon=True).start()
-        return bench
+
+    def obey(self, request: Request) -> None:
+        """Do what is asked and send the reply."""
+        assert self._bench is not None
+        try:
+            if request.command not in COMMANDS:
+                raise BadInput(f"a command must be one of {', '.join(COMMANDS)}, got {request.command}")
+            value = getattr(self._bench, request.command)(*request.arguments, **request.named)
+            self._client.send(Reply(number=request.number, value=value))
+        except (BenchError, BadInput) as error:
+            self._client.send(Reply(number=request.number, error=error))
+        except Exception as error:
+            failed = BenchError(f"the bench server failed at {request.command}: {error!r}")
+            self._bench.fail(failed)
+            self._client.send(Reply(number=request.number, error=failed))
 
     def _failed(self, error: BenchError) -> None:
         """Have the safe action run, after the client knows."""
         self._client.send(Fault(error=error))
-        self._to_make_safe.put((str(error), 0, threading.Event()))
+        self.to_make_safe.put(SafeOrder(reason=str(error)))
 
-    def _make_safe(self) -> None:
+    def _obey_safe_orders(self) -> None:
         while True:
-            reason, number, ended = self._to_make_safe.get()
-            report = None if self._bench is None else self._bench.make_safe(reason)
-            if report is not None:
-                self._client.send(MadeSafe(report=report))
-            if number:
-                self._client.send(Reply(number=number, value=report))
-            ended.set()
+            self.make_safe(self.to_make_safe.get())
+
+    def make_safe(self, order: "SafeOrder") -> None:
+        """Run the safe action and report it."""
+        report = None if self._bench is None else self._bench.make_safe(order.reason)
+        if report is not None:
+            self._client.send(MadeSafe(report=report))
+        if order.number:
+            self._client.send(Reply(number=order.number, value=report))
+        order.done.set()
 
     def _look(self, role: Role) -> None:
         """Look at one instrument again and again; one that keeps silent holds up nobody else."""
         while not self._over.wait(LOOK_EVERY_S):
-            if self._bench is not None and self._bench.fault is None:
-                self._guard_against(lambda bench: bench.look(role))
+            self._look_by(lambda bench: bench.look(role))
 
     def _look_at_light(self) -> None:
         while not self._over.wait(METER_EVERY_S):
-            if self._bench is not None and self._bench.fault is None:
-                self._guard_against(lambda bench: bench.look_at_light())
+            self._look_by(lambda bench: bench.look_at_light())
 
-    def _guard_against(self, look: Callable[[TubeBench], object]) -> None:
+    def _look_by(self, look: Callable[[TubeBench], object]) -> None:
         """Look; an error that is none of an instrument's is one of ours, and makes safe."""
-        assert self._bench is not None
+        bench = self._bench
+        if bench is None or not self._is_open or bench.fault is not None:
+            return
         try:
-            look(self._bench)
+            look(bench)
         except Exception as error:
-            self._bench.fail(BenchError(f"the bench server failed: {error!r}"))
+            bench.fail(BenchError(f"the bench server failed: {error!r}"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SafeOrder:
+    """One safe action: why, the number of the request that wants its report (0: none), and whether it is done."""
+
+    reason: str
+    number: int = 0
+    done: threading.Event = field(default_factory=threading.Event)
 
 
 class SuspendInhibitor:
@@ -263,22 +298,18 @@ class SuspendInhibitor:
         Takes what came of it.
     """
 
-    def __init__(self, log: EventLog) -> None:
-        self._log = log
-        self._process: subprocess.Popen | None = None
-
-    def hold(self) -> None:
-        """Ask for it; where that cannot be, the log says so."""
+    def __init__(self, log: Record) -> None:
         command = ["systemd-inhibit", "--what=sleep:handle-lid-switch", "--who=charact", "--mode=block"]
         command += ["--why=an image intensifier may be hot", "cat"]
+        self._process: subprocess.Popen | None = None
         try:
             # `cat` ends with this process, whatever ends it, and the inhibitor with `cat`.
             self._process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
             )
-            self._log("suspend inhibited")
+            log("suspend inhibited")
         except OSError as error:
-            self._log("suspend not inhibited", error=str(error))
+            log("suspend not inhibited", error=str(error))
 
     def release(self) -> None:
         """Let the machine suspend again."""
@@ -305,6 +336,7 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, server.stop)
     server.serve()
+    log.close(LOG_S)
     # Whatever a thread still waits for, a disk or a line, must not keep this process and its ports.
     os._exit(0)
 

@@ -41,7 +41,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
 from labdata.target import Target
-from labdata.wires import Role
+from labdata.wires import Role, Wires
 
 METER_AGREES = 1.25
 """Light that a meter reads this much brighter than it was set is brighter, not a matter of calibration."""
@@ -84,6 +84,15 @@ class Station:
         self.watched = False
 
 
+def stations_on(lines: Mapping[Role, InstrumentLine], wires: Wires) -> dict[Role, Station]:
+    """Return the instruments of a bench on their lines, those without a line left out."""
+    return {
+        one.role: Station(lines[one.role], model_of(one).driver(lines[one.role]))
+        for one in wires.instruments
+        if one.role in lines
+    }
+
+
 class TubeBench:
     """Gate and gain of the tube, between `with` and the end of its block.
 
@@ -94,29 +103,28 @@ class TubeBench:
     ----------
     setup
         What the bench is made of.
-    lines
-        Lines to the instruments, by role.
+    stations
+        The instruments, by role.
     record
         Called with each safety step; it must not block.
     on_failure
         Called, from any thread and without delay, when something failed that the tube must be made safe for.
+    clock
+        Monotonic time, s.
     """
 
     def __init__(
         self,
         setup: BenchSetup,
-        lines: Mapping[Role, InstrumentLine],
+        stations: Mapping[Role, Station],
         *,
         record: Record,
         on_failure: Callable[[BenchError], object],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._setup, self._record, self._on_failure = setup, record, on_failure
-        self.stations: dict[Role, Station] = {
-            one.role: Station(lines[one.role], model_of(one).driver(lines[one.role]))
-            for one in setup.wires.instruments
-            if one.role in lines
-        }
-        self.interlock = Interlock(setup.limits)
+        self._setup, self._record, self._on_failure, self._clock = setup, record, on_failure, clock
+        self.stations = stations
+        self.interlock = Interlock(setup.limits, clock=clock)
         self._dose = None if setup.dose is None else DoseMeter(setup.dose, self.interlock.limits, session=setup.session)
         if self._dose is not None:
             self.interlock.watch(self._dose.watch)
@@ -137,7 +145,7 @@ class TubeBench:
     def in_this_process(cls, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> "TubeBench":
         """Return a bench without a server: whoever gives orders looks after the instruments as well, by `check`."""
         log = EventLog(setup.log)
-        bench = cls(setup, lines, record=log, on_failure=lambda error: bench.make_safe(str(error)))
+        bench = cls(setup, stations_on(lines, setup.wires), record=log, on_failure=lambda error: bench.make_safe(str(error)))
         bench._alone = True
         return bench
 
@@ -433,14 +441,14 @@ class TubeBench:
 
     def heard(self) -> None:
         """Take in a sign of life of whoever gives orders."""
-        self.interlock.tell(Heard(now_s=time.monotonic()))
+        self.interlock.tell(Heard(now_s=self._clock()))
 
     def check(self) -> None:
         """Raise what went wrong at the bench: a trip, a silent line, a changed setting, too much light."""
         if self._alone:
             self.heard()
-            if time.monotonic() - self._looked_s > LOOK_EVERY_S and self.fault is None:
-                self._looked_s = time.monotonic()
+            if self._clock() - self._looked_s > LOOK_EVERY_S and self.fault is None:
+                self._looked_s = self._clock()
                 for role in self.stations:
                     if role not in DISPENSABLE:
                         self.look(role)
