@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.bench.safe_state import SafeStateReport, make_safe
 from drivers.bench.watchdog_client import Guard
-from drivers.errors import BenchError, WatchdogLost
+from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import InstrumentModel, model_of
 from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
@@ -80,7 +80,7 @@ class Reach:
         guard, self.guard = self.guard, None
         try:
             return guard.leave()
-        except WatchdogLost:
+        except BenchServerLost:
             return self._safe_without_watchdog()
 
     def _drivers(self) -> dict[Role, Any]:

@@ -18,9 +18,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.bench.safe_state import SafeStateReport, make_safe
-from drivers.errors import BenchError, WatchdogLost
+from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import InstrumentModel, model_of
-from drivers.serial_lines.line import LocalLine
+from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.line_worker import LineWorker, described
 from labdata.wires import Reached, Role
 
@@ -33,7 +33,7 @@ IDLE_S = 0.5
 SPARE: tuple[Role, ...] = ("light-meter", "thermometer")
 """What the tube does without: its failure is told, and the bench goes on."""
 
-Openers = dict[Role, tuple[InstrumentModel, Callable[[], LocalLine]]]
+Openers = dict[Role, tuple[InstrumentModel, Callable[[], InstrumentLine]]]
 """Each instrument's model, and what opens its line."""
 
 
@@ -152,7 +152,9 @@ class Watchdog:
                 self._obey(message)
             if reason := self._danger():
                 # Before the gate is shut, so that a client that lives after all takes no dark frame for one of light.
-                self._client.send({"event": "fault", "error": described(WatchdogLost(f"the watchdog ends: {reason}"))})
+                self._client.send(
+                    {"event": "fault", "error": described(BenchServerLost(f"the watchdog ends: {reason}"))}
+                )
                 return reason, None
             self._look_after_lines()
 
@@ -206,7 +208,7 @@ class Watchdog:
             self._client.send({"id": request, "safety": vars(self._safety)})
 
 
-def _opener(reached: Reached) -> tuple[InstrumentModel, Callable[[], LocalLine]]:
+def _opener(reached: Reached) -> tuple[InstrumentModel, Callable[[], InstrumentLine]]:
     kind = model_of(reached)
     return kind, lambda: kind.open_line(str(reached.port), reached.address)
 

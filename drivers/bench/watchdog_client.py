@@ -13,7 +13,7 @@ from pathlib import Path
 
 from drivers import errors
 from drivers.bench.safe_state import SafeStateReport
-from drivers.errors import BenchError, WatchdogLost
+from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S
 from labdata.wires import Role, Wires
@@ -65,7 +65,7 @@ class Guard:
 
     Raises
     ------
-    WatchdogLost
+    BenchServerLost
         If it does not start.
     BenchError
         If a port cannot be opened.
@@ -114,7 +114,7 @@ class Guard:
             self._send({"id": number, **message})
             answer = reply.get(timeout=timeout_s)
         except queue.Empty:
-            raise WatchdogLost(f"the watchdog must answer within {timeout_s:g} s, got nothing") from None
+            raise BenchServerLost(f"the watchdog must answer within {timeout_s:g} s, got nothing") from None
         finally:
             del self._replies[number]
         if answer.get("error"):
@@ -152,13 +152,13 @@ class Guard:
         try:
             self.process.wait(SAFETY_S)
         except subprocess.TimeoutExpired:
-            raise WatchdogLost(f"the watchdog must end within {SAFETY_S:g} s of leaving, got no end") from None
+            raise BenchServerLost(f"the watchdog must end within {SAFETY_S:g} s of leaving, got no end") from None
 
     def _await_ready(self) -> None:
         try:
             answer = self._ready.get(timeout=START_S)
         except queue.Empty:
-            raise WatchdogLost(f"the watchdog must start within {START_S:g} s, got nothing") from None
+            raise BenchServerLost(f"the watchdog must start within {START_S:g} s, got nothing") from None
         if not answer["ready"]:
             raise _error(answer["error"])
 
@@ -167,7 +167,7 @@ class Guard:
             with self._sending:
                 self._connection.sendall(json.dumps(message).encode() + b"\n")
         except OSError as error:
-            raise self.fault or WatchdogLost(f"the watchdog must listen, got: {error}") from None
+            raise self.fault or BenchServerLost(f"the watchdog must listen, got: {error}") from None
 
     def _beat(self) -> None:
         while not self._over.wait(BEAT_S):
@@ -182,7 +182,7 @@ class Guard:
             *lines, kept = (kept + data).split(b"\n")
             for line in lines:
                 self._take(json.loads(line))
-        self.fault = self.fault or WatchdogLost("the watchdog must outlive its client, got its end")
+        self.fault = self.fault or BenchServerLost("the watchdog must outlive its client, got its end")
         ended = {"ready": False, "error": {"kind": type(self.fault).__name__, "sentence": str(self.fault)}}
         for waiting in [self._ready, *self._replies.values()]:
             waiting.put(ended)

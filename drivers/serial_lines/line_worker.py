@@ -4,9 +4,9 @@ import queue
 import threading
 from collections.abc import Callable
 
-from drivers.errors import BenchError
+from drivers.errors import BenchError, BenchStopped
 from drivers.instruments.models import InstrumentModel
-from drivers.serial_lines.line import LocalLine
+from drivers.serial_lines.line import InstrumentLine
 
 _MONITOR = {"do": "monitor"}
 
@@ -27,7 +27,7 @@ class LineWorker:
     """
 
     def __init__(
-        self, line: LocalLine, *, model: InstrumentModel, reply: Callable[[dict], None], spare: bool = False
+        self, line: InstrumentLine, *, model: InstrumentModel, reply: Callable[[dict], None], spare: bool = False
     ) -> None:
         self.line, self.driver = line, model.driver(line)
         self._model, self._spare = model, spare
@@ -52,12 +52,12 @@ class LineWorker:
     def pause(self) -> None:
         """Stop watching, and let a wait that is going on give up at once."""
         self._watching = False
-        self.line.hurry.set()
+        self.line.take_over()
 
     def wait_idle(self, timeout_s: float) -> bool:
         """Wait until nothing is going on and keep it so; whether that was reached in time."""
         held = self._busy.acquire(timeout=timeout_s)
-        self.line.hurry.clear()
+        self.line.release()
         return held
 
     def resume(self, held: bool, *, fault: BenchError | None) -> None:
@@ -86,7 +86,7 @@ class LineWorker:
         except Exception as caught:
             error = caught if isinstance(caught, BenchError) else BenchError(f"the {self.line.name} failed: {caught!r}")
             answer["error"] = described(error)
-            if not (self.line.hurry.is_set() or self._spare):
+            if not (isinstance(error, BenchStopped) or self._spare):
                 self.failure = self.failure or error
         if "id" in request:
             self._reply(answer)

@@ -76,6 +76,9 @@ class InProcessPort:
         self.advance()
         return _behind_adapter(self._instrument)
 
+    def reopen(self) -> None:
+        """Nothing to open: the instrument is in this process."""
+
     def close(self) -> None:
         """Nothing to let go of."""
 
