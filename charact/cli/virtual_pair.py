@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from drivers.instruments.models import InstrumentModel, models
-from drivers.serial_lines.line import LocalLine
+from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.models import virtual_model
@@ -53,7 +53,7 @@ class VirtualPair:
         self._instruments = VirtualInstruments(
             self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
         )
-        self._line: LocalLine | None = None
+        self._line: InstrumentLine | None = None
         self._power_cycles, self._tripped = 0, False
 
     def __enter__(self) -> Self:

@@ -136,7 +136,9 @@ class _Reporter:
     """Progress through a queue: a terminal that takes no more must not hold up the run."""
 
     def __init__(self, progress: Callable[[str, float], None]) -> None:
-        self._writer = BackgroundWriter(lambda item: progress(*item), name="progress")
+        self._writer: BackgroundWriter[tuple[str, float]] = BackgroundWriter(
+            lambda item: progress(*item), name="progress"
+        )
 
     def __call__(self, sentence: str, share: float) -> None:
         self._writer.put((sentence, share))

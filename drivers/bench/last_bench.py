@@ -5,7 +5,7 @@ import os
 from dataclasses import asdict
 from pathlib import Path
 
-from drivers.serial_lines.port import port_with_serial_number, usb_serial_number
+from drivers.serial_lines.port import usb_ports
 from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.wires import Role, Wires
@@ -13,7 +13,8 @@ from labdata.wires import Role, Wires
 
 def remember_bench(wires: Wires) -> None:
     """Keep the wires of a bench with the USB serial numbers of its ports; raises OSError where the disk refuses."""
-    numbers = {one.role: usb_serial_number(str(one.port)) for one in wires.instruments if one.port}
+    adapters = usb_ports()
+    numbers = {one.role: adapters.get(os.path.realpath(one.port)) for one in wires.instruments if one.port}
     path = _path()
     path.parent.mkdir(parents=True, exist_ok=True)
     write_durably(path, json.dumps({"wires": asdict(wires), "usb_serial_numbers": numbers}, indent=1).encode())
@@ -39,12 +40,13 @@ def with_present_ports(wires: Wires) -> Wires:
         numbers = json.loads(_path().read_text())["usb_serial_numbers"]
     except (OSError, ValueError, TypeError, KeyError):
         return wires
+    ports: dict[tuple[str, ...], str] = {adapter: path for path, adapter in usb_ports().items()}
     moved: dict[Role, str | None] = {
-        one.role: port_with_serial_number(number)
+        one.role: ports[adapter]
         for one in wires.instruments
-        if one.port and not Path(one.port).exists() and (number := numbers.get(one.role))
+        if one.port and not Path(one.port).exists() and (adapter := tuple(numbers.get(one.role) or ())) in ports
     }
-    return wires.with_ports({role: port for role, port in moved.items() if port})
+    return wires.with_ports(moved)
 
 
 def _path() -> Path:

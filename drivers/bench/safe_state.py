@@ -274,7 +274,7 @@ def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
     SafeStateReport
         What was achieved; an instrument whose port cannot be opened within 15 s is named in it.
     """
-    there = {one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port}
+    there: dict[Role, Reached] = {one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port}
     drivers: dict[Role, Any] = {}
     failures: dict[Role, str] = {}
     give_up_s = time.monotonic() + REOPEN_S
@@ -286,7 +286,7 @@ def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
     report = None
     while report is None or (len(drivers) < len(there) and time.monotonic() < give_up_s):
         found = False
-        for role in there.keys() - drivers.keys():
+        for role in [role for role in there if role not in drivers]:
             try:
                 drivers[role] = _driver_on_port(there[role], record)
                 found = True

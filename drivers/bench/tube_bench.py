@@ -144,8 +144,8 @@ class TubeBench:
     @classmethod
     def in_this_process(cls, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> "TubeBench":
         """Return a bench without a server: whoever gives orders looks after the instruments as well, by `check`."""
-        log = EventLog(setup.log)
-        bench = cls(setup, stations_on(lines, setup.wires), record=log, on_failure=lambda error: bench.make_safe(str(error)))
+        stations = stations_on(lines, setup.wires)
+        bench = cls(setup, stations, record=EventLog(setup.log), on_failure=lambda error: bench.make_safe(str(error)))
         bench._alone = True
         return bench
 

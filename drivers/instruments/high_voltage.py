@@ -50,7 +50,8 @@ class HighVoltage:
 
     def look(self) -> None:
         """Look for a trip, see `check_on`."""
-        self.check_on()
+        if self.is_on:
+            self.check_on()
 
     def check_voltage(self, volts: float) -> None:
         """Refuse (BadInput) a voltage that this model cannot hold or cannot set so finely."""

@@ -64,7 +64,8 @@ class Iseg:
 
     def look(self) -> None:
         """Look for a trip, see `check_on`."""
-        self.check_on()
+        if self.is_on:
+            self.check_on()
 
     def check_voltage(self, volts: float) -> None:
         """Refuse (BadInput) a voltage that this unit cannot hold or cannot set so finely."""

@@ -19,7 +19,7 @@ from drivers.instruments.iseg import Iseg
 from drivers.instruments.light_source import LightSource
 from drivers.instruments.power_meter import PowerMeter
 from drivers.instruments.thermometer import Thermometer
-from drivers.serial_lines.line import InstrumentLine, LocalLine
+from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.line_factory import (
     GATE_NAME,
     LIGHT_NAME,
@@ -68,14 +68,16 @@ class InstrumentModel:
     name: str
     role: Role
     title: str
-    line: Callable[[Port, int], LocalLine]
+    line: Callable[[Port, int], InstrumentLine]
     driver: Callable[[InstrumentLine], Any]
     baud: int = 9600
     hardware_handshake: bool = False
 
-    def open_line(self, port: str, address: int = 0) -> LocalLine:
+    def open_line(self, port: str, address: int = 0, *, exclusive: bool = True) -> InstrumentLine:
         """Open a serial port and return the line to the instrument; one not to be had is InstrumentDisconnected."""
-        opened = SerialPort(port, name=self.title, baud=self.baud, hardware_handshake=self.hardware_handshake)
+        opened = SerialPort(
+            port, name=self.title, baud=self.baud, hardware_handshake=self.hardware_handshake, exclusive=exclusive
+        )
         return self.line(opened, address)
 
 
@@ -168,7 +170,7 @@ def model_of(reached: Reached) -> InstrumentModel:
     return model(reached.model, reached.role)
 
 
-def lines_on(ports: Mapping[Role, Port], wires: Wires) -> dict[Role, LocalLine]:
+def lines_on(ports: Mapping[Role, Port], wires: Wires) -> dict[Role, InstrumentLine]:
     """Return lines to the instruments of a bench whose ports are open already, by their role."""
     return {one.role: model_of(one).line(ports[one.role], one.address) for one in wires.instruments}
 

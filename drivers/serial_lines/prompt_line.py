@@ -14,32 +14,27 @@ TURNING, TURN_S = "pos=", 4.0
 
 
 class PromptLine(EchoCheckedLine):
-    """Commands and answers of a filter wheel, each ended by a prompt; its parameters are those of `EchoCheckedLine`."""
+    """Commands and answers of a filter wheel, each ended by a prompt; its parameters are those of `InstrumentLine`."""
 
-    def order(self, command: str) -> None:
-        """Send a command that must go out, whatever became of the exchange before."""
-        with self._owner:
-            self._out_of_step = True
-            self._port.send((END + command + END).encode("ascii"))
+    def _order(self, command: str) -> None:
+        self._send((END + command + END).encode("ascii"))
 
-    def get_into_step(self) -> None:
+    def _get_into_step(self) -> None:
         """End what may be half said and throw away what is late, until the unit echoes a known question."""
-        self._port.send(END.encode())
-        self._incoming.drain()
-        self._port.send((KNOWN + END).encode("ascii"))
+        self._send(END.encode())
+        self._drain()
+        self._send((KNOWN + END).encode("ascii"))
         deadline_s = time.monotonic() + self._answer_s
-        while not (said := self._incoming.until(PROMPT, KNOWN)).startswith(KNOWN + END):
+        while not (said := self._until(PROMPT, KNOWN)).startswith(KNOWN + END):
             if time.monotonic() > deadline_s:
                 raise reply_error(self, f"echo {KNOWN!r}", repr(said[:80]))
-        self._out_of_step = False
 
-    def _exchange(self, command: str) -> str:
-        self._port.send((command + END).encode("ascii"))
-        within_s = TURN_S if command.startswith(TURNING) else None
-        said = self._incoming.until(PROMPT, command, within_s=within_s)
+    def _exchange(self, question: str) -> str:
+        self._send((question + END).encode("ascii"))
+        said = self._until(PROMPT, question, within_s=TURN_S if question.startswith(TURNING) else None)
         echo, mark, answer = said.partition(END)
-        if echo != command or not mark:
-            raise reply_error(self, f"echo {command!r}", repr(said[:80]))
+        if echo != question or not mark:
+            raise reply_error(self, f"echo {question!r}", repr(said[:80]))
         return answer.strip()
 
     def _refusal(self, answer: str) -> str | None:

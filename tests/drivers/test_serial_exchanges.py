@@ -5,7 +5,6 @@ import pytest
 from drivers.errors import InstrumentRejected, InstrumentReplyError, InstrumentTripped
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.high_voltage import HighVoltage
-from drivers.serial_lines.prologix import PrologixLine
 from labdata.errors import BadInput
 
 
@@ -18,7 +17,7 @@ class Exchanges:
     def write(self, command: str) -> None:
         self._next(command, None)
 
-    def ask(self, question: str, *, about: str = "") -> str:
+    def ask(self, question: str) -> str:
         answer = self._next(question, "an answer")
         assert answer is not None, f"{question} is answered by nothing"
         return answer
@@ -188,33 +187,6 @@ def test_words_where_a_number_belongs_are_confusion():
         pytest.raises(InstrumentReplyError, match=r"VOUT\? with a number, got 'OK'"),
     ):
         HighVoltage(line).measured_v()
-
-
-ADAPTER = [
-    *((f"++{s}", None) for s in ("savecfg 0", "auto 0", "mode 1", "eoi 1", "eos 2", "read_tmo_ms 200", "addr 14")),
-    ("++addr", "14"),
-]
-
-
-def test_the_adapter_never_talks_by_itself_nor_wears_its_memory():
-    with Exchanges(*ADAPTER, ("VOUT?", None), ("++read eoi", "800"), ("HVOF", None)) as line:
-        line.hurry = None
-        supply = PrologixLine(line, address=14)
-        assert supply.ask("VOUT?") == "800"
-        supply.write("HVOF")
-
-
-def test_what_the_adapter_would_eat_is_escaped():
-    with Exchanges(*ADAPTER, ("VSET 1\x1b+2", None)) as line:
-        line.hurry = None
-        PrologixLine(line, address=14).write("VSET 1+2")
-
-
-def test_an_adapter_that_keeps_another_address_is_confusion():
-    with Exchanges(*ADAPTER[:-1], ("++addr", "9"), name="supply") as line:
-        line.hurry = None
-        with pytest.raises(InstrumentReplyError, match="must keep the address 14, got '9'"):
-            PrologixLine(line, address=14)
 
 
 def test_a_voltage_that_is_not_finite_is_confusion():

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from drivers.bench.setup import open_bench
-from drivers.errors import BenchError, InstrumentDisconnected, InstrumentTimeout, InstrumentTripped, WatchdogLost
+from drivers.errors import BenchError, BenchServerLost, InstrumentDisconnected, InstrumentTimeout, InstrumentTripped
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -151,7 +151,7 @@ def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log)
 
 
 def test_a_client_that_talks_nonsense_to_its_watchdog_is_made_safe_from(bench, virtual, log):
-    with pytest.raises(WatchdogLost), bench:
+    with pytest.raises(BenchServerLost), bench:
         bench.set_conditions(Conditions(mcp_v=300.0, gate_ns=1e6))
         bench._reach.guard._connection.sendall(b"nonsense\n")
         while True:

@@ -167,7 +167,7 @@ def test_the_watchdog_told_to_stop_makes_safe_first(virtual, log, started):
     told_s = time.monotonic()
     os.kill(awaited(log, "start")["pid"], signal.SIGTERM)
     assert seconds_until_safe(virtual, told_s) < WITHIN_S
-    assert "WatchdogLost" in ended(client)
+    assert "BenchServerLost" in ended(client)
     assert_followed_down(virtual, log)
 
 
@@ -176,7 +176,7 @@ def test_a_client_whose_watchdog_was_killed_takes_the_ports_and_makes_safe_itsel
     killed_s = time.monotonic()
     os.kill(awaited(log, "start")["pid"], signal.SIGKILL)
     assert seconds_until_safe(virtual, killed_s) < WITHIN_S
-    assert "WatchdogLost" in ended(client)
+    assert "BenchServerLost" in ended(client)
     assert awaited(log, "the watchdog is gone; its client makes the bench safe")
     assert read_outputs(virtual.folder).mcp_v < 11
 

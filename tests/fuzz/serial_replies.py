@@ -19,10 +19,9 @@ from drivers.instruments.high_voltage import HighVoltage
 from drivers.instruments.iseg import Iseg, legacy_number
 from drivers.instruments.light_source import KNOWN, LightSource
 from drivers.serial_lines.iseg_line import IsegLine
-from drivers.serial_lines.line import ADAPTER_ANSWER, FramedLine
+from drivers.serial_lines.line import LONGEST_ANSWER, FramedLine
 from drivers.serial_lines.prologix import PrologixLine
 from drivers.serial_lines.prompt_line import PromptLine
-from drivers.serial_lines.receive_buffer import LONGEST_ANSWER
 from labdata.errors import BadInput
 
 ANSWER_S = 0.002
@@ -53,12 +52,15 @@ class NoisyPort:
             time.sleep(min(timeout_s, ANSWER_S))
         return piece
 
+    def reopen(self) -> None:
+        """It was never gone."""
+
     def close(self) -> None:
         """Nothing to let go of."""
 
 
 def _in_step(line: Any) -> Any:
-    line._out_of_step = False
+    line._in_step = True
     return line
 
 
@@ -67,10 +69,7 @@ def _framed(port: NoisyPort) -> FramedLine:
 
 
 def _bus(port: NoisyPort) -> PrologixLine:
-    adapter = FramedLine(port, name="instrument", answer_end=b"\n", answer_s=ANSWER_S, known=ADAPTER_ANSWER)
-    line = PrologixLine.__new__(PrologixLine)
-    line.name, line.hurry, line._line = adapter.name, adapter.hurry, adapter
-    return line
+    return _in_step(PrologixLine(port, name="instrument", address=14, answer_s=ANSWER_S))
 
 
 def _echo(port: NoisyPort) -> IsegLine:
@@ -91,7 +90,7 @@ PARSERS: dict[str, Callable[[NoisyPort], object]] = {
     "ps350 prepare": lambda port: HighVoltage(_bus(port)).prepare(limit_v=900.0),
     "ps350 status": lambda port: HighVoltage(_bus(port)).check_on(),
     "ps350 volts": lambda port: HighVoltage(_bus(port)).measured_v(),
-    "prologix address": lambda port: PrologixLine(_framed(port), address=14),
+    "prologix address": lambda port: PrologixLine(port, name="instrument", address=14, answer_s=ANSWER_S).ask("VOUT?"),
     "iseg identity": lambda port: Iseg(_echo(port)).identify(),
     "iseg state": lambda port: Iseg(_echo(port)).check_on(),
     "iseg volts": lambda port: Iseg(_echo(port)).measured_v(),
@@ -102,14 +101,8 @@ PARSERS: dict[str, Callable[[NoisyPort], object]] = {
         FramedLine(port, name="instrument", answer_s=ANSWER_S, known=KNOWN)
     ).identify(),
     "light look": lambda port: LightSource(_framed(port)).look(),
-    "late answer": lambda port: [_framed_after_silence(port).ask("TSRC?")],
+    "late answer": lambda port: [_framed(port).ask("TSRC?")],
 }
-
-
-def _framed_after_silence(port: NoisyPort) -> FramedLine:
-    line = _framed(port)
-    line._out_of_step = True
-    return line
 
 
 def reply(rng: random.Random) -> bytes:
