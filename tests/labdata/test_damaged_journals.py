@@ -228,8 +228,9 @@ def test_damage_that_shows_without_checksums_is_told_as_well(tmp_path, sound, fi
     lines = without_checksums(lines_of(sound))
     for place, line in enumerate(lines):
         rng = random.Random(seed + place)
-        at = line.index(rng.choice([b'"frame_number"', b'"time_s"', b'"sha256"', b"}"])) + rng.randrange(1)
-        for there in ([], [line, line], [line[:at] + b"x" + line[at + 1 :]]):
+        at = line.index(rng.choice([b'"frame_number"', b'"time_s"', b'"sha256"', b"}"]))
+        of_another = line.replace(b'"index": %d' % place, b'"index": %d' % ((place + 5) % FRAMES))
+        for there in ([], [line, line], [line[:at] + b"x" + line[at + 1 :]], [of_another]):
             journal = b"".join((*lines[:place], *there, *lines[place + 1 :]))
             folder = copied(sound, tmp_path / "s", finished=finished, journal=journal)
             assert check_reading(folder)[0] == (len(there) < 2)
