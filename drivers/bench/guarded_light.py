@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Protocol
 
+from drivers.errors import BenchError
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
@@ -88,5 +89,9 @@ class GuardedLight:
         if self._has_lamp:
             read = Conditions(illuminance_lux=0.0, lamp_a=0.0)
         lux = illuminance_lux if read.illuminance_lux is None else read.illuminance_lux
-        self._bench.light_read(lux, zero=not illuminance_lux)
+        try:
+            self._bench.light_read(lux, zero=not illuminance_lux)
+        except BenchError:
+            self._operator.darken()
+            raise
         return read

@@ -420,7 +420,7 @@ class TubeBench:
     def look(self, role: Role) -> None:
         """Compare an instrument with what was set; while a procedure runs on it, nobody looks."""
         station = self.stations[role]
-        if not station.watched or not station.procedure.acquire(blocking=False):
+        if self.fault is not None or not station.watched or not station.procedure.acquire(blocking=False):
             return
         try:
             if station.watched:
@@ -447,11 +447,11 @@ class TubeBench:
         """Raise what went wrong at the bench: a trip, a silent line, a changed setting, too much light."""
         if self._alone:
             self.heard()
-            if self._clock() - self._looked_s > LOOK_EVERY_S and self.fault is None:
+            self.look("supply")
+            if self._clock() - self._looked_s > LOOK_EVERY_S:
                 self._looked_s = self._clock()
-                for role in self.stations:
-                    if role not in DISPENSABLE:
-                        self.look(role)
+                for role in self.stations.keys() - {"supply", *DISPENSABLE}:
+                    self.look(role)
         self.react()
         if self.fault is not None:
             raise self.fault

@@ -36,6 +36,9 @@ DARK = {"kind": "flat", "target": Target(), "illuminance_lux": 0.0}
 class Hands:
     """Places targets and nothing else."""
 
+    is_by_hand = False
+    while_waiting = staticmethod(lambda: None)
+
     def __init__(self) -> None:
         self.placed: list[float] = []
 

@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from charact.cli.judge import SaturationJudge
@@ -132,9 +133,11 @@ def _exit_code(rig: CampaignRig, plan: Plan, session: Path, silence_s: float) ->
 class _TellingCamera(AravisCamera):
     """A camera that tells when frames are asked of it."""
 
-    def capture(self, *, frames: int, discard: int = 0) -> AravisCapture:
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> AravisCapture:
         print(f"{ASKED}{time.monotonic():.4f}", flush=True)
-        return super().capture(frames=frames, discard=discard)
+        return super().capture(frames=frames, discard=discard, while_waiting=while_waiting)
 
 
 def _clock_jumps(*_: object) -> None:
