@@ -286,9 +286,11 @@ def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
     report = None
     while report is None or (len(drivers) < len(there) and time.monotonic() < give_up_s):
         found = False
-        for role in [role for role in there if role not in drivers]:
+        for role, one in there.items():
+            if role in drivers:
+                continue
             try:
-                drivers[role] = _driver_on_port(there[role], record)
+                drivers[role] = _driver_on_port(one, record)
                 found = True
             except BenchError as error:
                 failures[role] = str(error)
