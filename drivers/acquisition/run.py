@@ -13,7 +13,7 @@ from drivers.acquisition.read_back import merged, require_same
 from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError
-from drivers.interface import Bench, Camera, FrameLevels, Operator
+from drivers.interface import Bench, Camera, CameraError, FrameLevels, Operator
 from labdata.calibrated_gain import by_calibration
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
@@ -279,6 +279,8 @@ class Run:
         """Where the bench fails, doubt the frames so far: the gate may have been shut before it was told."""
         try:
             yield
+        except CameraError:
+            raise
         except BenchError as error:
             with suppress(BadInput):
                 stack.doubt(f"the bench failed while they were taken, and the last may be dark: {error}")
