@@ -135,6 +135,7 @@ class TubeBench:
         )
         self._lamp: CalibratedLampControl | None = None
         self._alone = self._is_safe = False
+        self._log: EventLog | None = None
         self._looked_s = 0.0
         self.fault: BenchError | None = None
         """What failed since the bench was opened; nothing makes the tube hotter before it is opened anew."""
@@ -144,9 +145,9 @@ class TubeBench:
     @classmethod
     def in_this_process(cls, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> "TubeBench":
         """Return a bench without a server: whoever gives orders looks after the instruments as well, by `check`."""
-        stations = stations_on(lines, setup.wires)
-        bench = cls(setup, stations, record=EventLog(setup.log), on_failure=lambda error: bench.make_safe(str(error)))
-        bench._alone = True
+        log, stations = EventLog(setup.log), stations_on(lines, setup.wires)
+        bench = cls(setup, stations, record=log, on_failure=lambda error: bench.make_safe(str(error)))
+        bench._alone, bench._log = True, log
         return bench
 
     wires_left_out = (
@@ -546,6 +547,8 @@ class TubeBench:
     def _leave(self, error: BaseException | None) -> None:
         report = self.make_safe("the bench is left")
         unwritten = self.close()
+        if self._log is not None:
+            self._log.close()
         if error is not None:
             for sentence in filter(None, (None if report.whole else not_safe(report), unwritten)):
                 error.add_note(sentence)
