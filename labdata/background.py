@@ -65,13 +65,13 @@ class BackgroundWriter(Generic[T]):
                 self.dropped += 1
             self._turn.notify_all()
 
-    def flush(self, timeout_s: float) -> bool:
-        """Wait at most `timeout_s` until the thread has begun and no item waits; return whether that is so."""
+    def flush(self, timeout_s: float | None) -> bool:
+        """Wait until the thread has begun and no item waits, at most `timeout_s` (None: for ever); return whether."""
         with self._turn:
             return self._turn.wait_for(lambda: self._begun and not self._items and not self._writing, timeout_s)
 
-    def close(self, timeout_s: float) -> int:
-        """Write what waits, for at most `timeout_s`, and end the thread.
+    def close(self, timeout_s: float | None) -> int:
+        """Write what waits, for at most `timeout_s` (None: for ever), and end the thread.
 
         Returns
         -------
@@ -82,7 +82,7 @@ class BackgroundWriter(Generic[T]):
         with self._turn:
             self._closed = True
             self._turn.notify_all()
-        self._thread.join(max(0.0, timeout_s))
+        self._thread.join(timeout_s)
         with self._turn:
             self.dropped += len(self._items)
             # What is counted as not written is not written later.
