@@ -8,10 +8,9 @@ from drivers.bench.setup import open_bench
 from drivers.bench.state import InterlockRefused, TurnFilter
 from drivers.errors import BenchError, InstrumentRejected
 from drivers.instruments import high_voltage
-from drivers.instruments.filter_wheel import FilterWheel
+from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
-from drivers.serial_lines.line_factory import wheel_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
@@ -140,7 +139,7 @@ def test_the_source_itself_refuses_more_than_was_calibrated(bench, virtual):
 
 
 def test_a_wheel_that_somebody_turned_is_told(virtual):
-    ours, theirs = (FilterWheel(wheel_line(virtual.ports["filter-wheel"])) for _ in range(2))
+    ours, theirs = (FilterWheel(PromptLine(virtual.ports["filter-wheel"], name="filter wheel")) for _ in range(2))
     ours.look()
     ours.look()
     theirs.turn_to(4)

@@ -11,11 +11,11 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from drivers.errors import BenchError, BenchStopped, InstrumentDisconnected, InstrumentReplyError, InstrumentTimeout
-from drivers.serial_lines.iseg_line import IsegLine
+from drivers.instruments.filter_wheel import PromptLine
+from drivers.instruments.iseg import IsegLine
 from drivers.serial_lines.line import FramedLine
 from drivers.serial_lines.port import InheritedPort, SerialPort
 from drivers.serial_lines.prologix import PrologixLine
-from drivers.serial_lines.prompt_line import PromptLine
 from simulate.rig.pseudo_terminal import PseudoTerminal
 
 ANSWER_S = 0.15
