@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -265,9 +265,10 @@ class _MarkingCamera(AravisCamera):
         super().__init__(rig.wires.camera, silence_s=silence_s)
         self._client, self._full_dn = client, 2**rig.sensor.video.bit_depth - 1
 
-    def capture(self, *, frames: int, discard: int = 0) -> Any:
+    def capture(self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None) -> Any:
         self._client.mark("asked")
-        return _MarkingCapture(super().capture(frames=frames, discard=discard), self._client, self._full_dn)
+        capture = super().capture(frames=frames, discard=discard, while_waiting=while_waiting)
+        return _MarkingCapture(capture, self._client, self._full_dn)
 
 
 class _MarkingCapture:
