@@ -104,6 +104,10 @@ class InstrumentLine(ABC):
             self._in_step, self._received = False, b""
             self._port.reopen()
 
+    def fileno(self) -> int:
+        """File descriptor of the open port, for the process that makes the tube safe when this one cannot."""
+        return self._port.fileno()
+
     def close(self) -> None:
         """Close the port."""
         with self._turn:

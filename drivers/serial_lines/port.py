@@ -36,6 +36,10 @@ class Port(Protocol):
         """Open the port again after its loss; InstrumentDisconnected where it is not there."""
         ...
 
+    def fileno(self) -> int:
+        """File descriptor of the open port; -1 where it has none."""
+        ...
+
     def close(self) -> None:
         """Close the port."""
         ...
@@ -125,7 +129,7 @@ class SerialPort(_DescriptorPort):
         self._path = port
         self._settings = {"baudrate": baud, "rtscts": hardware_handshake, "exclusive": exclusive or None}
         self._open(port)
-        adapters = _usb_ports()
+        adapters = usb_ports()
         adapter = adapters.get(os.path.realpath(port))
         # Adapters of some makers all have the same number, which then tells none of them.
         self._usb = adapter if sum(found == adapter for found in adapters.values()) == 1 else None
@@ -136,7 +140,7 @@ class SerialPort(_DescriptorPort):
         if self._usb is None:
             self._open(self._path)
             return
-        found = [path for path, adapter in _usb_ports().items() if adapter == self._usb]
+        found = [path for path, adapter in usb_ports().items() if adapter == self._usb]
         if not found:
             raise self._not_open(self._path, f"no adapter with the USB serial number {self._usb[0]}")
         self._open(found[0])
@@ -182,7 +186,7 @@ class InheritedPort(_DescriptorPort):
         raise self._disconnected("no path to open it by")
 
 
-def _usb_ports() -> dict[str, tuple[str, str]]:
+def usb_ports() -> dict[str, tuple[str, str]]:
     """Serial number, and interface within it, of each USB adapter, by device path."""
     try:
         return {

@@ -21,12 +21,12 @@ pytestmark = pytest.mark.wires
 WITHIN_S = 1.0
 CLIENT = """
     import sys, time
-    from drivers.bench.tube_bench import TubeBench
+    from drivers.bench.setup import open_bench
     from labdata import Conditions
     from labdata.limits import Limits
     from labdata.wires import Wires
     gate, supply, log, step, then = sys.argv[1:]
-    with TubeBench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=float(step)), log=log) as bench:
+    with open_bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=float(step)), log=log) as bench:
         print("open", flush=True)
         bench.set_conditions(Conditions(mcp_v=800.0, gate_ns=1.6e7))
         print("set", flush=True)
