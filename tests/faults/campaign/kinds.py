@@ -184,7 +184,7 @@ def _triggered(plan: Plan) -> Plan:
 
 
 def _disobedient(instrument: str) -> Draw:
-    return lambda rng: _provoked(instrument, Faults(disobedient=True), deaf=(instrument,))
+    return lambda rng: _provoked(instrument, Faults(disobedient=True), deaf=(instrument,), since="progress")
 
 
 def _seen(faults: Callable[[np.random.Generator], Faults], **known: Any) -> Draw:
