@@ -20,7 +20,7 @@ from charact.cli.judge import SaturationJudge
 from drivers.acquisition.acquire import LOG, acquire
 from labdata.capture import Frame
 from labdata.conditions import Conditions
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.plan import Plan, Step
 from labdata.session import Session
 from labdata.store import SessionWriter
@@ -93,7 +93,7 @@ def overhead(folder: Path) -> bool:
     """Time of each step that is neither settling nor on the wire, with instruments that take 20 ms to answer."""
     steps = [_step(f"step-{number}", STEP_FRAMES) for number in range(STEPS)]
     _taken(folder / "steps", steps, PacedCamera(rate_hz=RATE_HZ), answer_s=0.02)
-    spent_ms = [each["overhead_ms"] for each in events(folder / "steps" / LOG) if each["event"] == "step finished"]
+    spent_ms = [each["overhead_ms"] for each in read_events(folder / "steps" / LOG) if each["event"] == "step finished"]
     mean_ms, kept = float(np.mean(spent_ms)), float(np.mean(spent_ms)) <= MOST_OVERHEAD_MS
     _tell(
         f"{STEPS} steps of {STEP_FRAMES} frames",

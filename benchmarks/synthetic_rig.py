@@ -1,14 +1,14 @@
 """A rig that costs nothing: a camera that keeps its pace whoever reads it, instruments that take their time."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.interface import Operator
+from drivers.interface import FrameLevels, Operator
 from labdata.capture import CameraSettings, Frame, LostFrames, lost_for
 from labdata.conditions import Conditions
 from labdata.session import Kind
@@ -51,16 +51,19 @@ class PacedCamera(_Opened):
             self.settings = replace(self.settings, exposure_s=settings.exposure_s)
         return self.settings
 
-    def capture(self, *, frames: int, discard: int = 0) -> "PacedCapture":
-        """Return a capture; its frames come at the camera's rate from its beginning on."""
-        return PacedCapture(self, frames=frames, discard=discard)
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> "PacedCapture":
+        """Return a capture; its frames come at the camera's rate, 10 Hz or more, from its beginning on."""
+        return PacedCapture(self, frames=frames, discard=discard, while_waiting=while_waiting)
 
 
 class PacedCapture(_Opened):
     """A capture whose frames are due at fixed times."""
 
-    def __init__(self, camera: PacedCamera, *, frames: int, discard: int) -> None:
+    def __init__(self, camera: PacedCamera, *, frames: int, discard: int, while_waiting: Callable[[], None]) -> None:
         self._camera, self._frames, self._discard = camera, frames, discard
+        self._while_waiting = while_waiting
         self.losses: tuple[LostFrames, ...] = ()
 
     @property
@@ -72,6 +75,7 @@ class PacedCapture(_Opened):
         period_s, began_s = 1.0 / (self._camera.settings.frame_rate_hz or 30.0), time.monotonic()
         number = handed_out = 0
         while handed_out < self._frames:
+            self._while_waiting()
             number += 1
             late = int((time.monotonic() - began_s) / period_s) - BUFFERS - number
             if late > 0:
@@ -93,7 +97,7 @@ class SlowBench(_Opened):
         Time that each setting takes, s.
     """
 
-    dark_seen = True
+    dark_seen, last_words = True, ""
 
     def __init__(self, *, answer_s: float = 0.0) -> None:
         self._answer_s = answer_s
@@ -107,12 +111,26 @@ class SlowBench(_Opened):
         """Nothing to guard."""
         return operator
 
-    def saw_without_light(self, pixels: NDArray, full_scale_dn: float) -> None:
+    def dark_frame_seen(self, levels: FrameLevels) -> bool:
+        """Nothing to see."""
+        return True
+
+    def frame_seen(self, levels: FrameLevels) -> None:
         """Nothing to see."""
 
-    def read_beside(self) -> tuple[Conditions, tuple[str, ...]]:
-        """No meter stands beside it."""
+    def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:
+        """There is no meter."""
         return Conditions(), ()
+
+    def verify(self) -> None:
+        """Nothing changes by itself."""
+
+    def patience(self, seconds: float) -> AbstractContextManager[None]:
+        """Nobody waits."""
+        return nullcontext()
+
+    def safe_at_once(self) -> None:
+        """Nothing is on."""
 
     def check(self) -> None:
         """Nothing went wrong."""
@@ -123,6 +141,11 @@ class SlowBench(_Opened):
 
 class NoOperator:
     """Nobody moves anything."""
+
+    is_by_hand = False
+
+    def __init__(self) -> None:
+        self.while_waiting: Callable[[], None] = lambda: None
 
     def darken(self) -> None:
         """Nothing shines."""

@@ -52,8 +52,15 @@ class InstrumentReplyError(BenchError):
     """
 
 
-class WatchdogLost(BenchError):
+class BenchServerLost(BenchError):
     """The process that owns the serial ports is gone or does not answer.
 
-    Use this when nobody guards the bench any more: make it safe by other means.
+    Use this when no process guards the bench any more: make it safe by other means.
+    """
+
+
+class BenchStopped(BenchError):
+    """The bench is being made safe, and only the safe action may speak to its instruments.
+
+    Use this in a procedure that has to end without an order of its own.
     """

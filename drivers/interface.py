@@ -1,9 +1,12 @@
 """What acquisition asks of a rig: a camera whose frames carry their own numbers, a bench, and an operator."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import BenchError
@@ -51,9 +54,37 @@ class Camera(Protocol):
         """Set what is not None and return every setting as the camera reads it back."""
         ...
 
-    def capture(self, *, frames: int, discard: int = 0) -> Capture:
-        """Start exposing, throw away the first `discard` whole frames, hand out the next `frames`, and stop."""
+    def capture(self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None) -> Capture:
+        """Start exposing, throw away the first `discard` whole frames, hand out the next `frames`, and stop.
+
+        `while_waiting` is called at least every 0.1 s while no frame comes; what it raises ends the capture.
+        """
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameLevels:
+    """How bright a frame is.
+
+    Parameters
+    ----------
+    mean
+        Mean pixel value, of full scale.
+    saturated
+        Share of pixels at full scale, 0..1.
+    allowed
+        Share that its step allows, 0..1.
+    """
+
+    mean: float
+    saturated: float
+    allowed: float = 0.0
+
+    @classmethod
+    def of(cls, pixels: NDArray, full_scale_dn: float, *, allowed: float = 0.0) -> "FrameLevels":
+        """Return the levels of a frame, shape (row, col), DN."""
+        saturated = float(np.count_nonzero(pixels >= full_scale_dn)) / pixels.size
+        return cls(mean=float(pixels.mean()) / full_scale_dn, saturated=saturated, allowed=allowed)
 
 
 class Bench(Protocol):
@@ -73,8 +104,8 @@ class Bench(Protocol):
         """
         ...
 
-    def read_beside(self) -> tuple[Conditions, tuple[str, ...]]:
-        """Read the meters beside the tube, and return a sentence for each that does not answer and is not needed."""
+    def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:
+        """Read the auxiliary meters, and return a sentence for each that does not answer and is not needed."""
         ...
 
     @property
@@ -82,21 +113,50 @@ class Bench(Protocol):
         """Whether a dark frame was seen through the open gate since the bench was opened; no light is set before."""
         ...
 
-    def saw_without_light(self, pixels: NDArray, full_scale_dn: float) -> None:
-        """Look at a frame, shape (row, col), taken without light; one that is not dark is a BenchError."""
+    def dark_frame_seen(self, levels: FrameLevels) -> bool:
+        """Report a frame taken without light, and return `dark_seen`; one that is not dark is a BenchError."""
+        ...
+
+    def frame_seen(self, levels: FrameLevels) -> None:
+        """Report how much of a frame is saturated, waiting for nothing."""
+        ...
+
+    def verify(self) -> None:
+        """Compare gate and supply with what was set; a difference is a BenchError, and the tube is made safe."""
         ...
 
     def check(self) -> None:
-        """Raise what went wrong at the bench since the last look."""
+        """Show a sign of life of the run, and raise what went wrong at the bench since the last look."""
+        ...
+
+    def patience(self, seconds: float) -> AbstractContextManager[None]:
+        """Announce that no sign of life may come for some seconds; the gate must be shut."""
         ...
 
     def safe(self) -> None:
-        """Close the gate and order the high voltage off."""
+        """Shut the gate and order the high voltage off."""
+        ...
+
+    def safe_at_once(self) -> None:
+        """Order the same and wait for nothing, from any thread."""
+        ...
+
+    @property
+    def last_words(self) -> str:
+        """How the tube was left, and what to do by hand where it may be hot; empty before it was made safe."""
         ...
 
 
 class Operator(Protocol):
     """Whoever puts targets and light before the camera."""
+
+    @property
+    def is_by_hand(self) -> bool:
+        """Whether it is a person who sets the light, for whom the gate is shut meanwhile."""
+        ...
+
+    while_waiting: Callable[[], None]
+    """Called at least every 0.1 s while it waits for a person; what it raises ends the waiting."""
 
     def darken(self) -> None:
         """Block the light, waiting for nobody."""

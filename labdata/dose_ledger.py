@@ -3,17 +3,24 @@
 import fcntl
 import json
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
 
-from labdata.durable import sync_folder
+from labdata.durable import ends_mid_line, sync_folder, write_whole
 from labdata.errors import BadInput
 from labdata.tube_dose import Dose, sum_of
 
 FOLDER_VARIABLE = "CHARACT_TUBES"
 """Environment variable that names another folder for the ledgers."""
+
+PATIENCE_S = 2.0
+"""Longest wait for the lock of a ledger, s; an append holds it for milliseconds."""
+
+LOOK_S = 0.02
+"""Time between two tries for the lock, s."""
 
 
 def ledger_of(tube: str) -> "DoseLedger":
@@ -38,16 +45,21 @@ class DoseLedger:
         self.path = Path(path)
 
     def append(self, dose: Dose, **said: object) -> None:
-        """Add a dose, on the disk when this returns; `said` is what a reader may want to know of it."""
+        """Add a dose, on the disk when this returns; `said` is what a reader may want to know of it.
+
+        Raises
+        ------
+        OSError
+            If the disk does not take the dose, or another process locks the ledger for longer than `PATIENCE_S`.
+        """
         values = {item.name: getattr(dose, item.name) for item in fields(Dose)}
         line = json.dumps({"time": datetime.now(UTC).isoformat(timespec="seconds"), **values, **said}) + "\n"
         new = not self.path.exists()
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with open(self.path, "ab") as file:
-            fcntl.lockf(file, fcntl.LOCK_EX)
+        with open(self.path, "ab+", buffering=0) as file:
+            _lock(file.fileno())
             # A power cut may have left half a line: it stays half, and the next begins anew.
-            file.write((b"" if self._ends_whole() else b"\n") + line.encode())
-            file.flush()
+            write_whole(file.fileno(), (b"\n" if ends_mid_line(file.fileno()) else b"") + line.encode())
             os.fsync(file.fileno())
         if new:
             sync_folder(self.path.parent)
@@ -59,10 +71,6 @@ class DoseLedger:
     def __len__(self) -> int:
         """Number of doses so far."""
         return sum(1 for _ in self._doses())
-
-    def _ends_whole(self) -> bool:
-        data = self.path.read_bytes()
-        return not data or data.endswith(b"\n")
 
     def _doses(self) -> Iterator[Dose]:
         try:
@@ -92,3 +100,18 @@ class DoseLedger:
 
     def _damaged(self, number: int) -> BadInput:
         return BadInput(f"every line of a dose ledger must hold a dose, got another in line {number} of {self.path}")
+
+
+def _lock(descriptor: int) -> None:
+    """Lock a ledger; a lock that is not free in time is a TimeoutError.
+
+    It is a lock of the open file, not of the process, which would end when a reader in this process closes the file.
+    """
+    until_s = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            return fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > until_s:
+                raise TimeoutError(f"another process has locked it for more than {PATIENCE_S:g} s") from None
+            time.sleep(LOOK_S)

@@ -40,3 +40,16 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def write_whole(descriptor: int, data: bytes | memoryview) -> None:
+    """Write bytes whole; a disk that takes only a part of them says why at the next try."""
+    left = memoryview(data)
+    while len(left):
+        left = left[os.write(descriptor, left) :]
+
+
+def ends_mid_line(descriptor: int) -> bool:
+    """Return whether an open file of lines ends inside one, cut short by a crash; reads its last byte only."""
+    size = os.fstat(descriptor).st_size
+    return size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"

@@ -1,58 +1,104 @@
-"""A log of what happened: a file of JSON lines, each on its way to the disk as soon as it happened."""
+"""Event log: a file of JSON lines, one for each event, written by a thread of its own."""
 
 import json
 import os
-import threading
+import stat
 import time
 from datetime import UTC, datetime
 from pathlib import Path
+
+from labdata.background import BackgroundWriter
+from labdata.durable import ends_mid_line
+from labdata.errors import BadInput
+
+OPENING_S = 1.0
+"""Longest wait for the file to open, s: the longest that a tube may wait for its orders."""
 
 
 class EventLog:
     """A log, open for appending; a last line that a crash cut short is ended first.
 
+    A file that blocks, or a disk that takes no line, delays nobody. Lines that could not be written are counted, and
+    the next line that can be written carries the count as `lines_missed_before`.
+
     Parameters
     ----------
     path
         The file; made where it is missing.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be opened. A file that is still opening after `OPENING_S` is no error.
     """
 
-    def __init__(self, path: Path) -> None:
-        # Unbuffered, one write for each line: what was logged survives a kill.
-        self._file = open(path, "ab+", buffering=0)  # noqa: SIM115 - open as long as the log
-        self._turn = threading.Lock()
-        self._missed = 0
-        size = self._file.seek(0, os.SEEK_END)
-        if size and os.pread(self._file.fileno(), 1, size - 1) != b"\n":
-            self._write(b"\n")
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+        self._file: int | None = None
+        self._mid_line = False
+        self._reported = 0
+        self._writer = BackgroundWriter(self._write, name="event log", begin=self._open, finish=self._close_file)
+        self._writer.flush(OPENING_S)
+        if (failure := self._writer.failure) is not None:
+            self._writer.close(0.0)
+            why = getattr(failure, "strerror", None) or failure
+            raise BadInput(f"an event log must be a file that can be written, got {path}: {why}")
 
     def __call__(self, event: str, **details: object) -> None:
-        """Write an event with its time of day and monotonic time, s.
+        """Record an event with its time of day and monotonic time, s; never waits and never raises.
 
-        A disk that takes no line must not keep anybody from making the tube safe: lines that could not be written are
-        counted, and told with the next one that can.
+        The details are written as they are when their turn comes: they must not change after the call.
         """
-        now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        line = {"time": now, "monotonic_s": round(time.monotonic(), 4), "event": event, **details}
-        with self._turn:
-            if self._missed:
-                line["lines_missed_before"] = self._missed
-            try:
-                self._write(json.dumps(line, default=str).encode() + b"\n")
-            except OSError:
-                self._missed += 1
-            else:
-                self._missed = 0
+        line = {"time": datetime.now(UTC), "monotonic_s": round(time.monotonic(), 4), "event": event, **details}
+        self._writer.put((line, self._writer.dropped))
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+    def flush(self, timeout_s: float = 1.0) -> bool:
+        """Wait at most `timeout_s` until no line waits; return whether that is so."""
+        return self._writer.flush(timeout_s)
 
-    def _write(self, data: bytes) -> None:
-        os.write(self._file.fileno(), data)
+    def close(self, timeout_s: float = 1.0) -> int:
+        """Write what waits, for at most `timeout_s`, and close the file; return the number of lines never written."""
+        return self._writer.close(timeout_s)
+
+    # In the thread
+
+    def _open(self) -> int:
+        """Open the file for appending and find out whether its last line was cut short."""
+        file = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+        try:
+            if stat.S_ISREG(os.fstat(file).st_mode):
+                with open(self._path, "rb") as content:
+                    self._mid_line = ends_mid_line(content.fileno())
+        except BaseException:
+            os.close(file)
+            raise
+        self._file = file
+        return file
+
+    def _write(self, item: tuple[dict, int]) -> None:
+        """Write a line, with the number of lines that found no room before it."""
+        line, dropped = item
+        file = self._open() if self._file is None else self._file
+        line["time"] = line["time"].isoformat(timespec="milliseconds")
+        missed = dropped + self._writer.failed
+        if missed > self._reported:
+            line["lines_missed_before"] = missed - self._reported
+        data = json.dumps(line, default=str).encode() + b"\n"
+        if self._mid_line:
+            data = b"\n" + data
+        # A disk that takes only a part of a line says why at the next try.
+        while data:
+            written = os.write(file, data)
+            self._mid_line = not data[:written].endswith(b"\n")
+            data = data[written:]
+        self._reported = missed
+
+    def _close_file(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
 
 
-def events(path: Path) -> list[dict]:
+def read_events(path: str | Path) -> list[dict]:
     """Return the events of a log; a line that a crash cut short is left out."""
     found = []
     for line in Path(path).read_bytes().splitlines():

@@ -120,6 +120,8 @@ class StepForm(Conditions):
         When to stop before all frames are taken.
     search
         A search for the light that saturates, beginning at the step's own.
+    saturated_fraction
+        Fraction of a frame's pixels that may be saturated.
     """
 
     label: str
@@ -128,6 +130,7 @@ class StepForm(Conditions):
     target: Target = field(default_factory=Target)
     until: Until | None = None
     search: SaturationSearch | None = None
+    saturated_fraction: float | None = None
 
     def step(self) -> Step:
         """Return the step that this table describes."""
@@ -139,6 +142,7 @@ class StepForm(Conditions):
             target=self.target,
             until=self.until,
             search=self.search,
+            saturated_fraction=self.saturated_fraction,
         )
 
 
@@ -203,6 +207,7 @@ def _step_form(step: Step) -> StepForm:
         target=step.target,
         until=step.until,
         search=step.search,
+        saturated_fraction=step.saturated_fraction,
         **_flat(step.conditions),
     )
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.session import StackEntry
-from labdata.store import is_ours, journal
-from labdata.store.reading import block, lazy
+from labdata.store import is_ours, read_journal
+from labdata.store.array_reader import open_array, read_frames
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,16 +108,15 @@ def _as_they_are(entry: StackEntry) -> OpenStack:
 
 
 def _of_store(entry: StackEntry, path: Path) -> OpenStack:
-    acknowledged = journal(path)
-    if not acknowledged:
-        raise BadInput(f"a stack must hold at least one frame, got none in {path}")
-    array, _ = lazy(path)
+    journal = read_journal(path)
+    journal.require_frames()
+    array, frames = open_array(path), journal.frames
     stamps = {
-        "time_s": np.array([frame.time_s for frame in acknowledged]),
-        "frame_number": np.array([frame.frame_number for frame in acknowledged], np.int64),
+        "time_s": np.array([frame.time_s for frame in frames]),
+        "frame_number": np.array([frame.frame_number for frame in frames], np.int64),
     }
-    found = _opened(entry, array, lambda first, last: block(path, array, acknowledged[first:last]), **stamps)
-    return replace(found, shape=(len(acknowledged), *found.shape[1:]))
+    found = _opened(entry, array, lambda first, last: read_frames(path, array, frames[first:last]), **stamps)
+    return replace(found, shape=(len(frames), *found.shape[1:]))
 
 
 def _opened(entry: StackEntry, array, block: Callable[[int, int], NDArray], **stamps: NDArray) -> OpenStack:

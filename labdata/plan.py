@@ -21,6 +21,9 @@ from labdata.wires import Wires
 LONGEST_SETTLE_S = 86400.0
 """A wait longer than a day is a slip of the pen, s."""
 
+POINT_SATURATION = 0.3
+"""Fraction of a frame's pixels that a bright point may saturate with its halo and streaks; room light fills it all."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
@@ -40,6 +43,9 @@ class Step:
         When to stop before all frames are taken; None: never.
     search
         Not one stack but a search for the light that saturates, each level a stack of its own; None: one stack.
+    saturated_fraction
+        Fraction of a frame's pixels that may be saturated; with 0.05 more the tube is made safe and the run ends.
+        None: 0, of a point 0.3 and of a search 1.
     """
 
     label: str
@@ -49,6 +55,7 @@ class Step:
     target: Target = field(default_factory=Target)
     until: Until | None = None
     search: SaturationSearch | None = None
+    saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
         if self.frames < 1:
@@ -57,6 +64,10 @@ class Step:
             raise BadInput(
                 f"least_frames must not exceed the frames of its step, got {self.until.least_frames} of {self.frames} "
                 f"in {self.label!r}"
+            )
+        if self.saturated_fraction is not None and not 0.0 <= self.saturated_fraction <= 1.0:
+            raise BadInput(
+                f"saturated_fraction must lie between 0 and 1, got {self.saturated_fraction:g} in {self.label!r}"
             )
         if self.search is not None:
             self._check_search(self.search)
@@ -88,7 +99,16 @@ class Step:
     def level(self, illuminance_lux: float, label: str) -> "Step":
         """Return one level of a search: one stack under one light."""
         conditions = replace(self.conditions, illuminance_lux=illuminance_lux)
-        return replace(self, label=label, conditions=conditions, search=None)
+        return replace(
+            self, label=label, conditions=conditions, search=None, saturated_fraction=self.allowed_saturation
+        )
+
+    @property
+    def allowed_saturation(self) -> float:
+        """Fraction of a frame's pixels that may be saturated."""
+        if self.saturated_fraction is not None:
+            return self.saturated_fraction
+        return 1.0 if self.search is not None else POINT_SATURATION if self.kind == "point" else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

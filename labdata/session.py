@@ -57,6 +57,8 @@ class StackEntry:
         Which ones they are and why, where that is known.
     notes
         Remarks of the manifest.
+    record_notes
+        What is damaged or missing in the record of the frames.
     bit_depth
         Bits of the digitiser; None if unknown.
     axis, plane
@@ -77,6 +79,7 @@ class StackEntry:
     lost_frames: int = 0
     losses: tuple[LostFrames, ...] = ()
     notes: tuple[str, ...] = ()
+    record_notes: tuple[str, ...] = ()
     bit_depth: int | None = None
     axis: str | None = None
     plane: str | None = None
@@ -115,9 +118,10 @@ class StackEntry:
         broken_off = () if self.finished else (f"the stack was broken off after {len(stack)} frames",)
         return replace(
             stack,
-            lost_frames=stack.lost_frames + self.lost_frames,
+            # What the record of an array lost was counted when the session was opened.
+            lost_frames=max(stack.lost_frames, self.lost_frames),
             full_scale_dn=self._full_scale_dn(stack),
-            notes=(*stack.notes, *self.notes, *broken_off),
+            notes=tuple(dict.fromkeys((*stack.notes, *self.notes, *broken_off))),
         )
 
     def _full_scale_dn(self, stack: FrameStack) -> float | None:
@@ -267,7 +271,7 @@ def session_of(folder: Path, form: "SessionForm") -> Session:
         register=camera.register if isinstance(camera, SolidStateCamera) and camera.register.multiplies else None,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
-        notes=(*form.notes, *_unused(stacks)),
+        notes=(*form.notes, *_unused(stacks), *(note for entry in stacks for note in entry.record_notes)),
     )
 
 
@@ -292,6 +296,7 @@ def _check(form: "SessionForm", folder: Path) -> None:
 def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
     from labdata.form import conditions_of
 
+    lost_frames, record_notes = _record(stack, folder)
     return StackEntry(
         label=stack.label,
         kind=stack.kind,
@@ -300,12 +305,26 @@ def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
         asked=stack.asked,
         target=stack.target,
         finished=stack.finished is not False,
-        lost_frames=stack.lost_frames or 0,
+        lost_frames=(stack.lost_frames or 0) + lost_frames,
         losses=stack.lost,
         notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
+        record_notes=record_notes,
         bit_depth=form.bit_depth,
         # Who writes a manifest says that its stacks are frames.
         axis=stack.axis or "frame",
         plane=stack.plane,
         folder=folder,
     )
+
+
+def _record(stack: "StackForm", folder: Path) -> tuple[int, tuple[str, ...]]:
+    """Return how many frames the journal of a stack's array lost, and what is to be said of it."""
+    from labdata.store.journal import is_ours, read_journal
+
+    if not isinstance(stack.frames, str) or not is_ours(folder / stack.frames):
+        return 0, ()
+    try:
+        journal = read_journal(folder / stack.frames)
+    except BadInput as error:  # the other stacks can be read
+        return 0, (str(error),)
+    return journal.lost_frames, journal.notes

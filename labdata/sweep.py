@@ -87,6 +87,8 @@ class SweepForm:
         Frames of each dark; None: as many as of a stack.
     until
         When each stack but the darks may stop before it has all its frames; None: never.
+    saturated_fraction
+        Fraction of a frame's pixels that may be saturated in each stack but the darks.
 
     Notes
     -----
@@ -111,6 +113,7 @@ class SweepForm:
     dark_every: int = 0
     dark_frames: int | None = None
     until: Until | None = None
+    saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
         name = self.label or self.kind
@@ -163,6 +166,7 @@ class SweepForm:
             conditions=Conditions(**values, illuminance_relative_sd=self.illuminance_relative_sd),
             target=target,
             until=self.until,
+            saturated_fraction=self.saturated_fraction,
         )
 
     def _label(self, point: dict[str, int], values: dict[str, Any], repeat: int) -> str:

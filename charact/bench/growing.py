@@ -12,7 +12,7 @@ from labdata.form import SessionForm, StackForm, conditions_of
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.session import MANIFEST
-from labdata.store import Acknowledged, Following, is_ours
+from labdata.store import Acknowledged, ArrayFollower, is_ours
 
 LOOK_S = 0.04  # 25 looks a second
 FIRST_SHOWN = 4  # enough for noise and focus of a stack that is there already
@@ -78,7 +78,7 @@ class _Stack:
         if not is_ours(path):
             raise BadInput(f"only frames taken by charact acquire can be followed, got {path}")
         self.form, self._full_scale_dn = form, context.full_scale_dn
-        self._following = Following(path)
+        self._following = ArrayFollower(path)
         self._first_number: int | None = None
 
     def newest(self) -> tuple[Seen, ...]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from labdata.border import from_toml
 from labdata.errors import BadInput
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.form import SessionForm
 from labdata.session import MANIFEST, Session, StackEntry, session_of
 
@@ -60,7 +60,7 @@ def landed(
 def how_it_ended(folder: Path) -> str | None:
     """Return None while a plan runs, "" once it is done, else why it ended; a session without a log is done."""
     try:
-        told = [event for event in events(folder / LOG) if event.get("event") in ("run begins", "run ends")]
+        told = [event for event in read_events(folder / LOG) if event.get("event") in ("run begins", "run ends")]
     except FileNotFoundError:
         return ""
     if not told or told[-1]["event"] == "run begins":

@@ -18,13 +18,14 @@ from labdata.tube_dose import warnings
 from labdata.wires import Role, Wires
 
 if TYPE_CHECKING:
+    from drivers.bench.client import BenchClient
     from drivers.bench.tube_bench import TubeBench
     from drivers.interface import Camera, Operator
     from drivers.serial_lines.line import InstrumentLine
     from simulate.rig.bench import VirtualBench
     from simulate.rig.fault_script import FaultScript
 
-WATCHDOG_LOG = "watchdog.jsonl"
+SAFETY_LOG = "safety.jsonl"
 DOSE = "dose.jsonl"
 REHEARSAL = "rehearsal.jsonl"
 
@@ -94,7 +95,7 @@ def _on_virtual_bench(
     with virtual_bench as virtual, _rehearsed(script, virtual, session, tell):
         session.parent.mkdir(parents=True, exist_ok=True)
         lines = None if virtual.inside is None else lines_on(virtual.inside.ports, virtual.wires)
-        bench = _bench(plan, session, sensor, wires=virtual.wires, log=folder / WATCHDOG_LOG, lines=lines)
+        bench = _bench(plan, session, sensor, wires=virtual.wires, log=folder / SAFETY_LOG, lines=lines)
         camera, operator = _eye(plan, virtual, tell), virtual.operator
         return _acquired(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
 
@@ -143,7 +144,7 @@ def _on_real_bench(
 
     sensor = None if plan.sensor is None else load_sensor(plan.sensor)
     camera = camera_named(plan.wires.camera, tell=tell)
-    bench = _bench(plan, session, sensor, wires=plan.wires, log=session.with_name(f"{session.name}.{WATCHDOG_LOG}"))
+    bench = _bench(plan, session, sensor, wires=plan.wires, log=session.with_name(f"{session.name}.{SAFETY_LOG}"))
     operator = PromptingOperator() if plan.lamp is None else TargetPlacer()
     return _acquired(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
 
@@ -156,12 +157,12 @@ def _bench(
     wires: Wires,
     log: Path,
     lines: "Mapping[Role, InstrumentLine] | None" = None,
-) -> "TubeBench":
+) -> "BenchClient | TubeBench":
     """Return the bench of a plan on wires; `lines`: what stands in for serial ports."""
     from drivers.acquisition.plan_check import field_hz
-    from drivers.bench.tube_bench import TubeBench
+    from drivers.bench.setup import open_bench
 
-    return TubeBench(
+    return open_bench(
         wires,
         limits_in_force(plan.limits, sensor, plan.overrides),
         log=log,
@@ -179,7 +180,7 @@ def _acquired(
     plan: Plan,
     session: Path,
     camera: "AbstractContextManager[Camera]",
-    bench: "TubeBench",
+    bench: "BenchClient | TubeBench",
     operator: "Operator",
     *,
     resume: bool,
@@ -190,14 +191,18 @@ def _acquired(
     from drivers.acquisition.acquire import acquire
     from drivers.acquisition.run_control import RunControl
 
-    return acquire(
-        plan,
-        session,
-        camera=camera,
-        bench=bench,
-        operator=operator,
-        judge=SaturationJudge(),
-        resume=resume,
-        progress=progress,
-        requests=RunControl(tell),
-    )
+    try:
+        return acquire(
+            plan,
+            session,
+            camera=camera,
+            bench=bench,
+            operator=operator,
+            judge=SaturationJudge(),
+            resume=resume,
+            progress=progress,
+            requests=RunControl(tell),
+        )
+    finally:
+        if bench.last_words:
+            tell(f"The tube: {bench.last_words}.")

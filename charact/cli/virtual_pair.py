@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from drivers.instruments.models import InstrumentModel, models
-from drivers.serial_lines.line import LocalLine
+from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
 from simulate.rig.faults import Faults, provoke
 from simulate.rig.models import virtual_model
@@ -49,11 +49,12 @@ class VirtualPair:
         if name not in known:
             raise BadInput(f"a model must be one of {', '.join(sorted(known))}, got {name!r}")
         self.model: InstrumentModel = known[name]
-        self._place, self._folder = virtual_model(name).place, Path(folder)
+        self._virtual, self._folder = virtual_model(name), Path(folder)
+        self._port = str(self._folder.absolute() / self._virtual.place)
         self._instruments = VirtualInstruments(
             self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
         )
-        self._line: LocalLine | None = None
+        self._line: InstrumentLine | None = None
         self._power_cycles, self._tripped = 0, False
 
     def __enter__(self) -> Self:
@@ -69,7 +70,7 @@ class VirtualPair:
     def driver(self) -> Any:
         """Open the line anew and return a driver on it."""
         self._close()
-        self._line = self.model.open_line(self._instruments.port(self._place), ADDRESS)
+        self._line = self.model.open_line(self._port, ADDRESS)
         return self.model.driver(self._line)
 
     def outputs(self) -> Mapping[str, Any]:
@@ -79,8 +80,14 @@ class VirtualPair:
             found |= json.loads(path.read_text())
         return found
 
-    def suffer(self, wrong: str) -> None:
-        """Begin one of the wrongs, all others ended."""
+    def suffer(self, wrong: str, setting: str = "") -> None:
+        """Begin one of the wrongs, all others ended; a setting is changed at the panel by orders of another program."""
+        if wrong == "panel":
+            hand = self.model.open_line(self._port, ADDRESS, exclusive=False)
+            for command in self._virtual.panel[setting]:
+                hand.order(command)
+            hand.close()
+            return
         self._power_cycles += wrong == "power-cycle"
         self._tripped = wrong == "trip"
         self._now(_WRONGS[wrong])
@@ -92,7 +99,7 @@ class VirtualPair:
         self._tripped = False
 
     def _now(self, faults: Faults) -> None:
-        provoke(self._folder, self._place, replace(faults, power_cycles=self._power_cycles))
+        provoke(self._folder, self._virtual.place, replace(faults, power_cycles=self._power_cycles))
         time.sleep(SEEN_S)
 
     def _close(self) -> None:

@@ -3,15 +3,17 @@
 from collections.abc import Callable, Container, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
+from typing import Self
 
 from drivers.acquisition.frame_format_check import picture_of
 from drivers.acquisition.plan_check import check_plan
-from drivers.acquisition.run import Run
+from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress
 from drivers.acquisition.run_start import bit_depth, keep_plan, session_writer
 from drivers.acquisition.saturation_search import search
 from drivers.interface import Bench, Camera, Operator
+from labdata.background import BackgroundWriter
 from labdata.calibrated_gain import gain_table_of, in_volts
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
@@ -21,6 +23,9 @@ from labdata.session import Session, open_session
 from labdata.store.storage import Storage
 
 LOG = "log.jsonl"
+
+PROGRESS_S = 1.0
+"""Longest wait at the end for progress to be shown, s."""
 
 
 def acquire(
@@ -37,9 +42,10 @@ def acquire(
 ) -> Session:
     """Take a plan's stacks into a session.
 
-    The plan is checked in full before anything is switched on. Frames are stored by a thread of their own; progress
-    tells of those that are on the disk. Whatever ends the run, an error of an instrument or of the disk included, the
-    gate is shut and the gain lowered first; the frames so far stay, and the session's log says what happened.
+    The tube is made safe before anything else, and the plan checked in full before anything is switched on. Frames are
+    stored by a thread of their own; progress counts those that are on the disk. Whatever ends the run, an error of an
+    instrument or of the disk included, the gate is shut and the gain lowered first; the frames so far stay, and the
+    session's log says what happened.
 
     Parameters
     ----------
@@ -48,9 +54,9 @@ def acquire(
     folder
         Folder of the session.
     camera
-        The camera, not yet open; opened first and closed last.
+        The camera, not yet open.
     bench
-        Gate and gain, not yet open; leaving it makes the tube safe.
+        Gate and gain, not yet open; opened first and left last. Both make the tube safe.
     operator
         Puts targets and light before the camera.
     judge
@@ -79,15 +85,19 @@ def acquire(
         If the run was stopped: after the first Ctrl-C when the present step is finished, after the second at once.
     """
     folder = Path(folder)
-    sensor = None if plan.sensor is None else load_sensor(plan.sensor)
-    plan = in_volts(plan, sensor)
-    check_plan(plan, folder, sensor)
-    _require_judge(plan, judge)
-    keep_plan(plan, folder, resume=resume)
     asked = requests or RunControl()
     with ExitStack() as opened:
-        log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume))
+        report = opened.enter_context(_Reporter(progress))
         opened.enter_context(asked.heard())
+        # First of all, whatever becomes of plan, folder and camera: the tube is made safe.
+        tube = opened.enter_context(bench)
+        asked.make_safe_at_once, asked.last_words = tube.safe_at_once, lambda: tube.last_words
+        sensor = None if plan.sensor is None else load_sensor(plan.sensor)
+        plan = in_volts(plan, sensor)
+        check_plan(plan, folder, sensor)
+        _require_judge(plan, judge)
+        keep_plan(plan, folder, resume=resume)
+        log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume))
         eye = opened.enter_context(camera)
         settings = eye.configure(picture_of(plan, sensor))
         log("camera opened", camera=eye.identifier, **vars(settings))
@@ -95,7 +105,6 @@ def acquire(
         finished, partial, doubtful = writer.finished, writer.partial, writer.doubtful
         storage = opened.enter_context(Storage(writer))
         opened.callback(operator.darken)
-        tube = opened.enter_context(bench)
         operator = tube.guard(operator)
         log("bench opened", finished=finished, broken_off=partial, doubtful=doubtful)
         run = Run(
@@ -111,16 +120,45 @@ def acquire(
             settle=plan.settle,
             gain_table=gain_table_of(plan, sensor),
             pace=_pace(plan, finished),
-            progress=progress,
+            progress=report,
             finished=finished,
             partial=partial,
             doubtful=doubtful,
         )
-        with asked.running():
+        with asked.running(), _safe_first(tube):
             _take(run, plan, finished, asked)
-            storage.wait()
-            run.tell_done()
+        storage.wait()
+        run.report_end()
     return open_session(folder)
+
+
+class _Reporter:
+    """Progress through a queue: a terminal that takes no more must not hold up the run."""
+
+    def __init__(self, progress: Callable[[str, float], None]) -> None:
+        self._writer: BackgroundWriter[tuple[str, float]] = BackgroundWriter(
+            lambda item: progress(*item), name="progress"
+        )
+
+    def __call__(self, sentence: str, share: float) -> None:
+        self._writer.put((sentence, share))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.close(PROGRESS_S)
+
+
+@contextmanager
+def _safe_first(bench: Bench) -> Iterator[None]:
+    """Make the tube safe before anything else is left, however the steps end: a camera or a disk may take long."""
+    try:
+        yield
+    except BaseException as error:
+        make_safe_after(error, bench)
+        raise
+    bench.safe()
 
 
 def _pace(plan: Plan, finished: Container[str]) -> RunProgress:

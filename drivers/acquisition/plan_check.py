@@ -6,8 +6,8 @@ from pathlib import Path
 
 from drivers.acquisition.frame_format_check import check_picture, frame_bytes_of
 from drivers.bench.interlock import Interlock
+from drivers.bench.setup import FIELD_RATE_HZ
 from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
-from drivers.bench.tube_bench import FIELD_RATE_HZ
 from labdata.errors import BadInput
 from labdata.gating import Gating
 from labdata.lamp import Lamp

@@ -13,7 +13,7 @@ from drivers.acquisition.read_back import merged, require_same
 from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError
-from drivers.interface import Bench, Camera, Operator
+from drivers.interface import Bench, Camera, CameraError, FrameLevels, Operator
 from labdata.calibrated_gain import by_calibration
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
@@ -25,6 +25,15 @@ from labdata.session import open_session
 from labdata.store.storage import Storage, StoredStack
 
 LOOK_S = 0.1
+DISK_S = 1.5
+"""Longest time in which the disk may take nothing while frames wait, s: a hot tube is not kept waiting for it."""
+
+CAMERA_S = 15.0
+"""Longest time in which a camera may take its settings, the gate being shut, s."""
+
+PROBE_SHARE = 0.01
+"""Share of the gate's width at which a light that a person set is looked at first."""
+
 DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one for the phosphor
 
 
@@ -63,7 +72,7 @@ class Run:
         if requests.pause and not requests.stop:
             self._log("paused")
             self._operator.darken()
-        requests.between_steps(self._bench.check)
+        requests.between_steps(self._look)
 
     def take(self, step: Step) -> bool:
         """Take one stack and return whether it is saturated."""
@@ -73,15 +82,13 @@ class Run:
         self._log("step begins", step=step.label)
         anew, watcher = self._put_aside(step), self._watcher(step)
         there = 0 if anew else self._partial.get(step.label, 0)
+        before = self._look_back(step, watcher) if there else None
         conditions = self._set(step, clock)
-        conditions, silent = self._read_beside(conditions, clock)
-        if there:
-            self._look_back(step, conditions, watcher)
+        conditions, silent = self._read_meters(conditions, clock)
+        if before is not None:
+            require_same(before, conditions, label=step.label)
         stack = self._begin(step, conditions)
         losses, enough = self._fill(step, stack, there, watcher, clock)
-        with self._doubting(stack), clock.wire():
-            # No target moves before an open gate.
-            self._bench.set_conditions(replace(step.conditions, gate_ns=None))
         stack.finish(losses, (*self._notes(there, anew, enough, watcher), *silent))
         self._pace.done += step.frames
         self._log(
@@ -95,14 +102,15 @@ class Run:
         )
         return watcher.saturated()
 
-    def tell_done(self) -> None:
-        """Tell that all is on the disk."""
+    def report_end(self) -> None:
+        """Report that all is on the disk."""
         self._progress("all frames are stored", 1.0)
 
     def read_saturated(self, step: Step) -> bool:
         """Return whether a stack that an earlier run finished is saturated."""
         watcher = self._watcher(step)
         for pixels in open_session(self._folder).stack(step.label).read().data:
+            self._look()
             watcher.see(pixels)
         self._pace.done += step.frames
         return watcher.saturated()
@@ -130,53 +138,76 @@ class Run:
         asked = step.conditions
         with clock.wire():
             light = self._operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
-            self._settings = self._camera.configure(
-                CameraSettings(exposure_s=asked.exposure_s, gain_db=asked.camera_gain_db)
-            )
+            with self._bench.patience(CAMERA_S):
+                self._settings = self._camera.configure(
+                    CameraSettings(exposure_s=asked.exposure_s, gain_db=asked.camera_gain_db)
+                )
             tube = self._bench.set_conditions(asked)
             if asked.illuminance_lux:
-                self._look_for_light()
+                self._require_dark()
                 light = self._operator.place(
                     kind=step.kind,
                     target=step.target,
                     illuminance_lux=asked.illuminance_lux,
                     filter_density=asked.filter_density,
                 )
+                if self._operator.is_by_hand:
+                    self._probe_light(step)
+                    tube = self._bench.set_conditions(asked)
         self._wait(self._settle.wait_s(self._before, asked), clock)
         self._before = asked
         camera = Conditions(exposure_s=self._settings.exposure_s, camera_gain_db=self._settings.gain_db)
         return merged(asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera)
 
-    def _read_beside(self, conditions: Conditions, clock: StepClock) -> tuple[Conditions, tuple[str, ...]]:
-        """Read the meters beside the tube once all has settled; one that keeps silent is told."""
+    def _read_meters(self, conditions: Conditions, clock: StepClock) -> tuple[Conditions, tuple[str, ...]]:
+        """Read the auxiliary meters once all has settled; one that keeps silent is noted."""
         with clock.wire():
-            read, silent = self._bench.read_beside()
+            read, silent = self._bench.read_meters()
         for sentence in silent:
             self._log("meter silent", sentence=sentence)
         return merged(conditions, read), silent
+
+    def _look(self) -> None:
+        """Look after the bench and the disk, and show that the run lives."""
+        self._bench.check()
+        if self._storage.stalled_s > DISK_S:
+            raise BadInput(
+                f"the disk must take a frame within {DISK_S:g} s, got {self._storage.stalled_s:.1f} s without one; "
+                "find what holds it up, then resume"
+            )
 
     def _wait(self, seconds: float, clock: StepClock) -> None:
         """Let gain and light settle, with an eye on the bench."""
         with clock.settling():
             until_s = time.monotonic() + seconds
             while (left_s := until_s - time.monotonic()) > 0.0:
-                self._bench.check()
+                self._look()
                 time.sleep(min(left_s, LOOK_S))
 
-    def _look_for_light(self) -> None:
+    def _require_dark(self) -> None:
         """Before the first light: a frame through the open gate must be dark."""
-        if self._bench.dark_seen:
-            return
-        with self._camera.capture(frames=1, discard=DISCARDED_FRAMES) as capture:
-            for frame in capture:
-                self._bench.saw_without_light(frame.pixels, self._full_scale_dn)
+        if not self._bench.dark_seen:
+            self._bench.dark_frame_seen(self._one_frame(0.0))
 
-    def _look_back(self, step: Step, conditions: Conditions, watcher: Watcher) -> None:
-        """Before a stack is gone on with: it was begun under the same conditions, and its frames are judged with it."""
+    def _probe_light(self, step: Step) -> None:
+        """Show the bench a frame in a light that a person set, with the gate open for a hundredth of the time only."""
+        asked = step.conditions
+        self._bench.set_conditions(replace(asked, gate_ns=PROBE_SHARE * (asked.gate_ns or 0.0)))
+        self._bench.frame_seen(self._one_frame(step.allowed_saturation))
+
+    def _one_frame(self, allowed: float) -> FrameLevels:
+        capture = self._camera.capture(frames=1, discard=DISCARDED_FRAMES, while_waiting=self._look)
+        with capture as running:
+            (frame,) = running
+        return FrameLevels.of(frame.pixels, self._full_scale_dn, allowed=allowed)
+
+    def _look_back(self, step: Step, watcher: Watcher) -> Conditions:
+        """Judge the frames of a stack that is gone on with, and return the conditions under which it was begun."""
         entry = open_session(self._folder).stack(step.label)
-        require_same(entry.conditions, conditions, label=step.label)
         for pixels in entry.read().data:
+            self._look()
             watcher.see(pixels)
+        return entry.conditions
 
     def _begin(self, step: Step, conditions: Conditions) -> StoredStack:
         pixel = np.uint8 if PIXEL_BITS[self._settings.pixel_format or "Mono16"] <= 8 else np.uint16
@@ -191,32 +222,49 @@ class Run:
         """Take frames until the stack is full or holds enough; return which were lost, and why it holds enough."""
         taken, enough = there, watcher.enough() if there else None
         if taken >= step.frames or enough:
+            self._shut(step, stack, clock)
             return (), enough
+        allowed = step.allowed_saturation
         with ExitStack() as running:
             with clock.wire():
-                wanted = self._camera.capture(frames=step.frames - there, discard=DISCARDED_FRAMES)
-                capture = running.enter_context(wanted)
+                capture = running.enter_context(
+                    self._camera.capture(frames=step.frames - there, discard=DISCARDED_FRAMES, while_waiting=self._look)
+                )
             try:
-                for frame in clock.waiting_for(capture):
-                    with self._doubting(stack), clock.wire():
-                        self._bench.check()
-                        if step.kind == "dark" and not self._bench.dark_seen:
-                            self._bench.saw_without_light(frame.pixels, self._full_scale_dn)
-                    stack.put(frame)
-                    taken += 1
-                    watcher.see(frame.pixels)
-                    self._tell(step, stack.acknowledged)
-                    if enough := watcher.enough():
-                        break
+                with self._doubting(stack):
+                    for frame in clock.waiting_for(capture):
+                        with clock.wire():
+                            self._show(step, frame.pixels, allowed)
+                            self._look()
+                        stack.put(frame)
+                        taken += 1
+                        watcher.see(frame.pixels)
+                        self._tell(step, stack.acknowledged)
+                        if enough := watcher.enough():
+                            break
+                self._shut(step, stack, clock)
             except BaseException as error:
-                # The gate first: stopping a camera may take long, and Bench shuts it only when its block ends.
-                _make_safe(self._bench, error)
+                # The gate first: stopping a camera may take long.
+                make_safe_after(error, self._bench)
                 with suppress(BadInput):
                     stack.lose(capture.losses)
                 raise
             with clock.wire():
                 running.close()
         return capture.losses, enough
+
+    def _show(self, step: Step, pixels: NDArray, allowed: float) -> None:
+        """Show the bench how bright a frame is."""
+        levels = FrameLevels.of(pixels, self._full_scale_dn, allowed=allowed)
+        if step.kind == "dark" and not self._bench.dark_seen:
+            self._bench.dark_frame_seen(levels)
+        self._bench.frame_seen(levels)
+
+    def _shut(self, step: Step, stack: StoredStack, clock: StepClock) -> None:
+        """Compare the tube with what was set, then shut the gate: no target moves before an open one."""
+        with self._doubting(stack), clock.wire():
+            self._bench.verify()
+            self._bench.set_conditions(replace(step.conditions, gate_ns=None))
 
     def _notes(self, there: int, anew: str | None, enough: str | None, watcher: Watcher) -> tuple[str, ...]:
         filled_up = f"broken off after {there} frames and filled up by a later run" if there else None
@@ -231,6 +279,8 @@ class Run:
         """Where the bench fails, doubt the frames so far: the gate may have been shut before it was told."""
         try:
             yield
+        except CameraError:
+            raise
         except BenchError as error:
             with suppress(BadInput):
                 stack.doubt(f"the bench failed while they were taken, and the last may be dark: {error}")
@@ -252,7 +302,8 @@ class _Unwatched:
         return None
 
 
-def _make_safe(bench: Bench, error: BaseException) -> None:
+def make_safe_after(error: BaseException, bench: Bench) -> None:
+    """Make the tube safe after an error; where that fails too, the error says so."""
     try:
         bench.safe()
     except BenchError as second:

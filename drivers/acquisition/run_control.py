@@ -1,13 +1,19 @@
 """What a person asks of a running acquisition: to stop after this step, to stop now, to pause and to go on."""
 
+import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 LOOK_S = 0.05
+
+URGENT = (signal.SIGTERM, signal.SIGHUP)
+GRACE_S, STUCK_S = 5.0, 40.0
+"""How long a run that was ended by a signal may take to leave, once the tube is safe and in all, s."""
 
 STOPPING = "stopping after this step; Ctrl-C again shuts the gate now"
 PAUSING = "pausing after this step; the same signal again goes on"
@@ -29,27 +35,60 @@ class RunControl:
         """End the run when the present step is finished."""
         self.pause = False
         """Wait when the present step is finished, until this is False again."""
+        self.make_safe_at_once: Callable[[], None] = lambda: None
+        """Called from a thread of its own at SIGTERM, SIGHUP and the second Ctrl-C, whatever the run waits for."""
+        self.last_words: Callable[[], str] = lambda: ""
+        """Returns how the tube was left; what a run that does not leave writes on the terminal at its end."""
         self._running = self._leaving = False
+        self._ended = threading.Event()
 
     @contextmanager
     def heard(self) -> Iterator[None]:
-        """Hear Ctrl-C and SIGUSR1 for a while; only the main thread of a process can.
+        """Hear signals for a while; only the main thread of a process can.
 
         While steps run, the first Ctrl-C asks to stop after the step, and the second is a KeyboardInterrupt at once.
-        Before, the first is; after, when the tube is being made safe, none is.
+        Before, the first is; after, when the tube is being made safe, none is. SIGTERM and SIGHUP are a SystemExit.
+        SIGUSR1 pauses and goes on.
         """
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        before = {
-            signal.SIGINT: signal.signal(signal.SIGINT, self._interrupted),
-            signal.SIGUSR1: signal.signal(signal.SIGUSR1, self._paused),
-        }
+        handlers = {signal.SIGINT: self._interrupted, signal.SIGUSR1: self._paused}
+        handlers |= dict.fromkeys(URGENT, _end)
+        before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+        reading, writing = socket.socketpair()
+        writing.setblocking(False)
+        wakeup = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
+        threading.Thread(target=self._take_signals, args=(reading,), name="signals", daemon=True).start()
         try:
             yield
         finally:
+            self._ended.set()
+            signal.set_wakeup_fd(wakeup)
+            writing.close()
             for number, handler in before.items():
                 signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+
+    def _take_signals(self, reading: socket.socket) -> None:
+        """Make safe at an urgent signal, which the main thread may be too stuck to hear; in a thread of its own."""
+        interrupts = 0
+        with reading:
+            while numbers := reading.recv(64):
+                for number in numbers:
+                    interrupts += number == signal.SIGINT
+                    if number in URGENT or interrupts > 1:
+                        self.make_safe_at_once()
+                        self._end_if_stuck(number)
+
+    def _end_if_stuck(self, number: int) -> None:
+        """End the process where the main thread does not, with what is to be said of the tube."""
+        stuck_s = time.monotonic() + STUCK_S
+        while not self._ended.wait(GRACE_S):
+            if self.last_words() or time.monotonic() > stuck_s:
+                os.set_blocking(2, False)
+                with suppress(OSError):
+                    os.write(2, f"charact: the tube: {self.last_words() or 'not known to be safe'}\n".encode())
+                os._exit(128 + number)
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -88,3 +127,8 @@ class RunControl:
         self.pause = not self.pause
         if self.pause:
             self._say(PAUSING)
+
+
+def _end(number: int, _frame: FrameType | None) -> None:
+    """Unwind the stack like Ctrl-C, so that every `with` is left properly."""
+    raise SystemExit(128 + number)

@@ -1,4 +1,4 @@
-"""The meters beside the tube, read with every stack: what they say, and in a sentence where one does not answer."""
+"""Auxiliary meters: light meter and thermometer, read with every stack and never set."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -38,10 +38,10 @@ class AuxiliaryMeters:
 
     def read(self) -> Reading:
         """Read them; one that is needed and does not answer is a BenchError."""
-        light, dim = self._tried(self._light, self._lit, needed=self._meters.light_needed)
-        warmth, cold = self._tried(self._warmth, self._warm, needed=self._meters.temperature_needed)
+        light, no_light = self._tried(self._light, self.read_light, needed=self._meters.light_needed)
+        warmth, no_warmth = self._tried(self._warmth, self._warm, needed=self._meters.temperature_needed)
         known = {name: value for one in (light, warmth) for name, value in vars(one).items() if value is not None}
-        return Conditions(**known), (*dim, *cold)
+        return Conditions(**known), (*no_light, *no_warmth)
 
     def _tried(self, meter: Any, read: Callable[[], Conditions], *, needed: bool) -> Reading:
         if meter is None:
@@ -51,9 +51,10 @@ class AuxiliaryMeters:
         except BenchError as error:
             if needed:
                 raise
-            return Conditions(), (f"not read beside the stack: {error}",)
+            return Conditions(), (f"not read with the stack: {error}",)
 
-    def _lit(self) -> Conditions:
+    def read_light(self) -> Conditions:
+        """Read the light meter, which must be there."""
         assert self._light is not None
         if not self._tuned:
             self._tune()

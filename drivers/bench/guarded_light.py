@@ -1,50 +1,66 @@
 """Light and targets behind the interlock: whoever places them, nothing is placed or lit without leave."""
 
-from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
 
-from drivers.bench.calibrated_lamp import CalibratedLampControl
-from drivers.bench.interlock import Interlock
-from drivers.bench.state import LightRead, SetLight
-from drivers.interface import Operator
+from drivers.errors import BenchError
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
+
+if TYPE_CHECKING:
+    from drivers.interface import Operator
 
 METER_ZERO = 1e-3
 """A meter that reads less than this share of the largest light allowed reads its own zero once the light is blocked."""
 
 
+class LightControl(Protocol):
+    """What a bench knows of light, see `TubeBench`."""
+
+    def light_unknown(self) -> bool: ...
+
+    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None: ...
+
+    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None: ...
+
+    def darken(self) -> None: ...
+
+    def shut_gate(self) -> None: ...
+
+    def shine(
+        self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None
+    ) -> Conditions: ...
+
+    def check(self) -> None: ...
+
+
 class GuardedLight:
-    """An operator whose hands the interlock holds, and the lamp of the bench, if it has one.
+    """An operator behind the interlock, and the lamp of the bench, if it has one.
 
     Parameters
     ----------
     operator
         Places targets; sets the light where there is no lamp.
-    lamp
-        The lamp; None: the operator sets the light.
-    interlock
-        Asked before each placement, told what the meter reads after it.
-    check
-        Raises what went wrong at the bench; called before and after each placement.
+    bench
+        Asked before each placement, given what the meter reads after it.
     """
 
-    def __init__(
-        self, operator: Operator, *, lamp: CalibratedLampControl | None, interlock: Interlock, check: Callable[[], None]
-    ) -> None:
-        self._operator, self._lamp = operator, lamp
-        self._interlock, self._check = interlock, check
+    def __init__(self, operator: "Operator", bench: LightControl) -> None:
+        self._operator, self._bench = operator, bench
+        self._has_lamp = bench.light_unknown()
+        operator.while_waiting = self.while_waiting = bench.check
+
+    @property
+    def is_by_hand(self) -> bool:
+        """Whether a person sets the light, for whom the gate is shut meanwhile."""
+        return self._operator.is_by_hand and not self._has_lamp
 
     def darken(self) -> None:
         """Block the light, which needs no leave."""
         self._operator.darken()
-        if self._lamp is not None:
-            self._lamp.darken()
-        self._interlock.tell(LightRead(illuminance_lux=0.0))
-
-    def block_by_hand(self) -> None:
-        """Ask the operator to block the light, with the lamp seen to by others."""
-        self._operator.darken()
+        self._bench.darken()
+        if not self._has_lamp:
+            self._bench.light_read(0.0)
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
@@ -56,44 +72,26 @@ class GuardedLight:
         InterlockRefused
             If a rule forbids it; nothing was moved then.
         BenchError
-            If the meter reads a light that the tube must be saved from.
+            If the meter reads a light that the tube must be made safe for.
         """
-        self._check()
-        if self._lamp is None:
-            read = self._placed(kind, target, illuminance_lux, filter_density)
-        elif illuminance_lux == 0.0:
-            self._lamp.darken()
-            self._placed(kind, target, 0.0, None)
+        self._bench.check()
+        point = kind == "point"
+        if self._has_lamp and illuminance_lux:
+            return self._bench.shine(illuminance_lux, point=point, target=target, filter_density=filter_density)
+        if self._has_lamp:
+            self._bench.darken()
+        elif self.is_by_hand:
+            self._bench.shut_gate()
+        self._bench.permit_light(illuminance_lux, point=point, target=target)
+        read = self._operator.place(
+            kind=kind, target=target, illuminance_lux=illuminance_lux, filter_density=filter_density
+        )
+        if self._has_lamp:
             read = Conditions(illuminance_lux=0.0, lamp_a=0.0)
-        else:
-            read = self._lit(self._lamp, kind, target, illuminance_lux, filter_density)
-        self._check()
+        lux = illuminance_lux if read.illuminance_lux is None else read.illuminance_lux
+        try:
+            self._bench.light_read(lux, zero=not illuminance_lux)
+        except BenchError:
+            self._operator.darken()
+            raise
         return read
-
-    def _placed(self, kind: Kind, target: Target, lux: float, filter_density: float | None) -> Conditions:
-        """Have the operator do all of it."""
-        self._interlock.permit(SetLight(illuminance_lux=lux, point=kind == "point", target=target))
-        read = self._operator.place(kind=kind, target=target, illuminance_lux=lux, filter_density=filter_density)
-        self._interlock.tell(LightRead(illuminance_lux=self._known_lux(read, lux, kind)))
-        return read
-
-    def _lit(
-        self, lamp: CalibratedLampControl, kind: Kind, target: Target, lux: float, density: float | None
-    ) -> Conditions:
-        """Turn the filter in the dark, then light the lamp; the target stands where it was placed in the dark."""
-        setting = lamp.setting(lux, density)
-        lamp.darken()
-        self._interlock.tell(LightRead(illuminance_lux=0.0))
-        lamp.turn(setting.position)
-        self._check()  # a wheel takes its time
-        ordered_lux = setting.read.illuminance_lux or 0.0
-        self._interlock.permit(SetLight(illuminance_lux=ordered_lux, point=kind == "point", target=target))
-        read = lamp.shine(setting.current_a)
-        self._interlock.tell(LightRead(illuminance_lux=read.illuminance_lux or ordered_lux))
-        return read
-
-    def _known_lux(self, read: Conditions, asked_lux: float, kind: Kind) -> float:
-        if read.illuminance_lux is None:
-            return asked_lux
-        zero_lux = METER_ZERO * self._interlock.limits.largest_lux(point=kind == "point")
-        return 0.0 if not asked_lux and read.illuminance_lux <= zero_lux else read.illuminance_lux

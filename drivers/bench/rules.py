@@ -16,7 +16,13 @@ from drivers.bench.state import (
 from labdata.limits import LimitsInForce
 
 SILENCE_S = 0.6
-"""Longest time since the guard's last sign of life at which the tube may be made hotter, s."""
+"""Longest time since the client's last sign of life at which the tube may be made hotter, s."""
+
+PROBE_DUTY = 0.01
+"""Largest share of the time that the gate may open onto light that no frame has shown yet: a hundredth of the dose."""
+
+MAX_EXCESS_SATURATION = 0.05
+"""Share of a frame's pixels that may be saturated beyond what its step allows: lamps in view are smaller."""
 
 METER_TOLERANCE = 1.25
 """A light may read this much brighter than allowed, for its meter's calibration, before the tube is made safe."""
@@ -99,8 +105,17 @@ def _light_at_gain(state: TubeState, command: Command, limits: LimitsInForce, no
 
 
 def _gate_opens_dark(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
-    if isinstance(command, OpenGate) and not state.dark:
-        return f"the light must be out when the gate opens, got up to {state.light_lux:g} lux"
+    if not isinstance(command, OpenGate) or state.dark:
+        return None
+    if not state.probed and not command.width_ns * 1e-9 * command.rate_hz <= PROBE_DUTY:
+        return (
+            "the light must be out when the gate opens, or seen first with the gate open for at most "
+            f"{PROBE_DUTY:g} of the time, got up to {state.light_lux:g} lux"
+        )
+    limit = limits.largest_anode_na_per_cm2(point=state.point)
+    asked = command.ordered(state).anode_na_per_cm2(limits)
+    if not asked <= limit:
+        return f"the gate must not ask more than {limit:g} nA/cm2 of the plate, got {asked:.4g}"
 
 
 def _gain_up_dark(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
@@ -195,11 +210,20 @@ def _too_bright(state: TubeState, limits: LimitsInForce, now_s: float) -> str | 
         return f"the light must read at most {limit:g} lux before an open gate, got {state.light_lux:g}"
 
 
+def _saturated(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
+    if not state.excess_saturation <= MAX_EXCESS_SATURATION:
+        return (
+            f"at most {MAX_EXCESS_SATURATION:.0%} of a frame's pixels may be saturated beyond what its step allows, "
+            f"got {state.excess_saturation:.0%}: find the light, or state saturated_fraction in the step"
+        )
+
+
 REACTIONS = (
     Reaction(name="a failure makes safe", reason=_failed),
     Reaction(name="silence makes safe", reason=_silent),
     Reaction(name="too much current makes safe", reason=_overloaded),
     Reaction(name="too bright a light makes safe", reason=_too_bright),
+    Reaction(name="a saturated frame makes safe", reason=_saturated),
 )
 """Every rule that makes the tube safe by itself."""
 

@@ -1,20 +1,33 @@
 """Making the tube safe: gate shut, high voltage off, lamp out at once, every step recorded, the decay followed."""
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
-from drivers.errors import InstrumentDisconnected
+from drivers.errors import BenchError, InstrumentDisconnected
+from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S
-from drivers.roles import Gate, LightSource, Supply
+from drivers.roles import Gate, Instrument, LightSource, Supply
+from labdata.wires import Reached, Role, Wires
 
-Record = Callable[..., None]
-"""Called as record(step, **details) for each thing that was done."""
+DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
+"""What must be made safe."""
+
+Record = Callable[..., object]
+"""Called as record(step, **details) for each thing that was done; it must not block."""
 
 FOLLOW_S = 0.2
 DEAF_S = 3.0
 """A supply that answered nothing for this time is no longer asked, s."""
+
+REOPEN_S, REOPEN_EVERY_S = 15.0, 0.2
+"""How long a port that is gone is opened anew, and how often, s."""
+
+BY_HAND = "switch the high-voltage supply off at its front panel, then cover the camera and disconnect the gate unit"
+"""What a person does for a tube that could not be made safe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +71,60 @@ class SafeStateReport:
             gain = "the high voltage was ordered off but not verified" if self.off_ordered else "the high voltage is on"
         return f"{gate}, {gain}" if self.light_dark else f"{gate}, {gain}, the lamp may burn"
 
+    def last_words(self) -> str:
+        """How the tube was left, and what to do by hand where it may be hot."""
+        return self.sentence() if self.whole else f"{self.sentence()}; by hand, now: {BY_HAND}"
+
+
+class Crew:
+    """Threads that wait for work, so that a process that can start no thread any more can still make the tube safe.
+
+    Parameters
+    ----------
+    size
+        Number of threads.
+    """
+
+    def __init__(self, size: int = 3) -> None:
+        self._jobs: queue.SimpleQueue[tuple[Callable[[], object], threading.Event] | None] = queue.SimpleQueue()
+        self._size = size
+        for _ in range(size):
+            threading.Thread(target=self._work, name="safe", daemon=True).start()
+
+    def run(self, tasks: Sequence[Callable[[], object]]) -> None:
+        """Run tasks at once and wait for all of them."""
+        ended = [threading.Event() for _ in tasks]
+        for job in zip(tasks, ended, strict=True):
+            self._jobs.put(job)
+        for one in ended:
+            one.wait()
+
+    def dismiss(self) -> None:
+        """End the threads."""
+        for _ in range(self._size):
+            self._jobs.put(None)
+
+    def _work(self) -> None:
+        while (job := self._jobs.get()) is not None:
+            task, ended = job
+            try:
+                task()
+            finally:
+                ended.set()
+
 
 def make_safe(
-    *, gate: Gate | None, supply: Supply | None, lamps: Sequence[LightSource | None] = (), record: Record
+    *,
+    gate: Gate | None,
+    supply: Supply | None,
+    lamps: Sequence[LightSource | None] = (),
+    record: Record,
+    crew: Crew | None = None,
 ) -> SafeStateReport:
     """Shut the gate, order the high voltage off and the lamps out, all at once, then follow the decay of the output.
 
-    None waits for another, so that a silent line does not hold up the safe action of the other ones.
+    None waits for another, so that a silent line does not hold up the safe action of the other ones. A port that is
+    gone is opened anew for 15 s, and its instrument made safe when it is back.
 
     Parameters
     ----------
@@ -73,7 +133,9 @@ def make_safe(
     lamps
         Light sources of the bench, if it has any; None as above.
     record
-        Told each step.
+        Called with each step.
+    crew
+        Threads that do it; None: new ones.
 
     Returns
     -------
@@ -81,26 +143,52 @@ def make_safe(
         What was achieved; this function raises nothing, because the next step must be tried all the same.
     """
     shut, fall, dark = _Shutting(gate, record), _Falling(supply, record), [_Darkening(one, record) for one in lamps]
-    helpers = [threading.Thread(target=task.run, daemon=True) for task in (shut, fall, *dark)]
-    for helper in helpers:
-        helper.start()
-    for helper in helpers:
-        helper.join()
+    workers = crew or Crew(2 + len(dark))
+    workers.run([task.run for task in (shut, fall, *dark)])
+    if crew is None:
+        workers.dismiss()
     return SafeStateReport(
         gate_shut=shut.verified,
         off_ordered=fall.ordered,
         residual_v=fall.residual_v,
         light_dark=all(one.verified for one in dark),
-        failures=(*shut.failures, *fall.failures, *(failure for one in dark for failure in one.failures)),
+        failures=tuple(dict.fromkeys(failure for task in (shut, fall, *dark) for failure in task.failures)),
     )
 
 
 class _Task:
     """Steps on one line, each tried whatever became of the one before."""
 
-    def __init__(self, record: Record) -> None:
+    missing = ""
+    verified = False
+
+    def __init__(self, instrument: Any, record: Record) -> None:
+        self._instrument: Instrument | None = instrument
         self._record = record
+        self._disconnected = False
         self.failures: list[str] = []
+
+    def run(self) -> None:
+        """Do the steps; again when the port was gone and is back."""
+        if self._instrument is None:
+            self.failures.append(f"the {self.missing} could not be reached")
+            return
+        give_up_s = time.monotonic() + REOPEN_S
+        with self._instrument.line.safing():
+            self.act()
+            while self._disconnected and time.monotonic() < give_up_s:
+                time.sleep(REOPEN_EVERY_S)
+                try:
+                    self._instrument.line.reopen()
+                except BenchError:
+                    continue
+                self._record(f"{self.missing}: port opened anew", ok=True)
+                self._disconnected = False
+                self.failures.clear()
+                self.act()
+
+    def act(self) -> None:
+        raise NotImplementedError
 
     def attempt(self, step: str, action: Callable[[], object]) -> tuple[bool, object]:
         try:
@@ -108,24 +196,19 @@ class _Task:
         except Exception as error:  # the next step must be tried whatever this one did
             self._record(step, ok=False, error=str(error))
             self.failures.append(str(error))
+            self._disconnected = self._disconnected or isinstance(error, InstrumentDisconnected)
             return False, error
         self._record(step, ok=True, **({"result": result} if result is not None else {}))
         return True, result
 
 
 class _Shutting(_Task):
-    """The gate's half."""
+    """The gate's part."""
 
-    verified = False
+    missing = "delay generator"
 
-    def __init__(self, gate: Gate | None, record: Record) -> None:
-        super().__init__(record)
-        self._gate = gate
-
-    def run(self) -> None:
-        if (gate := self._gate) is None:
-            self.failures.append("the delay generator could not be reached")
-            return
+    def act(self) -> None:
+        gate: Any = self._instrument
         for command in gate.shut_commands:
             self.attempt(f"gate: {command}", lambda command=command: gate.line.order(command))
         self.verified = self.attempt("gate: shut and read back", gate.shut)[0]
@@ -134,39 +217,28 @@ class _Shutting(_Task):
 class _Darkening(_Task):
     """A lamp's part."""
 
-    verified = False
+    missing = "light source"
 
-    def __init__(self, lamp: LightSource | None, record: Record) -> None:
-        super().__init__(record)
-        self._lamp = lamp
-
-    def run(self) -> None:
-        if (lamp := self._lamp) is None:
-            self.failures.append("the light source could not be reached")
-            return
+    def act(self) -> None:
+        lamp: Any = self._instrument
         for command in lamp.dark_commands:
             self.attempt(f"light: {command}", lambda command=command: lamp.line.order(command))
         self.verified = self.attempt("light: out and read back", lamp.darken)[0]
 
 
 class _Falling(_Task):
-    """The supply's half."""
+    """The supply's part."""
 
+    missing = "high-voltage supply"
     ordered = False
     residual_v: float | None = None
 
-    def __init__(self, supply: Supply | None, record: Record) -> None:
-        super().__init__(record)
-        self._supply = supply
-
-    def run(self) -> None:
-        if (supply := self._supply) is None:
-            self.failures.append("the high-voltage supply could not be reached")
-            return
+    def act(self) -> None:
+        supply: Any = self._instrument
         deadline_s = time.monotonic() + FALL_S
-        went_out, error = self._order(supply)
+        went_out = self._order(supply)
         give_up_s = time.monotonic() + DEAF_S
-        while time.monotonic() < min(deadline_s, give_up_s) and not isinstance(error, InstrumentDisconnected):
+        while time.monotonic() < min(deadline_s, give_up_s) and not self._disconnected:
             answered, reading = self.attempt(f"high voltage: {supply.reading}", supply.measured_v)
             if answered and isinstance(reading, float):
                 self.residual_v = reading
@@ -174,14 +246,70 @@ class _Falling(_Task):
                 if reading <= DISCHARGED_V:
                     return
             if not (answered and went_out):
-                went_out, error = self._order(supply)
+                went_out = self._order(supply)
             time.sleep(FOLLOW_S)
 
-    def _order(self, supply: Supply) -> tuple[bool, object]:
-        """Send every order, whatever becomes of the one before; whether all went out, and the last error."""
-        went_out, error = True, None
-        for command in supply.off_commands:
-            done, result = self.attempt(f"high voltage: {command}", lambda command=command: supply.line.order(command))
-            went_out, error = went_out and done, error if done else result
-        self.ordered = self.ordered or went_out
-        return went_out, error
+    def _order(self, supply: Any) -> bool:
+        """Send every order, whatever becomes of the one before; return whether all went out."""
+        sent = [
+            self.attempt(f"high voltage: {command}", lambda command=command: supply.line.order(command))[0]
+            for command in supply.off_commands
+        ]
+        self.ordered = self.ordered or all(sent)
+        return all(sent)
+
+
+def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
+    """Make the tube of a bench safe with nothing but its serial ports, though another program may hold them.
+
+    Parameters
+    ----------
+    wires
+        Models and serial ports of the instruments.
+    record
+        Called with each step.
+
+    Returns
+    -------
+    SafeStateReport
+        What was achieved; an instrument whose port cannot be opened within 15 s is named in it.
+    """
+    there: dict[Role, Reached] = {one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port}
+    drivers: dict[Role, Any] = {}
+    failures: dict[Role, str] = {}
+    give_up_s = time.monotonic() + REOPEN_S
+
+    def secure() -> SafeStateReport:
+        lamps = [drivers.get("light-source")] if wires.light else []
+        return make_safe(gate=drivers.get("gate"), supply=drivers.get("supply"), lamps=lamps, record=record)
+
+    report = None
+    while report is None or (len(drivers) < len(there) and time.monotonic() < give_up_s):
+        found = False
+        for role, one in there.items():
+            if role in drivers:
+                continue
+            try:
+                drivers[role] = _driver_on_port(one, record)
+                found = True
+            except BenchError as error:
+                failures[role] = str(error)
+        if found or report is None:
+            report = secure()
+        else:
+            time.sleep(REOPEN_EVERY_S)
+    missing = tuple(failures[role] for role in there if role not in drivers)
+    for driver in drivers.values():
+        driver.line.close()
+    return replace(report, failures=(*missing, *report.failures))
+
+
+def _driver_on_port(one: Reached, record: Record) -> Any:
+    """Return a driver on a serial port, shared with the program that holds it where one does."""
+    model = model_of(one)
+    try:
+        line = model.open_line(str(one.port), one.address)
+    except BenchError as error:
+        line = model.open_line(str(one.port), one.address, exclusive=False)
+        record(f"{model.title}: port shared with the program that holds it", ok=True, error=str(error))
+    return model.driver(line)

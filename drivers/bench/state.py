@@ -14,7 +14,7 @@ class InterlockRefused(BadInput):
     Use this when what was asked would hurt the tube, in itself or at this moment: `rule` names the rule.
     """
 
-    def __init__(self, sentence: str, *, rule: str) -> None:
+    def __init__(self, sentence: str, *, rule: str = "") -> None:
         super().__init__(sentence)
         self.rule = rule
 
@@ -39,6 +39,10 @@ class TubeState:
         Whether it is known which filter stands in the light; a bench without a wheel has one for good.
     dark_seen
         Whether a frame taken through the open gate at gain, with the light out, was dark.
+    excess_saturation
+        Share of saturated pixels of the last frame beyond what its step allows, 0..1.
+    probed
+        Whether a frame taken in this light through an open gate at gain was not saturated.
     surely_open
         Whether the gate was read back as open and nothing was ordered since that could have shut it.
     surely_v
@@ -56,6 +60,8 @@ class TubeState:
     target: Target | None = None
     filter_known: bool = True
     dark_seen: bool = False
+    excess_saturation: float = 0.0
+    probed: bool = False
     surely_open: bool = False
     surely_v: float = 0.0
     heard_s: float = -math.inf
@@ -126,9 +132,8 @@ class SetLight:
 
     def ordered(self, state: TubeState) -> TubeState:
         """State once the order is out; the target counts as moved."""
-        return replace(
-            state, light_lux=max(state.light_lux, self.illuminance_lux), point=self.point, target=self.target
-        )
+        lux = max(state.light_lux, self.illuminance_lux)
+        return replace(state, light_lux=lux, point=self.point, target=self.target, probed=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +194,8 @@ class LightRead:
 
     def seen(self, state: TubeState) -> TubeState:
         """State once this is known."""
-        return replace(state, light_lux=self.illuminance_lux)
+        probed = state.probed and self.illuminance_lux <= state.light_lux
+        return replace(state, light_lux=self.illuminance_lux, probed=probed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,6 +229,18 @@ class DarkSeen:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FrameSeen:
+    """A frame had a share of saturated pixels beyond what its step allows; below 0 where it had fewer."""
+
+    excess_saturation: float
+
+    def seen(self, state: TubeState) -> TubeState:
+        """State once this is known."""
+        looking = state.surely_open and state.surely_v > 0.0 and self.excess_saturation <= 0.0
+        return replace(state, excess_saturation=self.excess_saturation, probed=state.probed or looking)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Heard:
     """The guard of the bench gave a sign of life at `now_s`."""
 
@@ -244,4 +262,4 @@ class Failed:
         return replace(state, fault=state.fault or self.sentence)
 
 
-Event = SafeOrdered | GateRead | GainRead | LightRead | FilterMoved | FilterRead | DarkSeen | Heard | Failed
+Event = SafeOrdered | GateRead | GainRead | LightRead | FilterMoved | FilterRead | DarkSeen | FrameSeen | Heard | Failed

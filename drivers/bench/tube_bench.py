@@ -1,146 +1,164 @@
-"""The bench: gate, gain and light set in the order that spares the tube, made safe by leaving through any door."""
+"""The tube's bench: gate, gain and light set in the order that spares the tube, every order behind the interlock."""
 
 import math
-import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from pathlib import Path
-from types import FrameType, TracebackType
+from types import TracebackType
 from typing import Any
 
-from numpy.typing import NDArray
-
 from drivers.bench.auxiliary_meters import AuxiliaryMeters, Reading
-from drivers.bench.bench_connection import Reach
 from drivers.bench.calibrated_lamp import CalibratedLampControl
-from drivers.bench.dark_check import require_dark
 from drivers.bench.dose_meter import DoseMeter
 from drivers.bench.guarded_light import METER_ZERO, GuardedLight
-from drivers.bench.guarded_tube import GuardedTube
 from drivers.bench.interlock import Interlock
-from drivers.bench.safe_state import SafeStateReport
-from drivers.bench.state import DarkSeen, Failed, FilterMoved, GainRead, GateRead, Heard, LightRead, SafeOrdered
-from drivers.errors import BenchError
-from drivers.interface import Operator
+from drivers.bench.safe_state import DANGEROUS, Crew, Record, SafeStateReport, make_safe
+from drivers.bench.setup import BenchSetup
+from drivers.bench.state import (
+    Command,
+    DarkSeen,
+    Failed,
+    FilterMoved,
+    FrameSeen,
+    GainRead,
+    GateRead,
+    Heard,
+    LightRead,
+    LowerGain,
+    OpenGate,
+    RaiseGain,
+    SafeOrdered,
+    SetLight,
+)
+from drivers.errors import BenchError, BenchStopped
+from drivers.instruments.models import model_of
+from drivers.instruments.voltage_limits import DISCHARGED_V
+from drivers.interface import FrameLevels, Operator
 from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
-from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
-from labdata.gating import Gating
-from labdata.lamp import Lamp
-from labdata.limits import Limits, LimitsInForce, limits_in_force
-from labdata.meters import Meters
+from labdata.event_log import EventLog
+from labdata.target import Target
 from labdata.wires import Role, Wires
 
 METER_AGREES = 1.25
 """Light that a meter reads this much brighter than it was set is brighter, not a matter of calibration."""
 
-FIELD_RATE_HZ = 60.0 / 1.001
-"""Fields a second of 525-line video, Hz: the gate opens once in each."""
+SAME_V = 0.5
+"""A voltage this near the one asked is that one, V."""
 
-_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+LOOK_EVERY_S = 0.3
+"""Time between two looks at the settings of an instrument, s: with the look itself, less than half a second."""
+
+WORKER_LEAVES_S = 1.0
+"""Time within which a procedure that the safe action interrupts must have left its instrument, s."""
+
+DOSE_S = 2.0
+"""Longest wait for the last dose to be written, s."""
+
+DISPENSABLE: tuple[Role, ...] = ("light-meter", "thermometer")
+"""What the tube does without: its failure is reported, and the bench goes on."""
+
+BRIGHTEST_MEAN = 0.25
+"""Mean of a frame without light, of full scale: black level, dark current and EBI together stay far below it."""
+
+MAX_SATURATED = 0.01
+"""Share of saturated pixels of a frame without light: room light through a tube at gain fills the frame."""
+
+
+class NotDark(BenchError):
+    """A frame taken with the light out is bright.
+
+    Use this when somebody has to find the light before the tube is opened again.
+    """
+
+
+class Station:
+    """One instrument: its line, its driver, and the lock of whoever runs a procedure on it."""
+
+    def __init__(self, line: InstrumentLine, driver: Any) -> None:
+        self.line, self.driver = line, driver
+        self.procedure = threading.RLock()
+        self.watched = False
+
+
+def stations_on(lines: Mapping[Role, InstrumentLine], wires: Wires) -> dict[Role, Station]:
+    """Return the instruments of a bench on their lines, those without a line left out."""
+    return {
+        one.role: Station(lines[one.role], model_of(one).driver(lines[one.role]))
+        for one in wires.instruments
+        if one.role in lines
+    }
 
 
 class TubeBench:
     """Gate and gain of the tube, between `with` and the end of its block.
 
-    Nothing reaches gate, supply or light but through its interlock, whose rules stand in `drivers.bench.rules`.
-    Opening shuts the gate and switches the high voltage off before anything else. Leaving, by whatever door
-    (an exception, Ctrl-C, SIGTERM), does the same and follows the voltage down; a killed process is seen to by the
-    watchdog process, which owns the serial ports.
+    Nothing reaches gate, supply or light but through its interlock, whose rules stand in `drivers.bench.rules`. One
+    thread gives orders; others may look at the instruments and make the tube safe meanwhile.
 
     Parameters
     ----------
-    wires
-        Models and serial ports of the instruments.
-    limits
-        What may never be exceeded; the voltage is also set in the supply itself. A plan's bare limits are completed
-        by those of a tube that nobody described.
-    log
-        File to which every safety step is appended as a line of JSON.
-    lines
-        Lines to the instruments by their role, ready-made, where there are no serial ports; then no watchdog guards
-        the bench, and `wires_left_out` says so.
-    lamp
-        Calibration of the light source that the wires name; None: there is none, and a person sets the light.
-    meters
-        How the meters beside the tube are read.
-    gate_hz
-        Fields of the camera a second, Hz: the gate opens once in each.
-    gating
-        What triggers the gate.
-    dose
-        Ledger of the tube, to which is added what it goes through; None: nobody keeps count.
-    session
-        Name of the session, for readers of the ledger.
-
-    Raises
-    ------
-    BadInput
-        If a port is not named, or conditions break a limit.
-    BenchError
-        If an instrument fails; the bench is safe by then, or the sentence says what is not.
+    setup
+        What the bench is made of.
+    stations
+        The instruments, by role.
+    record
+        Called with each safety step; it must not block.
+    on_failure
+        Called, from any thread and without delay, when something failed that the tube must be made safe for.
+    clock
+        Monotonic time, s.
     """
 
     def __init__(
         self,
-        wires: Wires,
-        limits: Limits | LimitsInForce,
+        setup: BenchSetup,
+        stations: Mapping[Role, Station],
         *,
-        log: Path,
-        lines: Mapping[Role, InstrumentLine] | None = None,
-        lamp: Lamp | None = None,
-        meters: Meters | None = None,
-        gate_hz: float = FIELD_RATE_HZ,
-        gating: Gating | None = None,
-        dose: DoseLedger | None = None,
-        session: str = "",
+        record: Record,
+        on_failure: Callable[[BenchError], object],
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        if (lamp is None) != (wires.light is None):
-            raise BadInput(f"a light source must have its calibration, got {lamp} for {wires.light}")
-        self._reach = Reach(wires, lines, log=Path(log))
-        self._gate_hz, self._gating = gate_hz, gating or Gating()
-        self._calibration, self._meters = lamp, meters or Meters()
-        self.interlock = Interlock(limits if isinstance(limits, LimitsInForce) else limits_in_force(limits))
-        self._dose = None if dose is None else DoseMeter(dose, self.interlock.limits, session=session)
+        self._setup, self._record, self._on_failure, self._clock = setup, record, on_failure, clock
+        self.stations = stations
+        self.interlock = Interlock(setup.limits, clock=clock)
+        self._dose = None if setup.dose is None else DoseMeter(setup.dose, self.interlock.limits, session=setup.session)
         if self._dose is not None:
             self.interlock.watch(self._dose.watch)
-        self._light: GuardedLight | None = None
+        self._crew, self._making_safe = Crew(), threading.Lock()
+        self._gate_hz, self._most_hz = (
+            setup.gating.rate_hz(setup.field_hz),
+            setup.gating.most_hz(setup.field_hz),
+        )
         self._lamp: CalibratedLampControl | None = None
-        self._before: dict[signal.Signals, Callable | int | None] = {}
+        self._alone = self._is_safe = False
+        self._log: EventLog | None = None
+        self._looked_s = 0.0
+        self.fault: BenchError | None = None
+        """What failed since the bench was opened; nothing makes the tube hotter before it is opened anew."""
+        self.report: SafeStateReport | None = None
+        """How the tube was left by the last safe action."""
 
-    @property
-    def wires_left_out(self) -> tuple[str, ...]:
-        """What is not on real wires here, one phrase each."""
-        return self._reach.left_out
+    @classmethod
+    def in_this_process(cls, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> "TubeBench":
+        """Return a bench without a server: whoever gives orders looks after the instruments as well, by `check`."""
+        log, stations = EventLog(setup.log), stations_on(lines, setup.wires)
+        bench = cls(setup, stations, record=log, on_failure=lambda error: bench.make_safe(str(error)))
+        bench._alone, bench._log = True, log
+        return bench
+
+    wires_left_out = (
+        "serial lines: the instruments answer inside this process",
+        "bench server: no other process makes the tube safe",
+    )
+    """What is not on real wires here, one phrase each."""
 
     def __enter__(self) -> "TubeBench":
-        self._catch_signals()
         try:
-            drivers = self._reach.open()
-            self._gate, self._supply = drivers["gate"], drivers["supply"]
-            self._gate.identify()
-            self._gate.shut()
-            self._supply.identify()
-            self._supply.prepare(limit_v=self.interlock.limits.mcp_v)
-            self._reach.watch("gate", True)
-            self._tube = GuardedTube(
-                gate=self._gate,
-                supply=self._supply,
-                interlock=self.interlock,
-                field_hz=self._gate_hz,
-                gating=self._gating,
-                check=self.check,
-                watch_supply=lambda on: self._reach.watch("supply", on),
-            )
-            self._tube.read_anew()
-            self._lamp = self._prepared_lamp(drivers)
-            self._beside = AuxiliaryMeters(drivers, self._meters)
-            self._beside.prepare()
-            # Until `guard` is called there is no light that anybody here could switch on.
-            self.interlock.tell(LightRead(illuminance_lux=0.0))
+            self.open()
         except BaseException as error:
             self._leave(error)
             raise
@@ -150,6 +168,28 @@ class TubeBench:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._leave(error)
+
+    def open(self) -> None:
+        """Shut the gate and switch the high voltage off, identify every instrument, and read what is left."""
+        if self._alone:
+            self.heard()
+        gate, supply = self._gate.driver, self._supply.driver
+        with self._using("gate", "supply", "light-source", "filter-wheel"):
+            gate.identify()
+            gate.shut()
+            supply.identify()
+            supply.prepare(limit_v=self.interlock.limits.mcp_v)
+            self._gate.watched = self._supply.watched = True
+            self.shut_gate()
+            self._read_gain(supply.measured_v())
+            self._lamp = self._prepared_lamp()
+        drivers: dict[Role, Any] = {role: station.driver for role, station in self.stations.items()}
+        self._meters = AuxiliaryMeters(drivers, self._setup.meters)
+        self._meters.prepare()
+        # Until `light_unknown` is called there is no light that anybody here could switch on.
+        self.interlock.tell(LightRead(illuminance_lux=0.0))
+
+    # Gate and gain
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
         """Set gate and gain: gate shut first, then the gain, verified, then the gate.
@@ -169,148 +209,385 @@ class TubeBench:
         BadInput
             If a limit is exceeded or an instrument could not do it; nothing was changed then.
         """
-        read_v, read_ns = self._tube.set(mcp_v=conditions.mcp_v or 0.0, gate_ns=conditions.gate_ns or 0.0)
+        volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
+        self.check()
+        self._is_safe = False
+        move = self._gain_move(volts)
+        self._foresee(move, volts, width_ns)
+        self.shut_gate()
+        with self._using("supply"):
+            read_v = self._move_gain(move, volts)
+        read_ns = self._open_gate(width_ns) if width_ns else 0.0
         self.check()
         return replace(conditions, mcp_v=read_v, gate_ns=read_ns)
 
+    def shut_gate(self) -> None:
+        """Shut the gate, which needs no leave, and read it back."""
+        self.interlock.tell(SafeOrdered())
+        with self._using("gate"):
+            self._gate.driver.shut()
+        self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
+
+    def _gain_move(self, volts: float) -> RaiseGain | LowerGain | None:
+        """Return what a voltage asks of the supply; None where it is off or there already."""
+        supply = self._supply.driver
+        present_v = supply.measured_v() if supply.is_on else 0.0
+        if not volts or math.isclose(volts, present_v, abs_tol=SAME_V):
+            return None
+        if volts < present_v:
+            return LowerGain(goal_v=volts)
+        return RaiseGain(goal_v=volts, rate_v_per_s=self.interlock.limits.ramp_v_per_s)
+
+    def _foresee(self, move: RaiseGain | LowerGain | None, volts: float, width_ns: float) -> None:
+        """Refuse before anything is done what would be refused on the way."""
+        commands: list[Command] = [] if move is None else [move]
+        if volts:
+            self._supply.driver.check_voltage(volts)
+        if width_ns:
+            commands.append(OpenGate(width_ns=width_ns, rate_hz=self._most_hz))
+            self._gate.driver.check_pulse(width_ns=width_ns, **self._pulse)
+        self.interlock.foresee(*commands, state=replace(self.interlock.state, duty=0.0))
+
+    @property
+    def _pulse(self) -> dict[str, Any]:
+        """All of a pulse but its width."""
+        gating = self._setup.gating
+        return {"rate_hz": self._gate_hz, "delay_ns": gating.delay_ns, "sync": gating.sync}
+
+    def _move_gain(self, move: RaiseGain | LowerGain | None, volts: float) -> float:
+        supply = self._supply.driver
+        if not volts:
+            self.interlock.tell(SafeOrdered())
+            return self._read_gain(supply.off())
+        if move is None:
+            return self._read_gain(supply.measured_v())
+        self.check()
+        self.interlock.permit(move)
+        if isinstance(move, LowerGain):
+            return self._read_gain(supply.lower_to(volts, check=self._check_ramp))
+        if not supply.is_on:
+            supply.switch_on()
+        return self._read_gain(supply.raise_to(volts, rate_v_per_s=move.rate_v_per_s, check=self._check_ramp))
+
+    def _check_ramp(self) -> None:
+        """Look after the bench along a ramp, and for a trip of the supply, at which nobody else looks meanwhile."""
+        self.check()
+        self._supply.driver.check_on()
+
+    def _open_gate(self, width_ns: float) -> float:
+        self.check()
+        self.interlock.permit(OpenGate(width_ns=width_ns, rate_hz=self._most_hz))
+        with self._using("gate"):
+            read_ns = self._gate.driver.open(width_ns=width_ns, **self._pulse)
+        self.interlock.tell(GateRead(width_ns=read_ns, rate_hz=self._most_hz))
+        return read_ns
+
+    def _read_gain(self, read_v: float) -> float:
+        self.interlock.tell(GainRead(mcp_v=0.0 if read_v <= DISCHARGED_V else read_v))
+        return read_v
+
+    # Light
+
     def guard(self, operator: Operator) -> Operator:
         """Put the lamp, and whoever places targets and light, behind the interlock; use only what is returned."""
+        self.light_unknown()
+        return GuardedLight(operator, self)
+
+    def light_unknown(self) -> bool:
+        """Know nothing of the light any more; return whether the bench has a lamp of its own."""
         self.interlock.tell(LightRead(illuminance_lux=math.inf))
-        self._light = GuardedLight(operator, lamp=self._lamp, interlock=self.interlock, check=self.check)
-        return self._light
+        return self._lamp is not None
 
-    def read_beside(self) -> Reading:
-        """Read light and temperature beside the tube, and say which meter did not answer.
+    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None:
+        """Refuse (InterlockRefused) a target and a light that a rule forbids; else it counts as set."""
+        self.interlock.permit(SetLight(illuminance_lux=illuminance_lux, point=point, target=target))
 
-        Raises
-        ------
-        BenchError
-            If a meter that is needed does not answer, or reads a light that the tube must be saved from.
-        """
+    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None:
+        """Take in what the light was read as; with `zero`, next to nothing is the zero of the meter."""
+        zero_lux = METER_ZERO * self.interlock.limits.largest_lux(point=self.interlock.state.point)
+        lux = 0.0 if zero and illuminance_lux <= zero_lux else illuminance_lux
+        self.interlock.tell(LightRead(illuminance_lux=lux))
         self.check()
-        read, silent = self._beside.read()
-        if read.metered_lux is not None:
-            self._heed(read.metered_lux)
-        self.check()
-        return read, silent
 
-    def _heed(self, metered_lux: float) -> None:
-        """Let the interlock know of more light than it thinks there is; what is next to nothing is the meter's zero."""
-        zero_lux = METER_ZERO * self.interlock.limits.illuminance_lux
-        if metered_lux > max(zero_lux, METER_AGREES * self.interlock.state.light_lux):
-            self.interlock.tell(LightRead(illuminance_lux=metered_lux))
+    def darken(self) -> None:
+        """Put the lamp out, if there is one, which needs no leave."""
+        if self._lamp is not None:
+            with self._using("light-source"):
+                self._lamp.darken()
+            self.interlock.tell(LightRead(illuminance_lux=0.0))
+
+    def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
+        """Turn the filter in the dark, then light the lamp; the target stands where it was placed in the dark."""
+        if self._lamp is None:
+            raise BadInput("a light of its own must have a lamp at the bench, got none")
+        self._is_safe = False
+        with self._using("light-source", "filter-wheel"):
+            setting = self._lamp.setting(illuminance_lux, filter_density)
+            self._lamp.darken()
+            self.interlock.tell(LightRead(illuminance_lux=0.0))
+            self._lamp.turn(setting.position)
+            self.check()  # a wheel takes its time
+            ordered_lux = setting.read.illuminance_lux or 0.0
+            self.interlock.permit(SetLight(illuminance_lux=ordered_lux, point=point, target=target))
+            read = self._lamp.shine(setting.current_a)
+            self.interlock.tell(LightRead(illuminance_lux=read.illuminance_lux or ordered_lux))
+        self.check()
+        return read
+
+    def _prepared_lamp(self) -> CalibratedLampControl | None:
+        if self._setup.lamp is None:
+            return None
+        wheel = self.stations.get("filter-wheel")
+        if wheel is not None:
+            self.interlock.tell(FilterMoved())
+        lamp = CalibratedLampControl(
+            self.stations["light-source"].driver,
+            None if wheel is None else wheel.driver,
+            self._setup.lamp,
+            interlock=self.interlock,
+            watch=self._watch,
+        )
+        lamp.prepare()
+        return lamp
+
+    def _watch(self, role: Role, on: bool) -> None:
+        self.stations[role].watched = on
+
+    # What is seen and read
 
     @property
     def dark_seen(self) -> bool:
         """Whether a dark frame was seen through the open gate since the bench was opened; no light before."""
         return self.interlock.state.dark_seen
 
-    def saw_without_light(self, pixels: NDArray, full_scale_dn: float) -> None:
-        """Look at a frame, shape (row, col), taken without light; one that is not dark is a BenchError."""
-        try:
-            require_dark(pixels, full_scale_dn)
-        except BenchError as error:
-            self.interlock.tell(Failed(sentence=str(error)))
-            raise
+    def dark_frame_seen(self, levels: FrameLevels) -> bool:
+        """Take in a frame taken without light, and return `dark_seen`; one that is not dark is NotDark."""
+        if levels.mean > BRIGHTEST_MEAN or levels.saturated > MAX_SATURATED:
+            error = NotDark(
+                f"a frame without light must have a mean below {BRIGHTEST_MEAN:.0%} of full scale and at most "
+                f"{MAX_SATURATED:.0%} of its pixels full, got {levels.mean:.0%} and {levels.saturated:.1%}: "
+                "find the light before the gate is opened again",
+                instrument="light",
+            )
+            self.fail(error)
+            raise error
         self.interlock.tell(DarkSeen())
+        return self.dark_seen
 
-    def check(self) -> None:
-        """Raise what went wrong at the bench since the last look: a trip, a silent line, a lost port, too much light.
+    def frame_seen(self, levels: FrameLevels) -> None:
+        """Take in how much of a frame is saturated."""
+        self.interlock.tell(FrameSeen(excess_saturation=levels.saturated - levels.allowed))
+        self.react()
 
-        A failure is remembered: nothing makes the tube hotter before the bench is opened anew.
+    def read_meters(self) -> Reading:
+        """Read light and temperature, and return a sentence for each meter that does not answer and is not needed.
+
+        Raises
+        ------
+        BenchError
+            If a meter that is needed does not answer, or reads a light that the tube must be made safe for.
         """
+        self.check()
+        with self._using("light-meter", "thermometer"):
+            read, silent = self._meters.read()
+        self._heed(read.metered_lux)
+        self.check()
+        return read, silent
+
+    def look_at_light(self) -> None:
+        """Read the light meter, where there is one that knows its lux, and make safe where it is too bright."""
+        station = self.stations.get("light-meter")
+        if station is None or self._setup.meters.lux_per_w is None or not station.procedure.acquire(blocking=False):
+            return
         try:
-            if (guard := self._reach.guard) is not None:
-                guard.check()
-            elif self._supply.is_on:
-                self._supply.check_on()
+            lux = self._meters.read_light().metered_lux
         except BenchError as error:
-            self.interlock.tell(Failed(sentence=str(error)))
-            raise
-        if self._dose is not None and self._dose.failure:
-            self.interlock.tell(Failed(sentence=self._dose.failure))
-        self.interlock.tell(Heard(now_s=time.monotonic()))
-        if why := self.interlock.alarm():
-            self.safe()
-            raise BenchError(f"the tube was made safe: {why}")
-
-    def safe(self) -> None:
-        """Shut the gate, switch the high voltage off and block the light now; a BenchError if that is not verified."""
-        self.interlock.tell(SafeOrdered())
-        safety = self._reach.safe()
-        self._supply.is_on = False
-        if self._light is not None:
-            self._light.block_by_hand()
-        _raise_unless_whole(safety)
-        self.interlock.tell(LightRead(illuminance_lux=0.0))
-        self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
-        self.interlock.tell(GainRead(mcp_v=0.0))
-
-    def _prepared_lamp(self, drivers: dict[Role, Any]) -> CalibratedLampControl | None:
-        if self._calibration is None:
-            return None
-        if "filter-wheel" in drivers:
-            self.interlock.tell(FilterMoved())
-        lamp = CalibratedLampControl(
-            drivers["light-source"],
-            drivers.get("filter-wheel"),
-            self._calibration,
-            interlock=self.interlock,
-            watch=self._reach.watch,
-        )
-        lamp.prepare()
-        return lamp
-
-    # Leaving
-
-    def _leave(self, error: BaseException | None) -> None:
-        try:
-            safety = self._reach.leave()
-        except BenchError as failure:
-            if error is None:
-                raise
-            error.add_note(str(failure))
+            if self._setup.meters.light_needed and not isinstance(error, BenchStopped):
+                self.fail(error)
             return
         finally:
-            self._restore_signals()
-            unwritten = self._last_dose()
-        if unwritten and error is None:
-            raise BenchError(unwritten)
-        if safety is None or safety.whole:
-            return
-        if error is None:
-            _raise_unless_whole(safety)
-        else:
-            error.add_note(_left_unsafe(safety))
+            station.procedure.release()
+        self._heed(lux)
+        self.react()
 
-    def _last_dose(self) -> str | None:
-        """Write down what the tube went through to the end; return why that failed, if it did."""
+    def _heed(self, metered_lux: float | None) -> None:
+        """Let the interlock know of more light than it thinks there is; what is next to nothing is the meter's zero."""
+        zero_lux = METER_ZERO * self.interlock.limits.illuminance_lux
+        if metered_lux is not None and metered_lux > max(zero_lux, METER_AGREES * self.interlock.state.light_lux):
+            self.interlock.tell(LightRead(illuminance_lux=metered_lux))
+
+    # Looking after the bench
+
+    def look(self, role: Role) -> None:
+        """Compare an instrument with what was set; while a procedure runs on it, nobody looks."""
+        station = self.stations[role]
+        if self.fault is not None or not station.watched or not station.procedure.acquire(blocking=False):
+            return
+        try:
+            if station.watched:
+                station.driver.look()
+        except BenchStopped:
+            pass
+        except BenchError as error:
+            self.fail(error)
+        finally:
+            station.procedure.release()
+
+    def verify(self) -> None:
+        """Compare gate and supply with what was set, now; a difference is raised and makes safe."""
+        for role in ("gate", "supply"):
+            with self._using(role):
+                self.look(role)
+        self.check()
+
+    def heard(self) -> None:
+        """Take in a sign of life of whoever gives orders."""
+        self.interlock.tell(Heard(now_s=self._clock()))
+
+    def check(self) -> None:
+        """Raise what went wrong at the bench: a trip, a silent line, a changed setting, too much light."""
+        if self._alone:
+            self.heard()
+            self.look("supply")
+            if self._clock() - self._looked_s > LOOK_EVERY_S:
+                self._looked_s = self._clock()
+                for role in self.stations.keys() - {"supply", *DISPENSABLE}:
+                    self.look(role)
+        self.react()
+        if self.fault is not None:
+            raise self.fault
+
+    def react(self) -> None:
+        """Have the tube made safe where a rule of the interlock demands it."""
+        if self.fault is not None:
+            return
+        if why := (self._dose and self._dose.failure) or self.interlock.alarm():
+            self.fail(BenchError(f"the tube was made safe: {why}"))
+
+    def fail(self, error: BenchError) -> None:
+        """Take in what failed; the first failure is kept, and the tube is made safe for it."""
+        if self.fault is not None:
+            return
+        self.fault = error
+        self.interlock.tell(Failed(sentence=str(error)))
+        self._on_failure(error)
+
+    # The safe state
+
+    def safe(self) -> None:
+        """Shut the gate, switch the high voltage off and put the lamp out now; a BenchError where it is not verified.
+
+        Work may go on afterwards if nothing has failed.
+        """
+        raise_unless_whole(self.make_safe("asked for"))
+
+    def make_safe(self, reason: str) -> SafeStateReport:
+        """Make the tube safe, whatever another thread does meanwhile, and return what was achieved.
+
+        A tube that was made safe, with nothing ordered since, is left as it is.
+        """
+        with self._making_safe:
+            if self._is_safe and self.report is not None:
+                return self.report
+            dangerous: dict[Role, Station] = {role: self.stations[role] for role in DANGEROUS if role in self.stations}
+            for station in dangerous.values():
+                station.line.take_over()
+            self._record("making safe", reason=reason)
+            self.interlock.tell(SafeOrdered())
+            drivers: dict[Role, Any] = {role: station.driver for role, station in dangerous.items()}
+            report = make_safe(
+                gate=drivers.get("gate"),
+                supply=drivers.get("supply"),
+                lamps=[drivers.get("light-source")] if self._setup.wires.light else [],
+                record=self._record,
+                crew=self._crew,
+            )
+            if "supply" in drivers:
+                drivers["supply"].is_on = False
+            for station in dangerous.values():
+                # The line stays closed to a procedure that does not leave.
+                if station.procedure.acquire(timeout=WORKER_LEAVES_S):
+                    station.line.release()
+                    station.procedure.release()
+            self._record("made safe", whole=report.whole, sentence=report.sentence(), **vars(report))
+            if report.whole:
+                if self._setup.wires.light:
+                    self.interlock.tell(LightRead(illuminance_lux=0.0))
+                self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
+                self.interlock.tell(GainRead(mcp_v=0.0))
+            self.report, self._is_safe = report, report.whole
+            return report
+
+    def safe_at_once(self) -> None:
+        """Make safe now, from any thread."""
+        self.make_safe("asked for at once")
+
+    @property
+    def last_words(self) -> str:
+        """How the tube was left, and what to do by hand where it may be hot; empty before it was made safe."""
+        return "" if self.report is None else self.report.last_words()
+
+    def close(self) -> str | None:
+        """Write the last dose; return why that failed, if it did."""
+        self._crew.dismiss()
         if self._dose is None:
             return None
         self.interlock.tell(SafeOrdered())
-        self._dose.write()
-        return self._dose.failure
+        return self._dose.close(DOSE_S)
 
-    def _catch_signals(self) -> None:
-        if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, _end) for number in _SIGNALS}
+    def alive(self) -> None:
+        """Show a sign of life."""
+        self.heard()
 
-    def _restore_signals(self) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
-        self._before = {}
+    @contextmanager
+    def patience(self, seconds: float) -> Iterator[None]:
+        """Announce that no sign of life may come for some seconds; the gate must be shut."""
+        yield
+
+    def _leave(self, error: BaseException | None) -> None:
+        report = self.make_safe("the bench is left")
+        unwritten = self.close()
+        if self._log is not None:
+            self._log.close()
+        if error is not None:
+            for sentence in filter(None, (None if report.whole else not_safe(report), unwritten)):
+                error.add_note(sentence)
+            return
+        raise_unless_whole(report)
+        if unwritten:
+            raise BenchError(unwritten)
+
+    @property
+    def _gate(self) -> Station:
+        return self.stations["gate"]
+
+    @property
+    def _supply(self) -> Station:
+        return self.stations["supply"]
+
+    @contextmanager
+    def _using(self, *roles: Role) -> Iterator[None]:
+        """Run a procedure on some instruments; what goes wrong on them makes safe."""
+        with ExitStack() as held:
+            for role in roles:
+                if role in self.stations:
+                    held.enter_context(self.stations[role].procedure)
+            try:
+                yield
+            except BenchStopped:
+                raise self.fault or BenchStopped("the tube was made safe while an instrument was set") from None
+            except BenchError as error:
+                self.fail(error)
+                raise
 
 
-def _end(number: int, _frame: FrameType | None) -> None:
-    """Let a signal unwind the stack like Ctrl-C, so that every `with` is left properly."""
-    raise SystemExit(128 + number)
+def raise_unless_whole(report: SafeStateReport) -> None:
+    """Raise a BenchError where a report says that the tube may be hot."""
+    if not report.whole:
+        raise BenchError(not_safe(report))
 
 
-def _raise_unless_whole(safety: SafeStateReport) -> None:
-    if not safety.whole:
-        raise BenchError(_left_unsafe(safety))
-
-
-def _left_unsafe(safety: SafeStateReport) -> str:
-    why = f" ({safety.failures[0]})" if safety.failures else ""
-    return f"the bench must be left with gate shut, high voltage off and light out, got: {safety.sentence()}{why}"
+def not_safe(report: SafeStateReport) -> str:
+    """Return the sentence on a tube that may be hot."""
+    why = f" ({report.failures[0]})" if report.failures else ""
+    return f"the bench must be left with gate shut, high voltage off and light out, got: {report.last_words()}{why}"

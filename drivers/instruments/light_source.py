@@ -6,7 +6,8 @@ Commands, status bits and form of errors are as the maker's own adapter for Micr
 import math
 import re
 
-from drivers.serial_lines.line import InstrumentLine, KnownAnswer
+from drivers.instruments.instrument_model import InstrumentModel
+from drivers.serial_lines.line import FramedLine, InstrumentLine, KnownAnswer
 from drivers.serial_lines.replies import query_float, query_int, rejected_error, reply_error, verify_read_back
 from labdata.errors import BadInput
 
@@ -98,3 +99,13 @@ def _milliamperes(current_a: float) -> int:
     if not (math.isfinite(milliamperes) and milliamperes >= 0 and abs(milliamperes - round(milliamperes)) < 1e-6):
         raise BadInput(f"the current of the light must be a multiple of {STEP_A:g} A, got {current_a:g}")
     return round(milliamperes)
+
+
+MODEL = InstrumentModel(
+    name="dc2100",
+    role="light-source",
+    title="light source",
+    line=lambda port, address: FramedLine(port, name="light source", command_end=b"\r\n", known=KNOWN),
+    driver=LightSource,
+    baud=115200,
+)

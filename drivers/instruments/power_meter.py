@@ -2,7 +2,8 @@
 
 import re
 
-from drivers.serial_lines.line import InstrumentLine
+from drivers.instruments.instrument_model import InstrumentModel
+from drivers.serial_lines.line import FramedLine, InstrumentLine
 from drivers.serial_lines.replies import query_float, rejected_error, reply_error, verify_read_back
 
 IDENTITY = re.compile(r"(?i).*thorlabs,\s*PM1\d\d.*")
@@ -57,3 +58,13 @@ class PowerMeter:
             raise reply_error(self.line, "answer SYST:ERR? with a code and its meaning", repr(answer))
         if code := int(match[1]):
             raise rejected_error(self.line, f"accept {command!r}", f"error {code}: {match[2]}", code=code)
+
+
+MODEL = InstrumentModel(
+    name="pm101",
+    role="light-meter",
+    title="light meter",
+    line=lambda port, address: FramedLine(port, name="light meter", answer_end=b"\n"),
+    driver=PowerMeter,
+    baud=115200,
+)

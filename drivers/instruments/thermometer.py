@@ -2,7 +2,8 @@
 
 import re
 
-from drivers.serial_lines.line import InstrumentLine, KnownAnswer
+from drivers.instruments.instrument_model import InstrumentModel
+from drivers.serial_lines.line import FramedLine, InstrumentLine, KnownAnswer
 from drivers.serial_lines.replies import parse_float, reply_error
 
 CHANNEL = "In1"
@@ -52,3 +53,12 @@ class Thermometer:
         if match is None:
             raise reply_error(self.line, f"answer {question} with a value", repr(answer))
         return match[1]
+
+
+MODEL = InstrumentModel(
+    name="ctc100",
+    role="thermometer",
+    title="thermometer",
+    line=lambda port, address: FramedLine(port, name="thermometer", command_end=b"\r\n", known=KNOWN),
+    driver=Thermometer,
+)

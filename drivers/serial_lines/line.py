@@ -1,48 +1,174 @@
-"""Lines to instruments: one command out, one whole answer back, each wait bounded."""
+"""Lines to instruments: one command out, one complete answer back, each wait bounded, and the safe action first."""
 
 import re
 import threading
 import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
 
-from drivers.errors import BenchError, InstrumentTimeout
-from drivers.serial_lines.port import ANSWER_S, Port
-from drivers.serial_lines.receive_buffer import Incoming
+from drivers.errors import BenchError, BenchStopped, InstrumentReplyError, InstrumentTimeout
+from drivers.serial_lines.port import ANSWER_S, SLICE_S, Port
+
+LONGEST_ANSWER = 4096
+"""Bytes after which an answer without an end is no answer."""
+
+QUIET_S = 0.05
 
 
-class InstrumentLine(Protocol):
-    """A line to one instrument."""
+class _Caller(threading.local):
+    """Whether the calling thread belongs to the safe action."""
 
-    @property
-    def name(self) -> str:
-        """Name of the instrument at the other end."""
-        ...
+    is_safing = False
 
+
+class InstrumentLine(ABC):
+    """A line to one instrument; making a line does no input or output.
+
+    One exchange of a thread is over before another thread can send. Between `take_over` and `release` only threads
+    within `safing` can send or wait; in all others `BenchStopped` is raised.
+
+    Parameters
+    ----------
+    port
+        The port.
+    name
+        Name of the instrument.
+    answer_s
+        Time that an answer may take, s.
+    """
+
+    def __init__(self, port: Port, *, name: str, answer_s: float = ANSWER_S) -> None:
+        self.name = name
+        self._port, self._answer_s = port, answer_s
+        self._received = b""
+        self._in_step = False  # a program that held the port before may have left an answer due
+        self._turn = threading.RLock()
+        self._taken_over = threading.Event()
+        self._caller = _Caller()
+
+    @abstractmethod
     def write(self, command: str) -> None:
         """Send a command that has no answer."""
-        ...
 
     def ask(self, question: str) -> str:
-        """Send a question and return its answer without terminators."""
-        ...
+        """Send a question and return its answer without terminators.
+
+        Raises
+        ------
+        InstrumentTimeout
+            If no complete answer comes in time. The line is then out of step: before the next question it throws away
+            late answers and asks a question whose answer has a known form.
+        InstrumentDisconnected
+            If the port is gone.
+        BenchStopped
+            If the safe action has taken the line over.
+        """
+        with self._turn:
+            try:
+                if not self._in_step:
+                    self._get_into_step()
+                    self._in_step = True
+                return self._exchange(question)
+            except BenchError:
+                self._in_step = False
+                raise
 
     def order(self, command: str) -> None:
         """Send a command that must go out, whatever became of the exchange before; its answer is not waited for."""
-        ...
+        with self._turn:
+            self._in_step = False
+            self._order(command)
+
+    def take_over(self) -> None:
+        """Let only the safe action speak from here on, and have the waits of other threads end at once."""
+        self._taken_over.set()
+
+    def release(self) -> None:
+        """Let every thread speak again."""
+        self._taken_over.clear()
+
+    @contextmanager
+    def safing(self) -> Iterator[None]:
+        """Let the calling thread speak on a line that was taken over."""
+        before, self._caller.is_safing = self._caller.is_safing, True
+        try:
+            yield
+        finally:
+            self._caller.is_safing = before
+
+    def reopen(self) -> None:
+        """Open the port anew, and trust nothing that came before; InstrumentDisconnected where it is not there."""
+        with self._turn:
+            self._in_step, self._received = False, b""
+            self._port.reopen()
+
+    def fileno(self) -> int:
+        """File descriptor of the open port, for the process that makes the tube safe when this one cannot."""
+        return self._port.fileno()
 
     def close(self) -> None:
-        """Let go of the port."""
-        ...
+        """Close the port."""
+        with self._turn:
+            self._port.close()
 
+    @abstractmethod
+    def _get_into_step(self) -> None:
+        """Throw away what is late, until the instrument answers a question whose answer has a known form."""
 
-class LocalLine(InstrumentLine, Protocol):
-    """A line on a port of this process."""
+    @abstractmethod
+    def _exchange(self, question: str) -> str:
+        """Send a question on a line in step and return its answer."""
 
-    @property
-    def hurry(self) -> threading.Event:
-        """Set: every wait on the line gives up at once."""
-        ...
+    @abstractmethod
+    def _order(self, command: str) -> None:
+        """Send a command on a line whose state is unknown."""
+
+    def _require_turn(self) -> None:
+        if self._taken_over.is_set() and not self._caller.is_safing:
+            raise BenchStopped(
+                f"the {self.name} must obey the safe action alone, got a command of another thread",
+                instrument=self.name,
+            )
+
+    def _send(self, data: bytes) -> None:
+        self._require_turn()
+        self._port.send(data)
+
+    def _until(self, end: bytes, question: str, *, within_s: float | None = None) -> str:
+        """Text up to a terminator, which is taken off; by default within the answer time."""
+        within_s = self._answer_s if within_s is None else within_s
+        deadline_s = time.monotonic() + within_s
+        while end not in self._received:
+            self._require_turn()
+            if (left_s := deadline_s - time.monotonic()) <= 0:
+                partial = f"only {self._received[:80]!r}" if self._received else "nothing"
+                raise InstrumentTimeout(
+                    f"the {self.name} must answer {question} within {within_s:g} s, got {partial}",
+                    instrument=self.name,
+                )
+            self._received += self._port.receive(min(left_s, SLICE_S))
+            if len(self._received) > LONGEST_ANSWER and end not in self._received:
+                began, self._received = self._received[:40], b""
+                raise InstrumentReplyError(
+                    f"the {self.name} must end its answer to {question} within {LONGEST_ANSWER} bytes, "
+                    f"got more that begin {began!r}",
+                    instrument=self.name,
+                )
+        piece, self._received = self._received.split(end, 1)
+        return piece.decode("ascii", "replace")
+
+    def _drain(self, *, quiet_s: float = QUIET_S, within_s: float | None = None) -> None:
+        """Throw away what came, until the line is quiet for a time or the time allowed is over."""
+        now_s = heard_s = time.monotonic()
+        deadline_s = now_s + (self._answer_s if within_s is None else within_s)
+        self._received = b""
+        while now_s < deadline_s and now_s - heard_s < quiet_s:
+            self._require_turn()
+            came = self._port.receive(SLICE_S)
+            now_s = time.monotonic()
+            heard_s = now_s if came else heard_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,24 +180,19 @@ class KnownAnswer:
 
 
 IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
-ADAPTER_ANSWER = KnownAnswer(question="++ver", form=r"(?i).*ver.*")
 
 
-class FramedLine:
-    """Commands and answers as whole lines over a port.
+class FramedLine(InstrumentLine):
+    """Commands and answers that are one line of text each.
 
     Parameters
     ----------
-    port
-        The port.
-    name
-        Name of the instrument.
+    port, name, answer_s
+        See `InstrumentLine`.
     answer_end
         Terminator of answers.
     command_end
         Terminator of commands.
-    answer_s
-        Time that an answer may take, s.
     known
         How to get into step after an answer that came late.
     """
@@ -86,69 +207,30 @@ class FramedLine:
         answer_s: float = ANSWER_S,
         known: KnownAnswer = IDENTITY_ANSWER,
     ) -> None:
-        self.name = name
-        self.hurry = threading.Event()
-        """Set: give up waiting at once, because the bench is being made safe."""
-        self._port, self._end, self._command_end = port, answer_end, command_end
-        self._answer_s, self._known = answer_s, known
-        self._incoming = Incoming(port, name=name, hurry=self.hurry, answer_s=answer_s)
-        self._out_of_step = True  # whoever held the port before may have left an answer due
-        self._owner = threading.RLock()
+        super().__init__(port, name=name, answer_s=answer_s)
+        self._end, self._command_end, self._known = answer_end, command_end, known
 
     def write(self, command: str) -> None:
         """Send a command that has no answer."""
-        with self._owner:
-            self._port.send(command.encode("ascii") + self._command_end)
+        with self._turn:
+            self._say(command)
 
-    def order(self, command: str) -> None:
-        """Send a command that must go out, and mistrust what came before: the next question gets into step first."""
-        with self._owner:
-            self._out_of_step = True
-            self.write(command)
+    def _say(self, *commands: str) -> None:
+        self._send(b"".join(command.encode("ascii") + self._command_end for command in commands))
 
-    def ask(self, question: str, *, about: str = "") -> str:
-        """Send a question and return its answer without terminator.
+    def _order(self, command: str) -> None:
+        self._say(command)
 
-        Parameters
-        ----------
-        question
-            The question.
-        about
-            What to call it in a sentence, where the line sends another text than the user asked.
-
-        Raises
-        ------
-        InstrumentTimeout
-            If no whole answer came in time. The line is then out of step: before the next question, late answers
-            are thrown away and a question whose answer has a known form is put.
-        InstrumentDisconnected
-            If the port is gone.
-        """
-        with self._owner:
-            if self._out_of_step:
-                self._get_into_step()
-            self.write(question)
-            return self._answer(about or question)
-
-    def close(self) -> None:
-        """Let go of the port."""
-        self._port.close()
-
-    def _answer(self, question: str) -> str:
-        try:
-            return self._incoming.until(self._end, question).strip()
-        except BenchError:
-            self._out_of_step = True
-            raise
+    def _exchange(self, question: str) -> str:
+        self._say(question)
+        return self._until(self._end, question).strip()
 
     def _get_into_step(self) -> None:
-        self._incoming.drain()
-        self._out_of_step = False
-        self.write(self._known.question)
+        self._drain()
+        self._say(self._known.question)
         deadline_s = time.monotonic() + self._answer_s
-        while not re.fullmatch(self._known.form, answer := self._answer(self._known.question)):
+        while not re.fullmatch(self._known.form, answer := self._until(self._end, self._known.question).strip()):
             if time.monotonic() > deadline_s:
-                self._out_of_step = True
                 raise InstrumentTimeout(
                     f"the {self.name} must answer {self._known.question} in a known form, got {answer[:80]!r}",
                     instrument=self.name,

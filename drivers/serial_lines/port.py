@@ -1,10 +1,15 @@
 """The only place with serial bytes: a port that may be late, full, held by another program, or gone."""
 
 import contextlib
+import math
+import os
+import select
 import termios
+import time
 from typing import Protocol
 
 import serial
+from serial.tools import list_ports
 
 from drivers.errors import InstrumentDisconnected, InstrumentTimeout
 
@@ -12,7 +17,8 @@ ANSWER_S = 0.4
 """Time that an answer may take, s; the bound on everything that must happen within a second."""
 
 SLICE_S = 0.02
-_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+_PIECE_BYTES = 4096
+_OPENING_ERRORS = (serial.SerialException, OSError, termios.error, ValueError)
 
 
 class Port(Protocol):
@@ -26,13 +32,76 @@ class Port(Protocol):
         """Bytes that came, waiting at most `timeout_s` for the first; empty if none did."""
         ...
 
+    def reopen(self) -> None:
+        """Open the port again after its loss; InstrumentDisconnected where it is not there."""
+        ...
+
+    def fileno(self) -> int:
+        """File descriptor of the open port; -1 where it has none."""
+        ...
+
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         ...
 
 
-class SerialPort:
-    """A serial port that nobody else can open meanwhile.
+class _DescriptorPort:
+    """Bytes over the file descriptor of a serial port; `poll` bounds each wait and needs no descriptor of its own."""
+
+    def __init__(self, descriptor: int, *, name: str, place: str) -> None:
+        self._descriptor, self._name, self._place = descriptor, name, place
+
+    def fileno(self) -> int:
+        """File descriptor of the open port."""
+        return self._descriptor
+
+    def send(self, data: bytes) -> None:
+        """Send bytes; a line that takes none within the answer time is InstrumentTimeout."""
+        deadline_s = time.monotonic() + ANSWER_S
+        while data:
+            try:
+                data = data[os.write(self._descriptor, data) :]
+            except BlockingIOError:
+                if not self._is_ready(select.POLLOUT, deadline_s - time.monotonic()):
+                    raise InstrumentTimeout(
+                        f"the {self._name} must take a command within {ANSWER_S:g} s, got no room on {self._place}",
+                        instrument=self._name,
+                    ) from None
+            except OSError as error:
+                raise self._disconnected(error) from None
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Bytes that came, waiting at most `timeout_s` for the first."""
+        if not self._is_ready(select.POLLIN, timeout_s):
+            return b""
+        try:
+            if data := os.read(self._descriptor, _PIECE_BYTES):
+                return data
+        except OSError as error:
+            raise self._disconnected(error) from None
+        raise self._disconnected("no data: it is unplugged, or another program reads it")
+
+    def close(self) -> None:
+        """Close the port, even one that is gone."""
+        descriptor, self._descriptor = self._descriptor, -1
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+
+    def _is_ready(self, event: int, timeout_s: float) -> bool:
+        if self._descriptor < 0:
+            raise self._disconnected("a closed port")
+        waiting = select.poll()
+        waiting.register(self._descriptor, event)
+        return timeout_s >= 0 and bool(waiting.poll(math.ceil(1e3 * timeout_s)))
+
+    def _disconnected(self, error: object) -> InstrumentDisconnected:
+        return InstrumentDisconnected(
+            f"the {self._name} must stay on {self._place}, got: {error}", instrument=self._name
+        )
+
+
+class SerialPort(_DescriptorPort):
+    """A serial port that no other program can open meanwhile.
 
     Parameters
     ----------
@@ -44,59 +113,86 @@ class SerialPort:
         Rate, baud.
     hardware_handshake
         RTS/CTS.
+    exclusive
+        False: open the port although another program has locked it, for the safe action only.
 
     Raises
     ------
     InstrumentDisconnected
-        If the port cannot be opened or goes away; pyserial says so by three kinds of exception.
+        If the port cannot be opened or goes away.
     """
 
-    def __init__(self, port: str, *, name: str, baud: int = 9600, hardware_handshake: bool = False) -> None:
-        self._path, self._name = port, name
-        try:
-            self._serial = serial.Serial(
-                port, baud, timeout=SLICE_S, write_timeout=ANSWER_S, rtscts=hardware_handshake, exclusive=True
-            )
-        except (*_PORT_ERRORS, ValueError) as error:
-            raise InstrumentDisconnected(
-                f"the port {port} of the {name} must be free to open, got: {_why_not_open(error)}", instrument=name
-            ) from None
+    def __init__(
+        self, port: str, *, name: str, baud: int = 9600, hardware_handshake: bool = False, exclusive: bool = True
+    ) -> None:
+        super().__init__(-1, name=name, place=port)
+        self._path = port
+        self._settings = {"baudrate": baud, "rtscts": hardware_handshake, "exclusive": exclusive or None}
+        self._open(port)
+        adapters = usb_ports()
+        adapter = adapters.get(os.path.realpath(port))
+        # Adapters of some makers all have the same number, which then tells none of them.
+        self._usb = adapter if sum(found == adapter for found in adapters.values()) == 1 else None
 
-    def send(self, data: bytes) -> None:
-        """Send bytes; a line that takes none within the answer time is silent."""
-        try:
-            self._serial.write(data)
-        except serial.SerialTimeoutException:
-            raise InstrumentTimeout(
-                f"the {self._name} must take a command within {ANSWER_S:g} s, got no room on {self._path}",
-                instrument=self._name,
-            ) from None
-        except _PORT_ERRORS as error:
-            raise self._lost(error) from None
-
-    def receive(self, timeout_s: float) -> bytes:
-        """Bytes that came, waiting at most `timeout_s` for the first."""
-        try:
-            self._serial.timeout = timeout_s
-            first = self._serial.read(1)
-            return first + self._serial.read(self._serial.in_waiting) if first else b""
-        except _PORT_ERRORS as error:
-            raise self._lost(error) from None
+    def reopen(self) -> None:
+        """Open the port again, at the path where its USB adapter is found by serial number, if it has one."""
+        self.close()
+        if self._usb is None:
+            self._open(self._path)
+            return
+        found = [path for path, adapter in usb_ports().items() if adapter == self._usb]
+        if not found:
+            raise self._not_open(self._path, f"no adapter with the USB serial number {self._usb[0]}")
+        self._open(found[0])
 
     def close(self) -> None:
-        """Let go of the port, even one that is gone."""
-        with contextlib.suppress(*_PORT_ERRORS):
+        """Close the port, even one that is gone."""
+        with contextlib.suppress(*_OPENING_ERRORS):
             self._serial.close()
+        self._descriptor = -1
 
-    def _lost(self, error: BaseException) -> InstrumentDisconnected:
+    def _open(self, path: str) -> None:
+        try:
+            self._serial = serial.Serial(path, **self._settings)
+        except _OPENING_ERRORS as error:
+            raise self._not_open(path, error) from None
+        self._descriptor, self._place = self._serial.fileno(), path
+
+    def _not_open(self, path: str, error: object) -> InstrumentDisconnected:
+        if "exclusively lock" in str(error):
+            error = "another program has locked it (a run that just ended follows the voltage down for some seconds)"
         return InstrumentDisconnected(
-            f"the {self._name} must stay on {self._path}, got: {error}", instrument=self._name
+            f"the port {path} of the {self._name} must be free to open, got: {error}", instrument=self._name
         )
 
 
-def _why_not_open(error: BaseException) -> str:
-    if "exclusively lock" in str(error):
-        return (
-            "another program holds it (the watchdog of a run that just ended follows the voltage down for some seconds)"
-        )
-    return str(error)
+class InheritedPort(_DescriptorPort):
+    """A serial port that another process opened and set up; it needs no free descriptor and no path.
+
+    Parameters
+    ----------
+    descriptor
+        File descriptor of the open port; this object closes it.
+    name
+        Name of the instrument, for sentences.
+    """
+
+    def __init__(self, descriptor: int, *, name: str) -> None:
+        super().__init__(descriptor, name=name, place=f"the inherited descriptor {descriptor}")
+        os.set_blocking(descriptor, False)
+
+    def reopen(self) -> None:
+        """Raise InstrumentDisconnected: only the process with the path of the port can open it."""
+        raise self._disconnected("no path to open it by")
+
+
+def usb_ports() -> dict[str, tuple[str, str]]:
+    """Serial number, and interface within it, of each USB adapter, by device path."""
+    try:
+        return {
+            found.device: (found.serial_number, (found.location or "").partition(":")[2])
+            for found in list_ports.comports()
+            if found.serial_number
+        }
+    except (OSError, TypeError, ValueError):  # pyserial stumbles over a device that goes while it is listed
+        return {}

@@ -1,16 +1,43 @@
-"""The journal of an array: a frame that it does not hold was never promised."""
+"""The journal of an array: one line for each acknowledged frame, and what damaged lines still prove.
+
+Each line ends in a checksum of its own, so that one changed byte anywhere in it is noticed; lines written before there
+were checksums have none. A frame is read if its line is whole. If a line is damaged, but one changed, inserted or
+removed byte explains it, the checksum is met again and the frame's chunk has the digest of the line, it is read too.
+"""
 
 import hashlib
 import json
-from collections.abc import Iterable
-from dataclasses import dataclass
+import os
+import re
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 
 from numpy.typing import NDArray
 
-from labdata.store.layout import frame_bytes
+from labdata.errors import BadInput
+from labdata.store.layout import chunk, frame_bytes, read_metadata
 
 JOURNAL = "journal.jsonl"
+
+MAX_RESTORED_LINES = 100
+"""Damaged lines that are tried to be restored; each costs some 20 ms, and more are no single bytes."""
+
+MAX_LINE_BYTES = 320
+"""Longest text that is tried to be restored: a line has at most 200 bytes."""
+
+MAX_NAMED = 5
+"""Lines or frames that a sentence names one by one."""
+
+RECORD = re.compile(
+    rb'(?P<body>\{"index": (?P<index>\d{1,18}), "frame_number": (?P<frame_number>-?\d{1,19}), '
+    rb'"time_s": (?P<time_s>-?(?:\d+(?:\.\d+)?(?:e[+-]?\d+)?|Infinity)|NaN), "sha256": "(?P<sha256>[0-9a-f]{64})")'
+    rb'(?:, "checksum": "(?P<checksum>[0-9a-f]{16})")?\}'
+)
+LINE_BYTES = bytes(sorted(set(b'{}"_:, +-.0123456789 abcdef index frame number time sha checksum NaN Infinity')))
+NUMBERS = range(-(2**63), 2**63)
+"""Frame numbers that an array of whole numbers can hold."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,39 +61,194 @@ class Acknowledged:
     time_s: float
     sha256: str
 
-
-def is_ours(path: Path) -> bool:
-    """Whether a folder is an array of this store."""
-    return (path / JOURNAL).is_file()
-
-
-def journal(path: str | Path) -> tuple[Acknowledged, ...]:
-    """Return the acknowledged frames of an array in order; a last line cut short by a crash is not one."""
-    return acknowledged((Path(path) / JOURNAL).read_bytes().splitlines(keepends=True))
+    def line(self) -> bytes:
+        """Return the line as it is written, with its checksum and its end."""
+        body = json.dumps(asdict(self)).encode()[:-1]
+        return body + b', "checksum": "%s"}\n' % _checksum(body)
 
 
-def acknowledged(lines: Iterable[bytes], *, first: int = 0) -> tuple[Acknowledged, ...]:
-    """Return the frames that lines of a journal promise, up to the first line that is cut short or out of order.
+@dataclass(frozen=True, kw_only=True)
+class Journal:
+    """What a journal and its array say.
 
     Parameters
     ----------
-    lines
-        Lines with their ends.
-    first
-        Place of the first line's frame in the array.
+    path
+        Folder of the array.
+    frames
+        Acknowledged frames that can be read, by place; places may be missing.
+    array_frames
+        Number of frames that the array's metadata states.
+    damaged_lines
+        Numbers, from 1, of the lines that are not one whole record.
     """
-    frames = []
-    for line in lines:
-        try:
-            entry = Acknowledged(**json.loads(line))
-        except (ValueError, TypeError, RecursionError):
-            break
-        if not line.endswith(b"\n") or entry.index != first + len(frames):
-            break
-        frames.append(entry)
-    return tuple(frames)
+
+    path: Path
+    frames: tuple[Acknowledged, ...]
+    array_frames: int
+    damaged_lines: tuple[int, ...]
+
+    @property
+    def end(self) -> int:
+        """One behind the last place that the journal names."""
+        return self.frames[-1].index + 1 if self.frames else 0
+
+    @property
+    def lost_frames(self) -> int:
+        """Number of frames that the array or its journal counts and that are not read."""
+        return max(self.end, self.array_frames) - len(self.frames)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One sentence where lines are damaged or missing; none otherwise."""
+        if not self.damaged_lines and not self.lost_frames:
+            return ()
+        lines = f": {_named('line', self.damaged_lines)} damaged" if self.damaged_lines else ""
+        there = {frame.index for frame in self.frames}
+        missing = [place for place in range(self.end) if place not in there]
+        if (behind := max(self.end, self.array_frames) - self.end) > 0:
+            missing += range(self.end, self.end + min(behind, MAX_NAMED + 1))
+        frames = f"; {_named('frame', missing, self.lost_frames)} not read" if missing else ""
+        return (
+            f"{self.path / JOURNAL} must have a whole line for each of the {max(self.end, self.array_frames)} frames "
+            f"of its array, got {len(self.frames)}{lines}{frames}",
+        )
+
+    def require_frames(self) -> None:
+        """Raise BadInput if no frame can be read."""
+        if not self.frames:
+            found = self.notes[0] if self.notes else f"got none in {self.path}"
+            raise BadInput(f"a stack must hold at least one frame, {found}")
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a folder is an array of this store."""
+    return os.path.isfile(path / JOURNAL)  # where a name is no path at all, Path.is_file would raise
+
+
+def read_journal(path: str | Path) -> Journal:
+    """Read the journal of an array.
+
+    Parameters
+    ----------
+    path
+        Folder of the array.
+
+    Raises
+    ------
+    BadInput
+        If the folder is no array of the store, or its metadata cannot be read.
+
+    Notes
+    -----
+    A last line without its end was cut short by a crash: its frame is not acknowledged, unless all of it but the end is
+    there and meets its checksum.
+    """
+    path = Path(path)
+    array_frames, _, _ = read_metadata(path)
+    try:
+        *lines, last = (path / JOURNAL).read_bytes().split(b"\n")
+    except OSError as error:
+        raise BadInput(f"an array of the store must have a readable journal, got {path}: {error.strerror}") from None
+    frames: dict[int, Acknowledged] = {}
+    damaged: dict[int, bytes] = {}
+    for place, line in enumerate((*lines, last)):
+        found = records_of(line, place, path)
+        frames |= {frame.index: frame for frame in found}
+        if place < len(lines) and (len(found) != 1 or not RECORD.fullmatch(line)):
+            damaged[place] = line
+    for frame in _restored(damaged, frames, path):
+        frames[frame.index] = frame
+    return Journal(
+        path=path,
+        frames=tuple(frames[index] for index in sorted(frames)),
+        array_frames=array_frames,
+        damaged_lines=tuple(place + 1 for place in damaged),
+    )
+
+
+def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
+    """Return the whole records of a line, without its end; a line whose end was damaged has those of the next, too.
+
+    Parameters
+    ----------
+    line
+        The line.
+    place
+        Number of lines before it.
+    path
+        Folder of the array.
+
+    Notes
+    -----
+    A record without a checksum must stand at its place, or its frame's chunk must have its digest.
+    """
+    found = []
+    for match in RECORD.finditer(line):
+        frame = Acknowledged(
+            index=int(match["index"]),
+            frame_number=int(match["frame_number"]),
+            time_s=float(match["time_s"]),
+            sha256=match["sha256"].decode(),
+        )
+        if match["checksum"] is None:
+            whole = frame.index == place or _has_chunk(path, frame)
+        else:
+            whole = match["checksum"] == _checksum(match["body"])
+        if whole and frame.frame_number in NUMBERS:
+            found.append(frame)
+    return tuple(found)
 
 
 def sha256(frame: NDArray) -> str:
     """Return the SHA-256 of a frame's bytes, rows first, little-endian."""
     return hashlib.sha256(frame_bytes(frame)).hexdigest()
+
+
+def _checksum(body: bytes) -> bytes:
+    """Return the checksum of a line: the first 64 bits of the SHA-256 of what stands before it."""
+    return hashlib.sha256(body).hexdigest()[:16].encode()
+
+
+def _has_chunk(path: Path, frame: Acknowledged) -> bool:
+    """Return whether the chunk of a frame is there and has its digest."""
+    try:
+        with open(chunk(path, frame.index), "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() == frame.sha256
+    except OSError:
+        return False
+
+
+def _restored(damaged: Mapping[int, bytes], there: Container[int], path: Path) -> Iterator[Acknowledged]:
+    """Yield the frames that are not there and whose damaged lines one byte explains, in one way only."""
+    for place, line in islice(damaged.items(), MAX_RESTORED_LINES):
+        # The one byte may have become a line's end, or be one that was inserted.
+        for text in (line, line + b"\n" + damaged[place + 1]) if place + 1 in damaged else (line,):
+            found = {
+                frame
+                for restored in _one_byte_from(text)
+                if RECORD.fullmatch(restored) and b"checksum" in restored
+                for frame in records_of(restored, place, path)
+                if frame.index not in there and _has_chunk(path, frame)
+            }
+            if len(found) == 1:
+                yield found.pop()
+
+
+def _one_byte_from(text: bytes) -> Iterator[bytes]:
+    """Yield all texts of a line's bytes from which one changed, inserted or removed byte makes this one."""
+    if len(text) > MAX_LINE_BYTES:
+        return
+    for at in range(len(text) + 1):
+        before, after = text[:at], text[at:]
+        yield before + after[1:]
+        for byte in range(len(LINE_BYTES)):
+            yield before + LINE_BYTES[byte : byte + 1] + after[1:]
+            yield before + LINE_BYTES[byte : byte + 1] + after
+
+
+def _named(word: str, numbers: Sequence[int], total: int = 0) -> str:
+    """Name lines or frames, the first few by number, as the subject of a sentence with its verb."""
+    total = max(total, len(numbers))
+    named = ", ".join(map(str, numbers[:MAX_NAMED])) + (f" and {total - MAX_NAMED} more" if total > MAX_NAMED else "")
+    return f"{word} {named} is" if total == 1 else f"{word}s {named} are"

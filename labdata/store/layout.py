@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.errors import BadInput
+
 METADATA = "zarr.json"
 
 
@@ -34,11 +36,14 @@ def metadata(frames: int, shape: tuple[int, int], dtype: np.dtype) -> bytes:
     return json.dumps(document, indent=1).encode()
 
 
-def described(path: Path) -> tuple[int, tuple[int, ...], str]:
+def read_metadata(path: Path) -> tuple[int, tuple[int, ...], str]:
     """Return frames, shape of a frame and name of the pixel's type that an array's metadata state."""
-    document = json.loads((path / METADATA).read_bytes())
-    frames, *shape = document["shape"]
-    return frames, tuple(shape), document["data_type"]
+    try:
+        document = json.loads((path / METADATA).read_bytes())
+        frames, *shape = map(int, document["shape"])
+        return frames, tuple(shape), str(document["data_type"])
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        raise BadInput(f"a stack of the store must be a readable Zarr array, got {path}") from None
 
 
 def chunk(path: Path, index: int) -> Path:

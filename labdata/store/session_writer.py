@@ -2,19 +2,19 @@
 
 import fcntl
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from labdata.border import from_toml
+from labdata.border import from_toml, to_toml
 from labdata.conditions import Conditions
+from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.form import SessionForm, StackForm, stack_form
 from labdata.session import MANIFEST, Kind, Session, open_session
-from labdata.store.appending import ArrayWriter
-from labdata.store.journal import is_ours, journal
-from labdata.store.manifest import ManifestWriter
+from labdata.store.array_writer import ArrayWriter
+from labdata.store.journal import is_ours, read_journal
 from labdata.store.stack_writer import StackWriter
 from labdata.target import Target
 
@@ -91,7 +91,9 @@ class SessionWriter:
     def partial(self) -> dict[str, int]:
         """Labels of the stacks that were broken off, with the number of their acknowledged frames."""
         return {
-            entry.label: len(journal(self._path(entry.label))) for entry in self._form.stack if entry.finished is False
+            entry.label: len(read_journal(self._path(entry.label)).frames)
+            for entry in self._form.stack
+            if entry.finished is False
         }
 
     def begin_stack(
@@ -137,12 +139,10 @@ class SessionWriter:
         known = {one.label: one for one in self._form.stack}.get(label)
         if known is not None:
             entry = _continued(known, entry)
-        if is_ours(path) and not journal(path):
-            shutil.rmtree(path)
-        elif is_ours(path) and known is None:
-            # A kill between the first frames and the manifest leaves frames that nobody was promised and no stack owns.
-            path.rename(_aside(path))
-        return StackWriter(ArrayWriter(path, shape, dtype), entry, self._enter)
+        if is_ours(path):
+            entry = self._cleared(path, entry, begun=known is not None)
+        array = ArrayWriter(path, shape, dtype)
+        return StackWriter(array, replace(entry, notes=(*entry.notes, *array.notes)), self._enter)
 
     @property
     def doubtful(self) -> dict[str, str]:
@@ -163,11 +163,6 @@ class SessionWriter:
         path.rename(aside)
         return aside
 
-    def discard_stack(self, label: str) -> None:
-        """Forget a stack that was broken off, with its frames, so that it can be taken anew."""
-        self._forget(label)
-        shutil.rmtree(self._path(label), ignore_errors=True)
-
     def add_note(self, note: str) -> None:
         """Add a remark to the session."""
         self._save(replace(self._form, notes=(*self._form.notes, note)))
@@ -179,6 +174,24 @@ class SessionWriter:
     def close(self) -> None:
         """Let another process write to the session."""
         self._lock.close()
+
+    def _cleared(self, path: Path, entry: StackForm, *, begun: bool) -> StackForm:
+        """Make room where an array holds nothing to go on with, and note in the stack's entry what was put aside.
+
+        A kill between the first frames and the manifest leaves frames that belong to no stack; a damaged journal may
+        leave a stack without frames that can be read.
+        """
+        journal = read_journal(path)
+        if journal.frames and begun:
+            return entry
+        if not journal.lost_frames and not journal.frames and not journal.damaged_lines:
+            shutil.rmtree(path)
+            return entry
+        if begun:
+            self._forget(entry.label)
+        aside = path.rename(_aside(path))
+        why = journal.notes[0] if journal.notes else "the session did not count them yet"
+        return replace(entry, notes=(*entry.notes, f"taken anew, the frames before are in {aside.name}: {why}"))
 
     def _forget(self, label: str) -> None:
         if label in self.finished:
@@ -224,3 +237,41 @@ def _locked(folder: Path) -> Any:
         file.close()
         raise BadInput(f"one process may write to a session at a time, got a second for {folder}") from None
     return file
+
+
+class ManifestWriter:
+    """Saves the manifest of one session whole at every change, at the cost of what changed.
+
+    Parameters
+    ----------
+    folder
+        The session's folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / MANIFEST
+        self._written: dict[StackForm, str] = {}
+
+    def save(self, form: SessionForm) -> None:
+        """Save the manifest; when this returns it survives a kill and a power cut."""
+        # A sweep of hundreds of stacks is saved at every one of them: those that did not change are not worded anew.
+        texts = {entry: self._written.get(entry) or _stack_text(entry) for entry in form.stack}
+        header = to_toml(replace(form, stack=()))
+        write_durably(self._path, "\n".join((header, *texts.values())).encode())
+        self._written = texts
+
+
+@dataclass(frozen=True)
+class _OneStack:
+    """The part of a session file that is one stack's."""
+
+    stack: tuple[StackForm, ...]
+
+
+def _stack_text(entry: StackForm) -> str:
+    text = to_toml(_OneStack((entry, _LONG)))
+    return text[: text.rindex("[[stack]]")]
+
+
+# TOML's writer puts short tables on one line, which cannot be joined with others; beside a long one it does not.
+_LONG = StackForm(label="x" * 200, kind="dark", frames="")

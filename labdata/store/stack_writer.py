@@ -11,7 +11,7 @@ from labdata.capture import Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.form import StackForm, stack_form
-from labdata.store.appending import ArrayWriter
+from labdata.store.array_writer import ArrayWriter
 from labdata.store.journal import Acknowledged
 
 

@@ -1,6 +1,8 @@
 """The storage thread: frames are written beside the camera through a bounded queue, and none is lost in silence."""
 
+import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +12,6 @@ from typing import Any, Self
 
 from labdata.capture import Frame, LostFrames, lost_for
 from labdata.errors import BadInput
-from labdata.store.reserve import Reserve
 from labdata.store.session_writer import SessionWriter
 from labdata.store.stack_writer import StackWriter
 
@@ -24,11 +25,22 @@ PATIENCE_S = 0.4
 """Longest wait for room in the queue, s; a camera's driver buffers two seconds at 30 frames/s."""
 
 
+STALLED_S = 10.0
+"""Longest time without any progress, s, after which a disk is given up: a busy one pauses for some seconds."""
+
+LOOK_S = 0.1
+"""Time between two looks at the progress of the disk, s."""
+
+RESERVE_BYTES = 1 << 20
+"""Bytes of the session's disk that are kept free for its last words."""
+
+
 class Storage:
     """Writes the stacks of a session in a thread of its own, between `with` and the end of its block.
 
     The first error of the disk ends all writing: what was not acknowledged by then is recorded as lost, with numbers
-    and reason, in the room that was kept for it; every later call raises that error.
+    and reason, in the room that was kept for it; every later call raises that error. A disk that makes no progress for
+    `STALLED_S` while `wait` or the end of the block waits for it is given up with an error, too.
 
     Parameters
     ----------
@@ -48,7 +60,9 @@ class Storage:
         self._waiting_bytes = 0
         self._open_stack: StackWriter | None = None
         self._turn = threading.Condition()
-        self._idle, self._over = True, False
+        self._in_hand: list[_Job] = []
+        self._idle, self._over, self._ended = True, False, False
+        self._progress_s = time.monotonic()
         self.failure: Exception | None = None
         """What ended the writing, if anything did."""
         self._thread = threading.Thread(target=self._work, name="storage", daemon=True)
@@ -63,16 +77,23 @@ class Storage:
     ) -> None:
         with self._turn:
             self._over = True
+            self._progress_s = time.monotonic() if self._idle else self._progress_s
             self._turn.notify_all()
-        self._thread.join()
-        self._reserve.release()
-        if error is None and self.failure is not None:
+            self._wait_for(lambda: self._ended)
+        if self.failure is not None and error is None:
             raise self.failure
+        if self.failure is not None and error is not None and error is not self.failure:
+            error.add_note(str(self.failure))
 
     @property
     def waiting_bytes(self) -> int:
         """Bytes of frames that wait for the disk."""
         return self._waiting_bytes
+
+    @property
+    def stalled_s(self) -> float:
+        """Time for which the disk has made no progress while work waits for it, s; 0 where none waits."""
+        return 0.0 if self._idle else time.monotonic() - self._progress_s
 
     def begin_stack(self, *settings: Any, **named: Any) -> "StoredStack":
         """Begin a stack as `SessionWriter.begin_stack` does, without waiting; the one before is left as it is."""
@@ -96,9 +117,9 @@ class Storage:
         self.post(lambda: self._writer.add_note(note))
 
     def wait(self) -> None:
-        """Wait until all that was asked is done; raise what went wrong."""
+        """Wait until all that was asked is done; raise what went wrong, or that the disk makes no progress."""
         with self._turn:
-            self._turn.wait_for(lambda: not self._jobs and self._idle)
+            self._wait_for(lambda: not self._jobs and self._idle)
         self._raise_failure()
 
     def put(self, stack: "StoredStack", frame: Frame) -> None:
@@ -121,6 +142,8 @@ class Storage:
     def _put(self, job: "_Job") -> None:
         self._raise_failure()
         with self._turn:
+            if self._idle:
+                self._idle, self._progress_s = False, time.monotonic()
             self._jobs.append(job)
             self._waiting_bytes += job.bytes
             self._turn.notify_all()
@@ -128,6 +151,21 @@ class Storage:
     def _raise_failure(self) -> None:
         if self.failure is not None:
             raise self.failure
+
+    def _wait_for(self, condition: Callable[[], bool]) -> None:
+        """Wait, holding the turn, until a condition holds or the disk is given up."""
+        while not self._turn.wait_for(condition, LOOK_S):
+            if self.stalled_s > STALLED_S:
+                return self._give_up()
+
+    def _give_up(self) -> None:
+        """Leave the frames that wait: the thread may hang for ever, and if it does not, it takes up no other work."""
+        frames = sum(job.frame is not None for job in (*self._in_hand, *self._jobs))
+        self._jobs.clear()
+        self.failure = self.failure or BadInput(
+            f"the disk must take every frame, got no progress for {STALLED_S:g} s: {frames} frames of "
+            f"{self._writer.folder} are not acknowledged"
+        )
 
     # In the thread
 
@@ -139,9 +177,17 @@ class Storage:
                 self._fail(error, jobs)
             with self._turn:
                 self._waiting_bytes -= sum(job.bytes for job in jobs)
+                self._in_hand, self._progress_s = [], time.monotonic()
                 self._idle = not self._jobs
                 self._turn.notify_all()
-        self._close_stack()
+        try:
+            self._close_stack()
+            self._reserve.release()
+        except OSError as error:
+            self.failure = self.failure or error
+        with self._turn:
+            self._idle = self._ended = True
+            self._turn.notify_all()
 
     def _next(self) -> list["_Job"]:
         """Wait for work: one thing to do, or frames of one stack that can be written together; [] at the end."""
@@ -156,6 +202,7 @@ class Storage:
                 if jobs and size > TOGETHER_BYTES:
                     break
                 jobs.append(self._jobs.popleft())
+            self._in_hand = list(jobs)
             return jobs
 
     def _open(self, stack: "StoredStack", *settings: Any, **named: Any) -> None:
@@ -250,3 +297,24 @@ class StoredStack:
     def _known(self) -> StackWriter:
         assert self._writer is not None
         return self._writer
+
+
+class Reserve:
+    """Room kept free on a disk, so that a full one still takes a last manifest and a last line of the log.
+
+    Parameters
+    ----------
+    folder
+        The session's folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / ".reserve"
+        with open(self._path, "wb") as file:
+            file.write(b"\0" * RESERVE_BYTES)
+            file.flush()
+            os.fsync(file.fileno())
+
+    def release(self) -> None:
+        """Give the room back."""
+        self._path.unlink(missing_ok=True)

@@ -92,6 +92,13 @@ class InProcessPort:
         self.advance()
         return _behind_adapter(self._shown)
 
+    def reopen(self) -> None:
+        """Nothing to open: the instrument is in this process."""
+
+    def fileno(self) -> int:
+        """No descriptor: there is no file."""
+        return -1
+
     def close(self) -> None:
         """Nothing to let go of."""
 

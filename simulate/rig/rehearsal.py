@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from labdata.event_log import EventLog, events
+from labdata.event_log import EventLog, read_events
 from simulate.rig.fault_script import FaultScript, Strike, together
 from simulate.rig.faults import Faults
 
@@ -56,7 +56,7 @@ class Rehearsal:
         self._thread = threading.Thread(target=self._strike, daemon=True)
 
     def __enter__(self) -> Self:
-        told = events(self._log_path) if self._log_path.exists() else []
+        told = read_events(self._log_path) if self._log_path.exists() else []
         struck = {each["number"] for each in told if each["event"] == STRUCK}
         self._left = {number: one for number, one in enumerate(self._script.fault) if number not in struck}
         for instrument in {one.instrument for one in self._script.fault}:

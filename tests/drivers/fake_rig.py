@@ -1,11 +1,13 @@
 """A rig of plain objects that write down in which order they are used."""
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
 
+from drivers.interface import FrameLevels
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.conditions import Conditions
 
@@ -62,15 +64,17 @@ class FakeCamera(_Opened):
         self.settings = replace(self.settings, **given)
         return self.settings
 
-    def capture(self, *, frames: int, discard: int = 0) -> "FakeCapture":
-        return FakeCapture(self.rig, frames, discard)
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> "FakeCapture":
+        return FakeCapture(self.rig, frames, while_waiting)
 
 
 class FakeCapture:
     losses: tuple[LostFrames, ...] = ()
 
-    def __init__(self, rig: FakeRig, frames: int, discard: int) -> None:
-        self.rig, self.frames, self.discard = rig, frames, discard
+    def __init__(self, rig: FakeRig, frames: int, while_waiting: Callable[[], None]) -> None:
+        self.rig, self.frames, self.while_waiting = rig, frames, while_waiting
 
     @property
     def lost_frames(self) -> int:
@@ -87,6 +91,7 @@ class FakeCapture:
         if self.rig.lose:
             self.losses = (LostFrames(first=1, last=self.rig.lose, reason="missing packets"),)
         for _ in range(self.frames):
+            self.while_waiting()
             self.rig.frames_sent += 1
             self.rig.happens("frame")
             number = self.rig.frames_sent
@@ -100,8 +105,22 @@ class FakeBench(_Opened):
     def guard(self, operator: "FakeOperator") -> "FakeOperator":
         return operator
 
-    def saw_without_light(self, pixels: np.ndarray, full_scale_dn: float) -> None:
+    last_words = ""
+
+    def dark_frame_seen(self, levels: FrameLevels) -> bool:
         raise AssertionError("a bench that has seen the dark looks no more")
+
+    def frame_seen(self, levels: FrameLevels) -> None:
+        self.levels = levels
+
+    def verify(self) -> None:
+        self.rig.happens("tube compared")
+
+    def patience(self, seconds: float) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def safe_at_once(self) -> None:
+        self.rig.gate_open, self.rig.mcp_v = False, 0.0
 
     def __exit__(self, *_: object) -> None:
         self.rig.gate_open, self.rig.mcp_v = False, 0.0
@@ -117,7 +136,7 @@ class FakeBench(_Opened):
             mcp_v=None if conditions.mcp_v is None else conditions.mcp_v + 0.25, gate_ns=conditions.gate_ns
         )
 
-    def read_beside(self) -> tuple[Conditions, tuple[str, ...]]:
+    def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:
         return Conditions(), ()
 
     def check(self) -> None:
@@ -129,8 +148,10 @@ class FakeBench(_Opened):
 
 
 class FakeOperator:
+    is_by_hand = False
+
     def __init__(self, rig: FakeRig) -> None:
-        self.rig = rig
+        self.rig, self.while_waiting = rig, lambda: None
 
     def place(
         self, *, kind: str, target: Any, illuminance_lux: float, filter_density: float | None = None

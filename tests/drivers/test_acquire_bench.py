@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from drivers.bench.tube_bench import TubeBench
+from drivers.bench.setup import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.instruments.models import lines_on
 from labdata.conditions import Conditions
@@ -74,7 +74,7 @@ def taken(folder, wires, lamp=None):
         elif rig.camera:
             camera = AravisCamera(rig.camera.identifier, silence_s=rig.silence_s)
         limits = limits_in_force(plan.limits, small, plan.overrides)
-        bench = TubeBench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines, lamp=lamp)
+        bench = open_bench(rig.wires, limits, log=folder / "safety.jsonl", lines=lines, lamp=lamp)
         session = acquire(plan, folder / "session", camera=camera, bench=bench, operator=rig.operator)
         left_open, left_v = rig.outputs().gate_open, rig.outputs().mcp_v
         return session, rig.left_out, left_open, left_v

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from drivers.bench import safe_state
-from drivers.bench.tube_bench import TubeBench
+from drivers.bench.setup import open_bench
 from drivers.errors import BenchError, InstrumentTimeout
 from drivers.instruments import high_voltage
 from drivers.instruments.models import lines_on
+from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -37,15 +38,15 @@ def virtual():
     return instruments
 
 
-def opened(virtual, tmp_path, **meters) -> TubeBench:
+def opened(virtual, tmp_path, **meters) -> Bench:
     limits = Limits(ramp_v_per_s=10000.0)
     lines = lines_on(virtual.ports, WIRES)
-    return TubeBench(WIRES, limits, log=tmp_path / "log", lines=lines, meters=Meters(lux_per_w=LUX_PER_W, **meters))
+    return open_bench(WIRES, limits, log=tmp_path / "log", lines=lines, meters=Meters(lux_per_w=LUX_PER_W, **meters))
 
 
 def test_what_is_read_has_its_unit_and_its_time(virtual, tmp_path):
     with opened(virtual, tmp_path) as bench:
-        read, silent = bench.read_beside()
+        read, silent = bench.read_meters()
     assert silent == ()
     assert read.metered_w == pytest.approx(TRUE_LUX / LUX_PER_W, abs=5 * NOISE_W)
     assert read.metered_lux == pytest.approx(TRUE_LUX, rel=0.02)
@@ -57,11 +58,11 @@ def test_what_is_read_has_its_unit_and_its_time(virtual, tmp_path):
 def test_a_silent_meter_is_told_and_the_other_one_is_read(virtual, tmp_path, role, kept):
     with opened(virtual, tmp_path) as bench:
         virtual.ports[role].faults = Faults(silent=True)
-        read, silent = bench.read_beside()
+        read, silent = bench.read_meters()
         assert len(silent) == 1 and "must answer" in silent[0]
         assert [name for name in ("temperature_c", "metered_w") if getattr(read, name) is not None] == [kept]
         virtual.ports[role].faults = Faults()
-        assert bench.read_beside()[1] == ()
+        assert bench.read_meters()[1] == ()
 
 
 @pytest.mark.parametrize(("role", "key"), [("light-meter", "light_needed"), ("thermometer", "temperature_needed")])
@@ -76,7 +77,7 @@ def test_a_meter_that_is_needed_may_not_fall_silent_either(virtual, tmp_path, ro
     with opened(virtual, tmp_path, **{key: True}) as bench:
         virtual.ports[role].faults = Faults(silent=True)
         with pytest.raises(InstrumentTimeout):
-            bench.read_beside()
+            bench.read_meters()
 
 
 def test_a_meter_that_is_needed_must_be_there():
@@ -87,6 +88,9 @@ def test_a_meter_that_is_needed_must_be_there():
 
 class Blind:
     """An operator who believes that the light is out."""
+
+    is_by_hand = False
+    while_waiting = staticmethod(lambda: None)
 
     def darken(self) -> None: ...
 
@@ -100,11 +104,11 @@ def test_light_that_only_the_meter_sees_is_taken_for_light(virtual, tmp_path):
         light = bench.guard(Blind())
         light.place(kind="flat", target=Target(), illuminance_lux=0.0)
         bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6))
-        bench.saw_without_light(np.full((4, 6), 12, np.uint8), 255.0)
-        bench.read_beside()
+        bench.dark_frame_seen(FrameLevels.of(np.full((4, 6), 12, np.uint8), 255.0))
+        bench.read_meters()
         with pytest.raises(BadInput, match="the light must be down before the gain goes up"):
             bench.set_conditions(Conditions(mcp_v=750.0))
         virtual.ports["light-meter"].far_end().feel(lambda: 5.0)
         with pytest.raises(BenchError, match="the tube was made safe: the light must"):
-            bench.read_beside()
+            bench.read_meters()
         assert not virtual.outputs().gate_open

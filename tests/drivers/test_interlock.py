@@ -11,12 +11,14 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 
+from drivers.acquisition.run_control import RunControl
 from drivers.bench import safe_state
+from drivers.bench.setup import FIELD_RATE_HZ, open_bench
 from drivers.bench.state import InterlockRefused, OpenGate
-from drivers.bench.tube_bench import FIELD_RATE_HZ, TubeBench
 from drivers.errors import BenchError, InstrumentTimeout, InstrumentTripped
 from drivers.instruments import high_voltage
 from drivers.instruments.models import lines_on
+from drivers.interface import FrameLevels
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -65,7 +67,7 @@ def lines(virtual):
 
 @pytest.fixture
 def bench(lines, tmp_path):
-    return TubeBench(Wires(bench="in-process"), LIMITS, log=tmp_path / "safety.jsonl", lines=lines)
+    return open_bench(Wires(bench="in-process"), LIMITS, log=tmp_path / "safety.jsonl", lines=lines)
 
 
 def test_conditions_are_read_back_and_reach_the_tube(bench, virtual):
@@ -90,7 +92,7 @@ def test_what_is_not_asked_for_is_off(bench, virtual):
 def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, first_v, then_v):
     witness = Witness(virtual)
     lines = {role: witness.wrap(line) for role, line in lines.items()}
-    with TubeBench(Wires(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines) as bench:
+    with open_bench(Wires(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines) as bench:
         bench.set_conditions(Conditions(mcp_v=first_v, gate_ns=1e6))
         witness.seen.clear()
         bench.set_conditions(Conditions(mcp_v=then_v, gate_ns=2e6))
@@ -104,7 +106,7 @@ def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, firs
 def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines, tmp_path):
     witness = Witness(virtual)
     lines = {role: witness.wrap(line) for role, line in lines.items()}
-    with TubeBench(Wires(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines) as bench:
+    with open_bench(Wires(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines) as bench:
         began_s = time.monotonic()
         bench.set_conditions(Conditions(mcp_v=650))
         assert time.monotonic() - began_s >= 0.6
@@ -145,7 +147,7 @@ def test_every_door_leaves_the_tube_safe(bench, virtual, door):
 
 def test_sigterm_is_a_door_too(bench, virtual):
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(SystemExit) as end, bench:
+    with pytest.raises(SystemExit) as end, RunControl().heard(), bench:
         bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
         threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM)).start()
         time.sleep(5)
@@ -216,17 +218,20 @@ def test_every_safety_step_is_logged(bench, tmp_path):
 
 def test_the_wires_left_out_are_named(bench, tmp_path):
     assert bench.wires_left_out
-    on_wires = TubeBench(Wires(gate_port="/dev/a", supply_port="/dev/b"), LIMITS, log=tmp_path / "log")
+    on_wires = open_bench(Wires(gate_port="/dev/a", supply_port="/dev/b"), LIMITS, log=tmp_path / "log")
     assert on_wires.wires_left_out == ()
 
 
 def test_a_bench_needs_ports(tmp_path):
     with pytest.raises(BadInput, match="must have its serial port, got none for gate_port and supply_port"):
-        TubeBench(Wires(), LIMITS, log=tmp_path / "log")
+        open_bench(Wires(), LIMITS, log=tmp_path / "log")
 
 
 class Hands:
     """An operator whose meter reads what is asked times a factor."""
+
+    is_by_hand = False
+    while_waiting = staticmethod(lambda: None)
 
     def __init__(self, factor: float = 1.0) -> None:
         self.factor, self.placed = factor, []
@@ -248,7 +253,7 @@ def lit(bench, hands, lux: float, **conditions):
     light = bench.guard(hands)
     light.place(kind="flat", target=Target(), illuminance_lux=0.0)
     bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6, **conditions))
-    bench.saw_without_light(dark_frame(), 255.0)
+    bench.dark_frame_seen(FrameLevels.of(dark_frame(), 255.0))
     return light.place(kind="flat", target=Target(), illuminance_lux=lux)
 
 
@@ -257,7 +262,7 @@ def test_no_light_before_a_dark_frame_was_seen_through_the_open_gate(bench):
     with bench:
         light = bench.guard(hands)
         light.place(kind="flat", target=Target(), illuminance_lux=0.0)
-        bench.saw_without_light(dark_frame(), 255.0)
+        bench.dark_frame_seen(FrameLevels.of(dark_frame(), 255.0))
         assert not bench.dark_seen  # behind a shut gate every frame is dark
         with pytest.raises(InterlockRefused, match="a dark frame must be seen through the open gate"):
             light.place(kind="flat", target=Target(), illuminance_lux=1e-4)
@@ -286,8 +291,8 @@ def test_a_bright_frame_without_light_ends_the_work(bench, virtual):
     with bench:
         bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6))
         with pytest.raises(BenchError, match=r"mean below 25% of full scale .* got 78% and 0.0%"):
-            bench.saw_without_light(np.full((4, 6), 200, np.uint8), 255.0)
-        with pytest.raises(BenchError, match="the tube was made safe: a frame without light"):
+            bench.dark_frame_seen(FrameLevels.of(np.full((4, 6), 200, np.uint8), 255.0))
+        with pytest.raises(BenchError, match="a frame without light must"):
             bench.set_conditions(Conditions(mcp_v=600.0, gate_ns=1e6))
         assert not virtual.outputs().gate_open
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from drivers.bench import safe_state
+from drivers.bench.setup import open_bench
 from drivers.bench.state import InterlockRefused, TurnFilter
-from drivers.bench.tube_bench import TubeBench
 from drivers.errors import BenchError, InstrumentRejected
 from drivers.instruments import high_voltage
-from drivers.instruments.filter_wheel import FilterWheel
+from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.models import lines_on
-from drivers.serial_lines.line_factory import wheel_line
+from drivers.interface import FrameLevels
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
@@ -35,6 +35,9 @@ DARK = {"kind": "flat", "target": Target(), "illuminance_lux": 0.0}
 class Hands:
     """Places targets and nothing else."""
 
+    is_by_hand = False
+    while_waiting = staticmethod(lambda: None)
+
     def __init__(self) -> None:
         self.placed: list[float] = []
 
@@ -58,7 +61,7 @@ def virtual():
 
 @pytest.fixture
 def bench(virtual, tmp_path):
-    return TubeBench(WIRES, LIMITS, log=tmp_path / "log", lines=lines_on(virtual.ports, WIRES), lamp=LAMP)
+    return open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines_on(virtual.ports, WIRES), lamp=LAMP)
 
 
 def at_gain(bench, hands):
@@ -66,7 +69,7 @@ def at_gain(bench, hands):
     light = bench.guard(hands)
     light.place(**DARK)
     bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1e6))
-    bench.saw_without_light(np.full((4, 6), 12, np.uint8), 255.0)
+    bench.dark_frame_seen(FrameLevels.of(np.full((4, 6), 12, np.uint8), 255.0))
     return light
 
 
@@ -136,7 +139,7 @@ def test_the_source_itself_refuses_more_than_was_calibrated(bench, virtual):
 
 
 def test_a_wheel_that_somebody_turned_is_told(virtual):
-    ours, theirs = (FilterWheel(wheel_line(virtual.ports["filter-wheel"])) for _ in range(2))
+    ours, theirs = (FilterWheel(PromptLine(virtual.ports["filter-wheel"], name="filter wheel")) for _ in range(2))
     ours.look()
     ours.look()
     theirs.turn_to(4)
@@ -147,10 +150,10 @@ def test_a_wheel_that_somebody_turned_is_told(virtual):
 def test_a_lamp_without_a_calibration_and_a_wheel_without_enough_filters_are_refused(virtual, tmp_path):
     lines = lines_on(virtual.ports, WIRES)
     with pytest.raises(BadInput, match="a light source must have its calibration, got None"):
-        TubeBench(WIRES, LIMITS, log=tmp_path / "log", lines=lines)
+        open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines)
     many = Lamp(**{**vars(LAMP), "filter_density": tuple(float(each) for each in range(9))})
     with (
         pytest.raises(BadInput, match="a position for each filter, got 6 for 9"),
-        TubeBench(WIRES, LIMITS, log=tmp_path / "log", lines=lines, lamp=many),
+        open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines, lamp=many),
     ):
         pass

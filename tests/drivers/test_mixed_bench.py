@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.bench.tube_bench import TubeBench
+from drivers.bench.setup import open_bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -23,7 +23,7 @@ def somewhere_else(tmp_path):
         yield instruments.port("thermometer")
 
 
-def test_a_real_thermometer_is_read_beside_a_virtual_tube(somewhere_else, tmp_path, monkeypatch):
+def test_a_real_thermometer_is_read_meters_a_virtual_tube(somewhere_else, tmp_path, monkeypatch):
     monkeypatch.setattr(aravis_library, "is_available", lambda: False)  # the camera has no part in this
     told: list[str] = []
     wires = Wires(thermometer="ctc100", thermometer_port=somewhere_else)
@@ -33,9 +33,9 @@ def test_a_real_thermometer_is_read_beside_a_virtual_tube(somewhere_else, tmp_pa
         assert virtual.wires.thermometer_port == somewhere_else
         assert str(virtual.wires.gate_port).startswith(str(tmp_path / "bench"))
         assert any("the thermometer is a real ctc100" in sentence for sentence in told)
-        with TubeBench(virtual.wires, Limits(ramp_v_per_s=8000.0), log=tmp_path / "log") as bench:
+        with open_bench(virtual.wires, Limits(ramp_v_per_s=8000.0), log=tmp_path / "log") as bench:
             bench.set_conditions(Conditions(mcp_v=200.0, gate_ns=1e6))
-            read, silent = bench.read_beside()
+            read, silent = bench.read_meters()
             assert (read.temperature_c, silent) == (pytest.approx(23.4), ())
             assert virtual.outputs().gate_open
         with pytest.raises(BadInput, match="on the wires of this bench, got thermometer"):

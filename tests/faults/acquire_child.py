@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from drivers.acquisition.acquire import acquire
-from drivers.bench.tube_bench import TubeBench
+from drivers.bench.setup import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.instruments.models import lines_on
@@ -45,7 +45,7 @@ def main() -> int:
                 camera=AravisCamera(rig.wires.camera, silence_s=rig.silence_s, say=tell)
                 if wired
                 else rig.in_process_camera(),
-                bench=TubeBench(
+                bench=open_bench(
                     rig.wires,
                     limits_in_force(plan.limits, sensor, plan.overrides),
                     log=options.bench / "safety.jsonl",

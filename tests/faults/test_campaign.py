@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drivers.acquisition.acquire import LOG
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.sensors import save_sensor
 from simulate.rig import aravis_library
 from simulate.rig.faults import Faults
@@ -73,7 +73,7 @@ def test_a_fault_in_mid_run_ends_in_one_sentence_with_the_tube_safe_and_resume_c
     outcome = try_fault(rig, plan, session, fault, after_s=0.6, within_s=WITHIN_S)
     assert outcome is not None and outcome.live, "it struck while the tube was on"
     assert outcome.broken == ()
-    last = events(session / LOG)[-1]
+    last = read_events(session / LOG)[-1]
     assert last["event"] == "run ends" and sentence in last["reason"] and "\n" not in last["reason"]
     assert undisturbed(rig, plan, session, silence_s=COMPLETE_S) == []
 

@@ -8,7 +8,7 @@ from charact.cli.benches import take
 from charact.cli.progress import Progress
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.limits import Override
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
@@ -50,7 +50,7 @@ def test_a_script_breaks_a_run_off_and_the_resumed_run_completes_it(plan, tmp_pa
         ("dark", True, 3),
         ("flat", True, 3),
     ]
-    struck = [each["event"] for each in events(tmp_path / "s.bench" / "rehearsal.jsonl")]
+    struck = [each["event"] for each in read_events(tmp_path / "s.bench" / "rehearsal.jsonl")]
     assert struck.count("fault strikes") == 1
 
 

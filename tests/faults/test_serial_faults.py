@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from drivers.bench.tube_bench import TubeBench
-from drivers.errors import BenchError, InstrumentDisconnected, InstrumentTimeout, InstrumentTripped, WatchdogLost
+from drivers.bench.setup import open_bench
+from drivers.errors import BenchError, BenchServerLost, InstrumentDisconnected, InstrumentTimeout, InstrumentTripped
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.limits import Limits
@@ -34,7 +34,7 @@ def log(tmp_path):
 
 @pytest.fixture
 def bench(virtual, log):
-    return TubeBench(Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=log)
+    return open_bench(Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=log)
 
 
 def run_until_failure(bench, provoked) -> float:
@@ -123,7 +123,7 @@ def test_answers_that_come_late_end_the_work_but_the_line_gets_into_step_to_veri
 
 
 def test_a_port_that_is_missing_is_told_at_once(virtual, log):
-    bench = TubeBench(Wires(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"), LIMITS, log=log)
+    bench = open_bench(Wires(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"), LIMITS, log=log)
     with (
         pytest.raises(InstrumentDisconnected, match="the port /dev/no-such-port of the high-voltage supply must"),
         bench,
@@ -132,7 +132,7 @@ def test_a_port_that_is_missing_is_told_at_once(virtual, log):
 
 
 def test_a_port_in_use_is_told_at_once(bench, virtual, log, tmp_path):
-    second = TubeBench(
+    second = open_bench(
         Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=tmp_path / "second.jsonl"
     )
     with bench:
@@ -144,14 +144,14 @@ def test_a_port_in_use_is_told_at_once(bench, virtual, log, tmp_path):
 
 
 def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log):
-    bench = TubeBench(Wires(gate_port=virtual.supply_port, supply_port=virtual.gate_port), LIMITS, log=log)
+    bench = open_bench(Wires(gate_port=virtual.supply_port, supply_port=virtual.gate_port), LIMITS, log=log)
     with pytest.raises(BenchError), bench:
         pass
     assert read_outputs(virtual.folder).mcp_v == 0
 
 
 def test_a_client_that_talks_nonsense_to_its_watchdog_is_made_safe_from(bench, virtual, log):
-    with pytest.raises(WatchdogLost), bench:
+    with pytest.raises(BenchServerLost), bench:
         bench.set_conditions(Conditions(mcp_v=300.0, gate_ns=1e6))
         bench._reach.guard._connection.sendall(b"nonsense\n")
         while True:
@@ -164,5 +164,5 @@ def test_a_client_that_talks_nonsense_to_its_watchdog_is_made_safe_from(bench, v
 
 def test_a_log_that_cannot_be_written_is_told_before_anything_is_opened(virtual, tmp_path):
     wires = Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port)
-    with pytest.raises(BadInput, match="must be a file that can be written"), TubeBench(wires, LIMITS, log=tmp_path):
+    with pytest.raises(BadInput, match="must be a file that can be written"), open_bench(wires, LIMITS, log=tmp_path):
         pass

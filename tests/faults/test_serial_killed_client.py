@@ -21,12 +21,12 @@ pytestmark = pytest.mark.wires
 WITHIN_S = 1.0
 CLIENT = """
     import sys, time
-    from drivers.bench.tube_bench import TubeBench
+    from drivers.bench.setup import open_bench
     from labdata import Conditions
     from labdata.limits import Limits
     from labdata.wires import Wires
     gate, supply, log, step, then = sys.argv[1:]
-    with TubeBench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=float(step)), log=log) as bench:
+    with open_bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=float(step)), log=log) as bench:
         print("open", flush=True)
         bench.set_conditions(Conditions(mcp_v=800.0, gate_ns=1.6e7))
         print("set", flush=True)
@@ -167,7 +167,7 @@ def test_the_watchdog_told_to_stop_makes_safe_first(virtual, log, started):
     told_s = time.monotonic()
     os.kill(awaited(log, "start")["pid"], signal.SIGTERM)
     assert seconds_until_safe(virtual, told_s) < WITHIN_S
-    assert "WatchdogLost" in ended(client)
+    assert "BenchServerLost" in ended(client)
     assert_followed_down(virtual, log)
 
 
@@ -176,7 +176,7 @@ def test_a_client_whose_watchdog_was_killed_takes_the_ports_and_makes_safe_itsel
     killed_s = time.monotonic()
     os.kill(awaited(log, "start")["pid"], signal.SIGKILL)
     assert seconds_until_safe(virtual, killed_s) < WITHIN_S
-    assert "WatchdogLost" in ended(client)
+    assert "BenchServerLost" in ended(client)
     assert awaited(log, "the watchdog is gone; its client makes the bench safe")
     assert read_outputs(virtual.folder).mcp_v < 11
 

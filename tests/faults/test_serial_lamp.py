@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.bench.tube_bench import TubeBench
+from drivers.bench.setup import open_bench
 from drivers.errors import BenchError
+from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.lamp import Lamp
 from labdata.limits import Limits
 from labdata.target import Target
@@ -48,7 +49,7 @@ CLIENT = """
 """
 
 
-def bench_at(folder: Path, log: Path) -> TubeBench:
+def bench_at(folder: Path, log: Path) -> Bench:
     wires = Wires(
         gate_port=f"{folder}/delay_generator",
         supply_port=f"{folder}/high_voltage",
@@ -57,14 +58,14 @@ def bench_at(folder: Path, log: Path) -> TubeBench:
         wheel="fw102c",
         wheel_port=f"{folder}/filter_wheel",
     )
-    return TubeBench(wires, Limits(ramp_v_per_s=8000.0), log=log, lamp=LAMP)
+    return open_bench(wires, Limits(ramp_v_per_s=8000.0), log=log, lamp=LAMP)
 
 
-def light_up(bench: TubeBench, folder: Path) -> None:
+def light_up(bench: Bench, folder: Path) -> None:
     light = bench.guard(VirtualOperator(folder))
     light.place(kind="flat", target=Target(), illuminance_lux=0.0)
     bench.set_conditions(Conditions(mcp_v=700.0, gate_ns=1.6e7))
-    bench.saw_without_light(np.full((4, 6), 12, np.uint8), 255.0)
+    bench.dark_frame_seen(FrameLevels.of(np.full((4, 6), 12, np.uint8), 255.0))
     light.place(kind="flat", target=Target(), illuminance_lux=1e-4)
 
 
@@ -91,7 +92,10 @@ def seconds_until_dark(virtual, since_s: float) -> float:
 
 def await_end(log: Path) -> None:
     deadline_s = time.monotonic() + 20.0
-    while events(log)[-1]["event"] not in ("end", "high voltage: VOUT?") or events(log)[-1].get("result", 0.0) > 10.0:
+    while (
+        read_events(log)[-1]["event"] not in ("end", "high voltage: VOUT?")
+        or read_events(log)[-1].get("result", 0.0) > 10.0
+    ):
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
 
@@ -110,7 +114,7 @@ def test_a_kill_puts_the_lamp_out_within_a_second(virtual, log, killed):
         assert client.stdout is not None and client.stdout.readline() == "lit\n"
         assert read_outputs(virtual.folder).lamp_a == pytest.approx(1.0)
         killed_s = time.monotonic()
-        os.kill(client.pid if killed == "client" else events(log)[0]["pid"], signal.SIGKILL)
+        os.kill(client.pid if killed == "client" else read_events(log)[0]["pid"], signal.SIGKILL)
         assert seconds_until_dark(virtual, killed_s) < WITHIN_S
         await_end(log)
     finally:
@@ -128,7 +132,7 @@ def test_an_instrument_that_falls_silent_ends_the_work_and_whatever_hears_is_mad
             time.sleep(0.02)
             bench.check()
     provoke(virtual.folder, struck, Faults())
-    told = {each["event"]: each["monotonic_s"] - struck_s for each in events(log) if "monotonic_s" in each}
+    told = {each["event"]: each["monotonic_s"] - struck_s for each in read_events(log) if "monotonic_s" in each}
     # The answer is waited for as long as an answer may take; then everything goes at once.
     assert told["light: o 0"] - told["making safe"] < WITHIN_S
     out = read_outputs(virtual.folder)

@@ -22,7 +22,7 @@ from astropy.io import fits
 
 from labdata.errors import BadInput
 from labdata.importers import read_frames
-from labdata.store.appending import ArrayWriter
+from labdata.store.array_writer import ArrayWriter
 from labdata.store.layout import METADATA
 from simulate.radiance.scene import load_scene
 from simulate.radiance.world.build import KINDS as MESHES

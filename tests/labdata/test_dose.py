@@ -4,11 +4,14 @@ import math
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
+from contextlib import contextmanager
 
 import pytest
 
-from labdata.dose_ledger import FOLDER_VARIABLE, DoseLedger, ledger_of
+from labdata.dose_ledger import FOLDER_VARIABLE, DoseLedger, _lock, ledger_of
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from labdata.tube_dose import Dose, dose_of, sum_of, warnings
@@ -90,6 +93,60 @@ def test_what_was_written_survives_kill_9(tmp_path):
     assert told.value <= len(ledger) <= told.value + 1
     ledger.append(dose())
     assert told.value + 1 <= len(ledger) <= told.value + 2
+
+
+HOLDER = (
+    "import fcntl, sys; f = open(sys.argv[1], 'ab'); fcntl.flock(f, 2); print('locked', flush=True); sys.stdin.read()"
+)
+
+
+@contextmanager
+def locked(path):
+    """Another process holds the lock of a ledger."""
+    holder = subprocess.Popen([sys.executable, "-c", HOLDER, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert holder.stdin is not None and holder.stdout is not None
+    holder.stdout.readline()
+    yield
+    holder.communicate()
+
+
+def test_a_lock_that_another_process_keeps_is_waited_for_only_so_long(tmp_path, monkeypatch):
+    monkeypatch.setattr("labdata.dose_ledger.PATIENCE_S", 0.2)
+    ledger = DoseLedger(tmp_path / "tube.jsonl")
+    ledger.append(dose())
+    before = ledger.path.read_bytes()
+    with locked(ledger.path):
+        began_s = time.monotonic()
+        with pytest.raises(TimeoutError, match=r"^another process has locked it for more than 0\.2 s$"):
+            ledger.append(dose())
+        assert 0.2 <= time.monotonic() - began_s < 1.0
+        assert len(ledger) == 1
+    assert ledger.path.read_bytes() == before
+    ledger.append(dose())
+    assert len(ledger) == 2
+
+
+def test_a_reader_in_the_same_process_does_not_end_the_lock(tmp_path, monkeypatch):
+    ledger = DoseLedger(tmp_path / "tube.jsonl")
+    ledger.append(dose())
+    monkeypatch.setattr("labdata.dose_ledger.PATIENCE_S", 0.1)
+    with open(ledger.path, "ab") as file:
+        _lock(file.fileno())
+        assert len(ledger) == 1
+        with pytest.raises(TimeoutError):
+            ledger.append(dose())
+
+
+def test_an_append_reads_one_byte_of_the_ledger_however_long_it_is(tmp_path, monkeypatch):
+    ledger = DoseLedger(tmp_path / "tube.jsonl")
+    ledger.append(dose())
+    read = []
+    pread = os.pread
+    monkeypatch.setattr(os, "pread", lambda file, count, at: read.append(count) or pread(file, count, at))
+    monkeypatch.setattr(DoseLedger, "_doses", lambda self: pytest.fail("the ledger was read"))
+    monkeypatch.setattr(type(ledger.path), "read_bytes", lambda self: pytest.fail("the ledger was read"))
+    ledger.append(dose())
+    assert read == [1]
 
 
 def test_a_life_nearly_used_up_is_warned_of():

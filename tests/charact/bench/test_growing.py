@@ -10,7 +10,7 @@ from charact.bench.growing import SessionSource
 from charact.bench.running import Running
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.store import Following, SessionWriter
+from labdata.store import ArrayFollower, SessionWriter
 from tests.charact.bench.sources import AtOnce, edge
 
 SHAPE = (24, 32)
@@ -63,7 +63,7 @@ def test_a_line_cut_short_is_news_only_once_it_is_whole(tmp_path) -> None:
     path = tmp_path / "day" / "frames" / "flat-1.zarr"
     whole = (path / "journal.jsonl").read_bytes()
     (path / "journal.jsonl").write_bytes(whole[:-20])
-    following = Following(path)
+    following = ArrayFollower(path)
     assert [entry.frame_number for entry in following.news()] == [0, 1]
     assert following.news() == ()
     (path / "journal.jsonl").write_bytes(whole)

@@ -80,9 +80,11 @@ def test_a_run_that_failed_or_fell_silent_ends_the_watch_with_a_sentence(session
     with pytest.raises(BadInput, match=r"within 0\.05 s, got none"):
         list(landed(writer.folder, look_s=0.01, patience_s=0.05))
     log("run ends", whole=False, reason="camera X has gone")
+    log.flush()
     with pytest.raises(BadInput, match="camera X has gone"):
         list(landed(writer.folder, look_s=0.01))
     log("run begins", plan="day", resume=True)
+    log.flush()
     assert how_it_ended(writer.folder) is None
 
 

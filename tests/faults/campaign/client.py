@@ -18,7 +18,7 @@ from charact.cli.judge import SaturationJudge
 from charact.cli.prompting import PromptingOperator
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.run_start import PLAN
-from drivers.bench.tube_bench import TubeBench as BenchClient
+from drivers.bench.setup import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
 from drivers.interface import Operator
@@ -222,7 +222,7 @@ def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, s
             plan,
             session,
             camera=_MarkingCamera(client, rig, silence_s=silence_s),
-            bench=BenchClient(
+            bench=open_bench(
                 rig.wires,
                 limits_in_force(plan.limits, rig.sensor, plan.overrides),
                 log=rig.log,

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import IO, Self
 
 from labdata.conditions import Conditions
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.limits import Override
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
@@ -192,7 +192,7 @@ class CampaignRig:
     def server(self) -> int | None:
         """Process number of the bench server that runs now."""
         self.read_log()
-        starts = [each["pid"] for each in events(self._told) if each["event"] == "start"]
+        starts = [each["pid"] for each in read_events(self._told) if each["event"] == "start"]
         return starts[-1] if starts and _runs(starts[-1]) else None
 
     def await_free(self) -> bool:

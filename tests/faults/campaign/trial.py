@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.acquisition.acquire import LOG
 from labdata.errors import BadInput
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.plan import Plan
 from labdata.session import open_session
 from tests.faults.campaign.client import Client
@@ -274,7 +274,7 @@ def _last_run(session: Path) -> list[dict]:
     """Events of the last run, as the session's log tells them."""
     if not (session / LOG).exists():
         return []
-    told = events(session / LOG)
+    told = read_events(session / LOG)
     begins = [number for number, each in enumerate(told) if each["event"] == "run begins"]
     return told[begins[-1] :] if begins else []
 

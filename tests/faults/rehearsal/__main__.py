@@ -19,7 +19,7 @@ import numpy as np
 from charact.measuring import measure
 from charact.report.truth import Beside
 from drivers.acquisition.acquire import LOG
-from labdata.event_log import events
+from labdata.event_log import read_events
 from labdata.measurement import Result
 from labdata.plan import Plan
 from labdata.sensors import save_sensor
@@ -68,7 +68,7 @@ def main() -> int:
 
 def _night(session: Session, plan: Plan, diary: Diary) -> Iterator[str]:
     """What became of the plan."""
-    spent_ms = [each["overhead_ms"] for each in events(session.folder / LOG) if each["event"] == "step finished"]
+    spent_ms = [each["overhead_ms"] for each in read_events(session.folder / LOG) if each["event"] == "step finished"]
     struck = Counter(each["kind"] for each in diary.told("fault"))
     done = sum(entry.finished for entry in session.stacks)
     lost = sum(entry.lost_frames for entry in session.stacks)

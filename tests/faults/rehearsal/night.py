@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.acquisition.acquire import LOG
 from labdata.conditions import Conditions
-from labdata.event_log import EventLog, events
+from labdata.event_log import EventLog, read_events
 from labdata.limits import Override
 from labdata.plan import Plan, Step
 from tests.faults.campaign.client import Client
@@ -64,7 +64,7 @@ class Diary:
 
     def told(self, event: str) -> list[dict]:
         """All entries of a kind, in order."""
-        return [each for each in events(self.path) if each["event"] == event] if self.path.exists() else []
+        return [each for each in read_events(self.path) if each["event"] == event] if self.path.exists() else []
 
     @property
     def seconds(self) -> float:
@@ -95,6 +95,7 @@ def rehearse(rig: CampaignRig, plan: Plan, session: Path, diary: Diary, seed: in
         end = "complete" if client.exit_code() == 0 else _end_of(session)
         progress.append(_finished(session))
         log("run", seconds=round(time.monotonic() - began_s, 1), finished=progress[-1], end=end)
+        log.flush()
         print(f"run {len(diary.told('run'))}: {progress[-1]} of {len(plan.steps)} steps; {end}", flush=True)
         if client.exit_code() == 0:
             return
@@ -107,12 +108,12 @@ def _finished(session: Path) -> int:
     """Steps finished so far, as the session's log tells it."""
     if not (session / LOG).exists():
         return 0
-    return sum(each["event"] == "step finished" for each in events(session / LOG))
+    return sum(each["event"] == "step finished" for each in read_events(session / LOG))
 
 
 def _end_of(session: Path) -> str:
     """How the last run ended, as the session's log tells it."""
     if not (session / LOG).exists():
         return "ended before its session began"
-    last = events(session / LOG)[-1]
+    last = read_events(session / LOG)[-1]
     return last.get("reason", "complete") if last["event"] == "run ends" else f"killed after {last['event']!r}"

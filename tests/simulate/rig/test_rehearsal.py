@@ -44,6 +44,7 @@ def closing_after():
 def test_a_fault_strikes_when_its_step_begins_holds_its_time_and_is_healed(tmp_path, closing_after):
     bench, log = Bench(), closing_after(EventLog(tmp_path / "log.jsonl"))
     log("step begins", step="late")  # of an earlier run: it says nothing of this one
+    log.flush()
     late = Strike(instrument="high_voltage", kind="late answers", value=0.3, at_step="late", for_s=0.15)
     with rehearsal(bench, tmp_path, late):
         time.sleep(0.1)

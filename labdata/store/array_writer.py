@@ -1,22 +1,21 @@
 """Writing to the store: each frame is on the disk, whole and acknowledged, before `append` returns."""
 
-import json
 import os
 import shutil
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.background import BackgroundWriter
 from labdata.capture import Frame
-from labdata.durable import sync_folder, write_durably
+from labdata.durable import ends_mid_line, sync_folder, write_durably, write_whole
 from labdata.errors import BadInput
-from labdata.store.journal import JOURNAL, Acknowledged, journal, sha256
-from labdata.store.layout import METADATA, chunk, described, frame_bytes, metadata
+from labdata.store.journal import JOURNAL, NUMBERS, Acknowledged, is_ours, read_journal, sha256
+from labdata.store.layout import METADATA, chunk, frame_bytes, metadata, read_metadata
 
 FORCED_AT_ONCE = 8
 """Chunks that are forced to the disk at once: it serves those that wait together about as fast as one of them."""
@@ -24,6 +23,9 @@ FORCED_AT_ONCE = 8
 
 class ArrayWriter:
     """One array of the store, open for appending.
+
+    Nothing that an earlier writer acknowledged is changed: a journal that ends inside a line is gone on with in the
+    next, and chunks that the array counts but its journal does not are put aside before their places are taken.
 
     Parameters
     ----------
@@ -44,17 +46,23 @@ class ArrayWriter:
         self.path = path
         self._shape = (int(shape[0]), int(shape[1]))
         self._dtype = np.dtype(dtype).newbyteorder("<")
-        if not (path / JOURNAL).is_file():
+        if not is_ours(path):
             self._create()
-        for left_over in path.glob(".*.partial"):
+        for left_over in path.glob(f".{METADATA}.*.partial"):
             left_over.unlink()
         self._require_same()
-        self._frames = len(journal(path))
-        self._journal = open(path / JOURNAL, "r+b", buffering=0)  # noqa: SIM115 - open as long as the writer
-        self._end = sum(len(line) for line in self._journal.readlines()[: self._frames])
-        self._disk = ThreadPoolExecutor(FORCED_AT_ONCE, thread_name_prefix="disk")
+        journal = read_journal(path)
+        self._frames, self._end = len(journal.frames), journal.end
+        self.notes = self._put_aside(journal.array_frames)
+        """What was found and put aside at the start, one sentence each."""
+        self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
+        self._journal_bytes = self._journal.seek(0, os.SEEK_END)
+        self._mid_line = ends_mid_line(self._journal.fileno())
+        # Daemons, so that a disk that never answers does not keep the process from ending.
+        self._disk = [BackgroundWriter(_force, name="disk") for _ in range(FORCED_AT_ONCE)]
 
     def __len__(self) -> int:
+        """Frames acknowledged so far that can be read."""
         return self._frames
 
     def append(self, frame: NDArray, time_s: float, frame_number: int) -> Acknowledged:
@@ -80,60 +88,94 @@ class ArrayWriter:
         journal acknowledges them. A chunk torn by a crash lies behind the end of the array and is written over.
         """
         for frame in frames:
-            self._require_fit(frame.pixels)
+            self._require_fit(frame)
         try:
             entries = self._write(frames)
-            self._describe(self._frames + len(frames))
+            self._describe(self._end + len(frames))
             self._acknowledge(entries)
         except OSError as error:
             raise BadInput(
                 f"the disk must take every frame, got {error.strerror!r} after {self._frames} frames of {self.path}"
             ) from None
         self._frames += len(frames)
+        self._end += len(frames)
         return entries
 
     def close(self) -> None:
         """Close the journal; frames so far are safe with or without it."""
-        self._disk.shutdown()
+        for disk in self._disk:
+            disk.close(None)
         self._journal.close()
 
-    def _require_fit(self, pixels: NDArray) -> None:
+    def _require_fit(self, frame: Frame) -> None:
+        pixels = frame.pixels
         if pixels.shape != self._shape or pixels.dtype != self._dtype:
             raise BadInput(
                 f"a frame of {self.path.name} must be {self._shape} {self._dtype}, got {pixels.shape} {pixels.dtype}"
             )
+        if int(frame.number) not in NUMBERS:
+            raise BadInput(f"a frame's number must fit into 64 bits, got {frame.number} in {self.path.name}")
 
     def _write(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
         """Put the chunks on the disk; digests are made while the disk is at work."""
         files: list[int] = []
-        forced: list[Future[None]] = []
         try:
             for place, frame in enumerate(frames):
-                files.append(os.open(chunk(self.path, self._frames + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC))
-                _write_all(files[-1], frame_bytes(frame.pixels))
+                files.append(os.open(chunk(self.path, self._end + place), os.O_WRONLY | os.O_CREAT | os.O_TRUNC))
+                write_whole(files[-1], frame_bytes(frame.pixels))
                 _start_writing_out(files[-1])
-            forced += [self._disk.submit(os.fsync, file) for file in files]
-            entries = tuple(_entry(self._frames + place, frame) for place, frame in enumerate(frames))
-            for each in forced:
-                each.result()
+            for place, file in enumerate(files):
+                self._disk[place % FORCED_AT_ONCE].put(file)
+            entries = tuple(_entry(self._end + place, frame) for place, frame in enumerate(frames))
         finally:
-            wait(forced)  # no file is closed under a thread that forces it
+            for disk in self._disk:  # no file is closed under a thread that forces it
+                disk.flush(None)
             for file in files:
                 os.close(file)
+        self._raise_failure()
         return entries
+
+    def _raise_failure(self) -> None:
+        """Raise what a thread met that forced chunks."""
+        failures = [disk.failure for disk in self._disk if disk.failure is not None]
+        for disk in self._disk:
+            disk.failure = None
+        if failures:
+            raise failures[0]
 
     def _describe(self, frames: int) -> None:
         # Forces the list of names to the disk too, those of the chunks included.
         write_durably(self.path / METADATA, metadata(frames, self._shape, self._dtype))
 
     def _acknowledge(self, entries: Sequence[Acknowledged]) -> None:
-        # What a failed or interrupted line left behind is cut off first.
-        self._journal.seek(self._end)
-        self._journal.truncate()
-        lines = b"".join(json.dumps(asdict(entry)).encode() + b"\n" for entry in entries)
-        _write_all(self._journal.fileno(), memoryview(lines))
-        os.fsync(self._journal.fileno())
-        self._end += len(lines)
+        journal = self._journal.fileno()
+        if os.fstat(journal).st_size > self._journal_bytes:
+            # Lines of our own that the disk did not take whole: their frames were never acknowledged.
+            os.ftruncate(journal, self._journal_bytes)
+        lines = (b"\n" if self._mid_line else b"") + b"".join(entry.line() for entry in entries)
+        write_whole(journal, lines)
+        os.fsync(journal)
+        self._journal_bytes += len(lines)
+        self._mid_line = False
+
+    def _put_aside(self, array_frames: int) -> tuple[str, ...]:
+        """Rename the chunks that the array counts behind the end of its journal, and have it count them no more."""
+        behind = range(self._end, array_frames)
+        if not behind:
+            return ()
+        try:
+            for file in self.path.glob("c.*.0.0"):
+                if (place := file.name.split(".")[1]).isdecimal() and int(place) in behind:
+                    file.rename(next(other for n in count(1) if not (other := Path(f"{file}.aside-{n}")).exists()))
+            self._describe(self._end)
+        except OSError as error:
+            raise BadInput(
+                f"a stack can go on only on a disk that takes it, got {error.strerror!r} in {self.path}"
+            ) from None
+        return (
+            f"{self.path.name} counted {array_frames} frames and its journal {self._end}: chunks that the journal does "
+            f"not acknowledge were put aside under names with .aside",
+        )
 
     def _create(self) -> None:
         """Make the array with its empty journal under another name, then put it in place whole."""
@@ -148,7 +190,7 @@ class ArrayWriter:
         sync_folder(self.path.parent)
 
     def _require_same(self) -> None:
-        _, shape, pixel = described(self.path)
+        _, shape, pixel = read_metadata(self.path)
         if shape != self._shape or pixel != self._dtype.name:
             raise BadInput(
                 f"{self.path.name} was begun with frames of {shape} {pixel}, got {self._shape} {self._dtype}"
@@ -161,13 +203,12 @@ def _entry(index: int, frame: Frame) -> Acknowledged:
     )
 
 
+def _force(file: int) -> None:
+    """Wait until a file is on the disk."""
+    os.fsync(file)
+
+
 def _start_writing_out(file: int) -> None:
     """Have the kernel send a file to the disk without waiting for it, where the kernel can be told."""
     if hasattr(os, "posix_fadvise"):
         os.posix_fadvise(file, 0, 0, os.POSIX_FADV_DONTNEED)
-
-
-def _write_all(file: int, data: memoryview) -> None:
-    """Write bytes whole; a disk that takes only a part of them says why at the next try."""
-    while len(data):
-        data = data[os.write(file, data) :]

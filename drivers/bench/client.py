@@ -1,0 +1,342 @@
+"""The client's side of the bench server: its commands, signs of life, and the safe action without a server."""
+
+import contextlib
+import itertools
+import os
+import queue
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, Self
+
+from drivers.bench.auxiliary_meters import Reading
+from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
+from drivers.bench.guarded_light import GuardedLight
+from drivers.bench.last_bench import remember_bench
+from drivers.bench.safe_state import REOPEN_S, Crew, SafeStateReport, make_safe
+from drivers.bench.setup import BenchSetup
+from drivers.bench.tube_bench import not_safe, raise_unless_whole
+from drivers.errors import BenchError, BenchServerLost
+from drivers.instruments.models import model_of
+from drivers.instruments.voltage_limits import FALL_S
+from drivers.interface import FrameLevels, Operator
+from drivers.serial_lines.port import InheritedPort
+from labdata.conditions import Conditions
+from labdata.event_log import EventLog
+from labdata.target import Target
+from labdata.wires import Role
+
+SERVER_SILENCE_S = SILENCE_S + BEAT_S
+"""Silence of the server after which it is killed, s."""
+
+SAFE_S = FALL_S + REOPEN_S + 5.0
+"""Longest time that the safe action may take, s: a lost port is awaited, then the voltage followed down."""
+
+SLICE_S = 0.1
+RESERVE_BYTES = 8 << 20
+"""Memory that is kept for the safe action."""
+
+KILLED_S = 0.1
+"""Longest wait for a killed server to let go of its ports, s; one that the kernel holds is not waited for."""
+
+
+class BenchClient:
+    """A bench whose ports, drivers and interlock live in a server process of our own; see `TubeBench` for its commands.
+
+    A thread shows the server that this process lives and when the run itself last did, watches the server, and makes
+    the tube safe over the server's own ports when that ends or falls silent. Nothing has to be opened, started or
+    allocated for it then.
+
+    Parameters
+    ----------
+    setup
+        What the bench is made of.
+    """
+
+    wires_left_out: tuple[str, ...] = ()
+
+    def __init__(self, setup: BenchSetup) -> None:
+        self._setup = setup
+        self.fault: BenchError | None = None
+        """What went wrong at the bench since it was opened."""
+        self.report: SafeStateReport | None = None
+        """How the tube was left by the last safe action."""
+        self.dark_seen = False
+        self._numbers = itertools.count(1)
+        self._replies: dict[int, queue.SimpleQueue[Reply]] = {}
+        self._ports: dict[Role, int] = {}
+        self._drivers: dict[Role, Any] = {}
+        self._stamp_s = time.monotonic()
+        self._left = self._over = False
+        self._leave_number = -1
+        self._taking_over = threading.Lock()
+
+    def __enter__(self) -> Self:
+        self._log = EventLog(self._setup.log)
+        self._crew, self._reserve = Crew(), bytearray(RESERVE_BYTES)
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            self.process = subprocess.Popen(
+                # -P: a module in the working folder must not stand in for one of the library.
+                [sys.executable, "-P", "-m", "drivers.bench.server", "--socket", str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                start_new_session=True,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        self._server = Connection(ours)
+        self._heard_s = time.monotonic() + FALL_S  # a process takes its time to start
+        opened = self._replies[0] = queue.SimpleQueue()
+        self._server.send(self._setup)
+        self._guard = threading.Thread(target=self._guard_server, name="bench", daemon=True)
+        self._guard.start()
+        try:
+            self._await(opened, SAFE_S)
+            if self._setup.wires.bench == "real":
+                self._remember()
+        except BaseException as error:
+            self._leave(error)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._leave(error)
+
+    def _remember(self) -> None:
+        """Keep how to reach this bench, for whoever makes its tube safe without a plan."""
+        try:
+            remember_bench(self._setup.wires)
+        except OSError as error:
+            self._log("bench not remembered", error=str(error))
+
+    # Commands
+
+    def set_conditions(self, conditions: Conditions) -> Conditions:
+        """Set gate and gain, see `TubeBench.set_conditions`."""
+        return self._ask("set_conditions", conditions)
+
+    def guard(self, operator: Operator) -> Operator:
+        """Put the lamp, and whoever places targets and light, behind the interlock; use only what is returned."""
+        return GuardedLight(operator, self)
+
+    def light_unknown(self) -> bool:
+        """Know nothing of the light any more; return whether the bench has a lamp of its own."""
+        return self._ask("light_unknown")
+
+    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None:
+        """Refuse (InterlockRefused) a target and a light that a rule forbids; else it counts as set."""
+        self._ask("permit_light", illuminance_lux, point=point, target=target)
+
+    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None:
+        """Report what the light was read as."""
+        self._ask("light_read", illuminance_lux, zero=zero)
+
+    def darken(self) -> None:
+        """Put the lamp out, if there is one."""
+        self._ask("darken")
+
+    def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
+        """Make a light with the lamp, see `TubeBench.shine`."""
+        return self._ask("shine", illuminance_lux, point=point, target=target, filter_density=filter_density)
+
+    def shut_gate(self) -> None:
+        """Shut the gate and read it back."""
+        self._ask("shut_gate")
+
+    def dark_frame_seen(self, levels: FrameLevels) -> bool:
+        """Report a frame taken without light; one that is not dark is NotDark."""
+        self.dark_seen = self._ask("dark_frame_seen", levels)
+        return self.dark_seen
+
+    def frame_seen(self, levels: FrameLevels) -> None:
+        """Report how much of a frame is saturated; nothing is waited for."""
+        self.alive()
+        self._server.send(Request(number=0, command="frame_seen", arguments=(levels,)))
+
+    def read_meters(self) -> Reading:
+        """Read light and temperature, see `TubeBench.read_meters`."""
+        return self._ask("read_meters")
+
+    def verify(self) -> None:
+        """Compare gate and supply with what was set, now."""
+        self._ask("verify")
+
+    def check(self) -> None:
+        """Show a sign of life, and raise what went wrong at the bench."""
+        self.alive()
+        if self.fault is not None:
+            raise self.fault
+
+    def alive(self) -> None:
+        """Show a sign of life of the run."""
+        self._stamp_s = max(self._stamp_s, time.monotonic())
+
+    @contextmanager
+    def patience(self, seconds: float) -> Iterator[None]:
+        """Announce that no sign of life may come for some seconds; the gate must be shut."""
+        self._stamp_s = time.monotonic() + seconds
+        try:
+            yield
+        finally:
+            self._stamp_s = time.monotonic()
+
+    def safe(self) -> None:
+        """Make the tube safe now; a BenchError where that is not verified. Work may go on if nothing has failed."""
+        raise_unless_whole(self._made_safe())
+
+    def safe_at_once(self) -> None:
+        """Order the safe state and wait for nothing: for whoever gets a signal while the run may hang."""
+        self._server.send(Request(number=0, command="safe"))
+
+    @property
+    def last_words(self) -> str:
+        """How the tube was left, and what to do by hand where it may be hot; empty before it was made safe."""
+        return "" if self.report is None else self.report.last_words()
+
+    # The conversation
+
+    def _ask(self, command: str, *arguments: Any, **named: Any) -> Any:
+        """Send a command and return its value; an error of the bench is raised here."""
+        if self.fault is not None:
+            raise self.fault
+        return self._request(Request(number=next(self._numbers), command=command, arguments=arguments, named=named))
+
+    def _request(self, request: Request, timeout_s: float | None = None) -> Any:
+        reply = self._replies[request.number] = queue.SimpleQueue()
+        self._server.send(request)
+        try:
+            return self._await(reply, timeout_s)
+        finally:
+            del self._replies[request.number]
+
+    def _await(self, reply: "queue.SimpleQueue[Reply]", timeout_s: float | None) -> Any:
+        """Wait for a reply, showing that the run lives; the thread that watches the server ends every wait."""
+        until_s = time.monotonic() + (float("inf") if timeout_s is None else timeout_s)
+        while time.monotonic() < until_s:
+            self.alive()
+            with contextlib.suppress(queue.Empty):
+                answer = reply.get(timeout=SLICE_S)
+                if answer.error is not None:
+                    raise answer.error
+                return answer.value
+            if self._over:
+                raise self.fault or BenchServerLost("the bench server has ended")
+        raise BenchServerLost(f"the bench server must answer within {timeout_s:g} s, got nothing")
+
+    def _guard_server(self) -> None:
+        """Beat, take what comes, and watch the server; in a thread of its own, which waits for nothing else."""
+        next_beat_s = 0.0
+        while not self._over:
+            for message, descriptors in self._server.receive(0.5 * BEAT_S):
+                self._heard_s = time.monotonic()
+                self._take(message, descriptors)
+            now_s = time.monotonic()
+            if now_s >= next_beat_s:
+                self._server.send(Beat(age_s=max(0.0, now_s - self._stamp_s)))
+                next_beat_s = now_s + BEAT_S
+            if self._server.gone or now_s - self._heard_s > SERVER_SILENCE_S:
+                if not self._left:
+                    self._take_over("has ended" if self._server.gone else "was silent")
+                self._over = True
+
+    def _take(self, message: Any, descriptors: list[int]) -> None:
+        if isinstance(message, Ports):
+            for role, descriptor in zip(message.roles, descriptors, strict=False):
+                self._ports[role] = descriptor
+            self._drivers = {role: self._driver(role) for role in self._ports}
+        elif isinstance(message, Fault):
+            self.fault = self.fault or message.error
+        elif isinstance(message, MadeSafe):
+            self.report = message.report
+        elif isinstance(message, Reply):
+            self._left = self._left or message.number == self._leave_number
+            if (waiting := self._replies.get(message.number)) is not None:
+                waiting.put(message)
+
+    def _driver(self, role: Role) -> Any:
+        """Return a driver on the server's own port, ready for the safe action."""
+        one = next(each for each in self._setup.wires.instruments if each.role == role)
+        model = model_of(one)
+        return model.driver(model.line(InheritedPort(self._ports[role], name=model.title), one.address))
+
+    # Leaving
+
+    def _made_safe(self) -> SafeStateReport:
+        try:
+            report = self._request(Request(number=next(self._numbers), command="safe"), SAFE_S)
+        except BenchServerLost:
+            report = self._take_over("does not answer")
+        self.report = report or self.report
+        if self.report is None:
+            raise BenchServerLost("the bench server must report how it left the tube, got nothing")
+        return self.report
+
+    def _leave(self, error: BaseException | None) -> None:
+        """Have the bench made safe and the server end; what goes wrong is raised, or a note on what ended the work."""
+        unwritten = None
+        self._leave_number = next(self._numbers)
+        try:
+            if not self._over:
+                report, unwritten = self._request(Request(number=self._leave_number, command="leave"), SAFE_S)
+                self.report = report or self.report
+        except BenchServerLost:
+            self._take_over("does not answer")
+        finally:
+            self._hang_up()
+        sentences = [] if self.report is None or self.report.whole else [not_safe(self.report)]
+        sentences += [unwritten] if unwritten else []
+        for sentence in sentences:
+            if error is None:
+                raise BenchError(sentence)
+            error.add_note(sentence)
+
+    def _hang_up(self) -> None:
+        self._over = True
+        if threading.current_thread() is not self._guard:
+            self._guard.join(1.0)
+        self._server.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self.process.wait(1.0)
+        for descriptor in self._ports.values():
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+        self._ports.clear()
+        self._crew.dismiss()
+        self._log.close()
+
+    # Without a server
+
+    def _take_over(self, how: str) -> SafeStateReport:
+        """Kill the server and make the tube safe over its ports, at once, whatever this process waits for meanwhile."""
+        with self._taking_over:
+            if self.report is not None and self.report.whole and self._over:
+                return self.report
+            self._reserve = bytearray()
+            lost = BenchServerLost(f"the bench server {how}, and its client makes the tube safe")
+            self.fault = self.fault or lost
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.process.pid, signal.SIGKILL)
+            until_s = time.monotonic() + KILLED_S
+            while self.process.poll() is None and time.monotonic() < until_s:
+                time.sleep(0.01)
+            for waiting in list(self._replies.values()):
+                waiting.put(Reply(number=0, error=lost))
+            self._log(f"the bench server {how}; its client makes the bench safe")
+            self.report = make_safe(
+                gate=self._drivers.get("gate"),
+                supply=self._drivers.get("supply"),
+                lamps=[self._drivers.get("light-source")] if self._setup.wires.light else [],
+                record=self._log,
+                crew=self._crew,
+            )
+            self._log("made safe", whole=self.report.whole, sentence=self.report.sentence())
+            return self.report

@@ -1,0 +1,345 @@
+"""The bench server: the one process that owns ports, drivers and interlock, and outlives the client that started it.
+
+A high-voltage supply has no watchdog of its own. When the client ends (the kernel closes its socket), hangs or falls
+silent, or an instrument fails, gate and high voltage go at once. The main loop waits for nothing: orders, looks at
+instruments, the safe action, the log and the dose have threads of their own.
+"""
+
+import argparse
+import os
+import queue
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
+from drivers.bench.last_bench import with_present_ports
+from drivers.bench.safe_state import DANGEROUS, Record
+from drivers.bench.setup import BenchSetup
+from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, Station, TubeBench, stations_on
+from drivers.errors import BenchError, BenchServerLost
+from drivers.instruments.models import model_of
+from drivers.serial_lines.line import InstrumentLine
+from labdata.errors import BadInput
+from labdata.event_log import EventLog
+from labdata.wires import Role
+
+TICK_S = 0.02
+METER_EVERY_S = 1.0
+"""Time between two readings of the light meter, s."""
+
+STALLED_S = 1.2
+"""Time without a sign of life of the run itself, its process being alive, at which the tube is made safe, s."""
+
+LOG_S = 1.0
+"""Longest wait for the log to be written at the end, s."""
+
+COMMANDS = (
+    "set_conditions",
+    "shut_gate",
+    "light_unknown",
+    "permit_light",
+    "light_read",
+    "darken",
+    "shine",
+    "dark_frame_seen",
+    "read_meters",
+    "verify",
+    "check",
+)
+"""What a client may ask of the bench, besides `frame_seen`, `safe` and `leave`, which wait for nothing else."""
+
+
+class BenchServer:
+    """The server of one client.
+
+    Parameters
+    ----------
+    connection
+        To the client.
+    setup
+        The bench.
+    log
+        Takes each step; it must not block.
+    clock
+        Monotonic time, s.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        setup: BenchSetup,
+        log: Record,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._client, self._setup, self._log, self._clock = connection, setup, log, clock
+        self._bench: TubeBench | None = None
+        self._is_open = False
+        self.orders: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        """What the client asked for and nobody has begun."""
+        self.to_make_safe: queue.SimpleQueue[SafeOrder] = queue.SimpleQueue()
+        """Safe actions that nobody has begun."""
+        self._over = threading.Event()
+        self._stop_signal: int | None = None
+        self._stamp_s = self._heard_s = clock()
+        self._longest_silence_s = 0.0
+
+    def stop(self, number: int, _frame: object) -> None:
+        """Signal handler: end soon, safely."""
+        self._stop_signal = number
+
+    def serve(self) -> None:
+        """Serve the client until it leaves or is lost; in the end the bench is safe."""
+        self._log("start", pid=os.getpid())
+        for work in (self._obey, self._obey_safe_orders, self._look_at_light):
+            threading.Thread(target=work, daemon=True).start()
+        reason, leaving = "the server itself failed", 0
+        try:
+            reason, leaving = self._converse()
+        except Exception as error:
+            reason = f"the server itself failed: {error!r}"
+        finally:
+            self._end(reason, leaving)
+
+    # The main loop, which waits for nothing but messages
+
+    def _converse(self) -> tuple[str, int]:
+        """Return why the conversation ended, and the number of the request that ended it, or 0."""
+        next_beat_s = 0.0
+        while True:
+            for message, _ in self._client.receive(TICK_S):
+                if isinstance(message, Request) and message.command == "leave":
+                    return "the client leaves", message.number
+                self.take(message)
+            if (now_s := self._clock()) >= next_beat_s:
+                self._client.send(Beat())
+                next_beat_s = now_s + BEAT_S
+            if reason := self.end_reason():
+                # Before the gate is shut, so that a client that lives after all takes no dark frame for one of light.
+                self._client.send(Fault(error=BenchServerLost(f"the bench server ends: {reason}")))
+                return reason, 0
+            self.react()
+
+    def take(self, message: Beat | Request) -> None:
+        """Take in a message, waiting for nothing."""
+        if isinstance(message, Beat):
+            now_s = self._clock()
+            self._longest_silence_s = max(self._longest_silence_s, now_s - self._heard_s)
+            self._heard_s, self._stamp_s = now_s, now_s - message.age_s
+            if self._bench is not None:
+                self._bench.heard()
+        elif message.command == "frame_seen" and self._bench is not None:
+            self._bench.frame_seen(*message.arguments)
+        elif message.command == "safe":
+            self.to_make_safe.put(SafeOrder(reason="the client asks for it", number=message.number))
+        else:
+            self.orders.put(message)
+
+    def end_reason(self) -> str | None:
+        """Return why the server must end, or None."""
+        if self._stop_signal is not None:
+            return f"the server got signal {self._stop_signal}"
+        if self._client.gone:
+            return "the client is gone"
+        if (silence_s := self._clock() - self._heard_s) > SILENCE_S:
+            return f"the client was silent for {silence_s:.2f} s"
+        return None
+
+    def react(self) -> None:
+        """Have the tube made safe where the run shows no life, or a rule of the interlock demands it."""
+        if self._bench is None or not self._is_open or self._bench.fault is not None:
+            return
+        state = self._bench.interlock.state
+        stalled_s = self._clock() - self._stamp_s
+        if (not state.shut or state.mcp_v > 0.0) and stalled_s > STALLED_S:
+            why = f"the run must show life every {STALLED_S:g} s, got {stalled_s:.1f} s of silence"
+            self._bench.fail(BenchError(why))
+        else:
+            self._bench.react()
+
+    def _end(self, reason: str, leaving: int) -> None:
+        report = unwritten = None
+        if self._bench is not None:
+            order = SafeOrder(reason=reason)
+            self.to_make_safe.put(order)
+            while not order.done.wait(BEAT_S):
+                self._client.send(Beat())
+            report, unwritten = self._bench.report, self._bench.close()
+        if unwritten:
+            self._log("dose not written", error=unwritten)
+        if leaving:
+            self._client.send(Reply(number=leaving, value=(report, unwritten)))
+        self._over.set()
+        self._log("end", reason=reason, longest_silence_s=round(self._longest_silence_s, 3))
+
+    # Threads
+
+    def _obey(self) -> None:
+        """Open the bench, then do what is asked, one after the other."""
+        try:
+            self.open_bench(self._open_stations())
+        except (BenchError, BadInput) as error:
+            self._client.send(Fault(error=error if isinstance(error, BenchError) else BenchError(str(error))))
+            self._client.send(Reply(number=0, error=error))
+            return
+        self._client.send(Reply(number=0))
+        inhibitor = SuspendInhibitor(self._log)
+        while not self._over.is_set():
+            self.obey(self.orders.get())
+        inhibitor.release()
+
+    def _open_stations(self) -> dict[Role, Station]:
+        lines: dict[Role, InstrumentLine] = {}
+        missing: BenchError | None = None
+        for one in with_present_ports(self._setup.wires).instruments:
+            try:
+                lines[one.role] = model_of(one).open_line(str(one.port), one.address)
+                self._log("port opened", line=one.role)
+            except BenchError as error:
+                self._log("port not opened", line=one.role, error=str(error))
+                if one.role not in DISPENSABLE:
+                    missing = missing or error
+        roles: tuple[Role, ...] = tuple(role for role in DANGEROUS if role in lines)
+        self._client.send(Ports(roles=roles), tuple(lines[role].fileno() for role in roles))
+        stations = stations_on(lines, self._setup.wires)
+        if missing is not None:
+            self._bench = TubeBench(self._setup, stations, record=self._log, on_failure=self._failed)
+            self._bench.fail(missing)
+            raise missing
+        return stations
+
+    def open_bench(self, stations: Mapping[Role, Station]) -> None:
+        """Open the bench on its instruments; each is looked at by a thread of its own from then on."""
+        self._bench = bench = TubeBench(
+            self._setup, stations, record=self._log, on_failure=self._failed, clock=self._clock
+        )
+        bench.heard()
+        bench.open()
+        self._is_open = True
+        for role in bench.stations:
+            if role not in DISPENSABLE:
+                threading.Thread(target=self._look, args=(role,), daemon=True).start()
+
+    def obey(self, request: Request) -> None:
+        """Do what is asked and send the reply."""
+        assert self._bench is not None
+        try:
+            if request.command not in COMMANDS:
+                raise BadInput(f"a command must be one of {', '.join(COMMANDS)}, got {request.command}")
+            value = getattr(self._bench, request.command)(*request.arguments, **request.named)
+            self._client.send(Reply(number=request.number, value=value))
+        except (BenchError, BadInput) as error:
+            self._client.send(Reply(number=request.number, error=error))
+        except Exception as error:
+            failed = BenchError(f"the bench server failed at {request.command}: {error!r}")
+            self._bench.fail(failed)
+            self._client.send(Reply(number=request.number, error=failed))
+
+    def _failed(self, error: BenchError) -> None:
+        """Have the safe action run, after the client knows."""
+        self._client.send(Fault(error=error))
+        self.to_make_safe.put(SafeOrder(reason=str(error)))
+
+    def _obey_safe_orders(self) -> None:
+        while True:
+            self.make_safe(self.to_make_safe.get())
+
+    def make_safe(self, order: "SafeOrder") -> None:
+        """Run the safe action and report it."""
+        report = None if self._bench is None else self._bench.make_safe(order.reason)
+        if report is not None:
+            self._client.send(MadeSafe(report=report))
+        if order.number:
+            self._client.send(Reply(number=order.number, value=report))
+        order.done.set()
+
+    def _look(self, role: Role) -> None:
+        """Look at one instrument again and again; one that keeps silent holds up nobody else."""
+        while not self._over.wait(LOOK_EVERY_S):
+            self._look_by(lambda bench: bench.look(role))
+
+    def _look_at_light(self) -> None:
+        while not self._over.wait(METER_EVERY_S):
+            self._look_by(lambda bench: bench.look_at_light())
+
+    def _look_by(self, look: Callable[[TubeBench], object]) -> None:
+        """Look; an error that is none of an instrument's is one of ours, and makes safe."""
+        bench = self._bench
+        if bench is None or not self._is_open or bench.fault is not None:
+            return
+        try:
+            look(bench)
+        except Exception as error:
+            bench.fail(BenchError(f"the bench server failed: {error!r}"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SafeOrder:
+    """One safe action: why, the number of the request that wants its report (0: none), and whether it is done."""
+
+    reason: str
+    number: int = 0
+    done: threading.Event = field(default_factory=threading.Event)
+
+
+class SuspendInhibitor:
+    """Keeps the machine from suspending while the tube may be hot, where systemd-logind is there to be asked.
+
+    Parameters
+    ----------
+    log
+        Takes what came of it.
+    """
+
+    def __init__(self, log: Record) -> None:
+        command = ["systemd-inhibit", "--what=sleep:handle-lid-switch", "--who=charact", "--mode=block"]
+        command += ["--why=an image intensifier may be hot", "cat"]
+        self._process: subprocess.Popen | None = None
+        try:
+            # `cat` ends with this process, whatever ends it, and the inhibitor with `cat`.
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
+            log("suspend inhibited")
+        except OSError as error:
+            log("suspend not inhibited", error=str(error))
+
+    def release(self) -> None:
+        """Let the machine suspend again."""
+        if self._process is not None:
+            self._process.kill()
+
+
+def main() -> None:
+    """Serve the bench of the client that started this process."""
+    parser = argparse.ArgumentParser(description="Serve a bench; started by its client.")
+    parser.add_argument("--socket", type=int, required=True, help="inherited end of the client's socket pair")
+    connection = Connection(socket.socket(fileno=parser.parse_args().socket))
+    setup: Any = None
+    while setup is None and not connection.gone:
+        setup = next((message for message, _ in connection.receive(1.0)), None)
+    if setup is None:
+        return
+    try:
+        log = EventLog(Path(setup.log))
+    except BadInput as error:
+        connection.send(Reply(number=0, error=error))
+        return
+    server = BenchServer(connection, setup, log)
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, server.stop)
+    server.serve()
+    log.close(LOG_S)
+    # Whatever a thread still waits for, a disk or a line, must not keep this process and its ports.
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

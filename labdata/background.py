@@ -1,0 +1,119 @@
+"""Writing in a thread of its own, so that a file that blocks delays nothing but itself."""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+CAPACITY = 10_000
+"""Items that may wait: minutes of events, a few megabytes of memory."""
+
+
+class BackgroundWriter(Generic[T]):
+    """Hands items one by one to a function that may block, fail or never return.
+
+    The thread starts in the constructor, so that a process that later can start none still has it. It is a daemon: a
+    write that never returns does not keep the process from ending.
+
+    Parameters
+    ----------
+    write
+        Writes one item; called in the thread only. An exception counts the item as failed.
+    name
+        Name of the thread.
+    capacity
+        Number of items that may wait; `put` drops what exceeds it.
+    begin, finish
+        Called in the thread before the first item and after the last; an exception is kept as `failure`.
+    """
+
+    def __init__(
+        self,
+        write: Callable[[T], object],
+        *,
+        name: str,
+        capacity: int = CAPACITY,
+        begin: Callable[[], object] = lambda: None,
+        finish: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._write, self._begin, self._finish, self._capacity = write, begin, finish, capacity
+        self._items: deque[T] = deque()
+        self._begun, self._writing, self._closed = False, False, False
+        # Reentrant: a signal handler may put an item while its thread is inside `put`.
+        self._turn = threading.Condition(threading.RLock())
+        self.dropped = 0
+        """Number of items that found no room, or came after `close`."""
+        self.failed = 0
+        """Number of items whose writing raised."""
+        self.failure: Exception | None = None
+        """What was raised last in the thread."""
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, item: T) -> None:
+        """Queue an item; never waits for the writing and never raises."""
+        with self._turn:
+            if self._closed or len(self._items) >= self._capacity:
+                self.dropped += 1
+                return
+            try:
+                self._items.append(item)
+            except MemoryError:
+                self.dropped += 1
+            self._turn.notify_all()
+
+    def flush(self, timeout_s: float | None) -> bool:
+        """Wait until the thread has begun and no item waits, at most `timeout_s` (None: for ever); return whether."""
+        with self._turn:
+            return self._turn.wait_for(lambda: self._begun and not self._items and not self._writing, timeout_s)
+
+    def close(self, timeout_s: float | None) -> int:
+        """Write what waits, for at most `timeout_s` (None: for ever), and end the thread.
+
+        Returns
+        -------
+        int
+            Number of items that were not written: dropped, failed, or still waiting when the time was over. An item
+            whose writing has not returned is counted.
+        """
+        with self._turn:
+            self._closed = True
+            self._turn.notify_all()
+        self._thread.join(timeout_s)
+        with self._turn:
+            self.dropped += len(self._items)
+            # What is counted as not written is not written later.
+            self._items.clear()
+            return self.dropped + self.failed + self._writing
+
+    def _work(self) -> None:
+        self.failure = self._failure_of(self._begin)
+        with self._turn:
+            self._begun = True
+            self._turn.notify_all()
+        while True:
+            with self._turn:
+                self._turn.wait_for(lambda: self._items or self._closed)
+                if not self._items:
+                    break
+                item = self._items.popleft()
+                self._writing = True
+            failure = self._failure_of(partial(self._write, item))
+            with self._turn:
+                self.failed += failure is not None
+                self.failure = failure or self.failure
+                self._writing = False
+                self._turn.notify_all()
+        self.failure = self._failure_of(self._finish) or self.failure
+
+    @staticmethod
+    def _failure_of(action: Callable[[], object]) -> Exception | None:
+        """Return what an action raised, whatever it is: the next item is tried all the same."""
+        try:
+            action()
+        except Exception as error:
+            return error
+        return None
