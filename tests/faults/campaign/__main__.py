@@ -19,7 +19,7 @@ from tests.faults.campaign.page import Row, page
 from tests.faults.campaign.rig import CampaignRig
 from tests.faults.campaign.trial import COMPLETE_S, Outcome, resume, try_fault
 
-EARLIEST_S, LATEST_S = -0.5, 1.2
+EARLIEST_S = -0.5
 STRIKES_A_SESSION = 5
 WARM_UPS = 4
 MOST_MISSED = 3
@@ -107,7 +107,8 @@ def strike(
         fault = draw_fault(kind, rng)
         plan = fault.plan(rig.plan())
         for _ in range(min(STRIKES_A_SESSION, strikes - len(outcomes))):
-            after_s = float(rng.uniform(0.0 if outcomes or fault.prompts else EARLIEST_S, LATEST_S))
+            earliest_s = EARLIEST_S if not outcomes and fault.latest_s and not fault.prompts else 0.0
+            after_s = float(rng.uniform(earliest_s, fault.latest_s))
             outcome = try_fault(rig, plan, session, kind, fault, after_s=after_s)
             if outcome is None:
                 break  # complete before it struck
