@@ -7,7 +7,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,11 +17,10 @@ from labdata.errors import BadInput
 from tests.faults.campaign.kinds import KINDS, draw_fault
 from tests.faults.campaign.page import Row, page
 from tests.faults.campaign.rig import CampaignRig
-from tests.faults.campaign.trial import COMPLETE_S, Outcome, resume, try_fault
+from tests.faults.campaign.trial import Outcome, resume, try_fault, warm_up
 
 EARLIEST_S = -0.5
 STRIKES_A_SESSION = 5
-WARM_UPS = 4
 MOST_MISSED = 3
 
 Tell = Callable[[Outcome], object]
@@ -121,15 +120,6 @@ def strike(
         if len(resumed) > len(outcomes) + MOST_MISSED:
             raise RuntimeError(f"{kind} must strike runs, got {len(resumed)} that ended before: {resumed[-1]}")
     return Row(kind=kind, outcomes=tuple(outcomes), resumed=tuple(map(tuple, resumed)))
-
-
-def warm_up(rig: CampaignRig, session: Path) -> None:
-    """Run the plan until it completes: where the simulator is compiled first, a frame takes half a minute."""
-    wrong: Sequence[str] = ()
-    for _ in range(WARM_UPS):
-        if not (wrong := resume(rig, rig.plan(), session, silence_s=COMPLETE_S)):
-            return
-    raise RuntimeError(f"a run without faults must complete, got {wrong}")
 
 
 if __name__ == "__main__":

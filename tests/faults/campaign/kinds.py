@@ -64,7 +64,8 @@ class Fault:
     one_suffices
         Whether one of gate and voltage is enough, in a run that goes on.
     client_lives, log_lives, terminal_lives
-        Whether the client lives to write how its run ended, whether the session's log takes it, and the terminal.
+        Whether the client lives on; whether it has what it takes to end in a sentence, and the session's log takes
+        that; whether the terminal does.
     silence_s
         How long the client's camera may be silent, s: short where silence is the fault, long where drawing a frame
         on a busy machine must not be taken for one.
@@ -267,7 +268,7 @@ def _starved(who: str, of: Literal["descriptors", "threads", "memory"]) -> Draw:
     def strike(rig: CampaignRig, client: Client) -> object:
         if (pid := client.pid if who == "client" else rig.server()) is not None and client.exit_code() is None:
             _starve(pid, of)
-        return _signalled(other, KILL, wait_s=0.2)(rig, client)
+        return _signalled(other, KILL)(rig, client)
 
     # A run that ends for want of something may do so at once, or before it writes its log.
     return lambda rng: Fault(strike=strike, client_lives=other == "server", log_lives=other == "server", ends_run=True)
