@@ -8,7 +8,7 @@ from labdata.gating import Sync
 
 
 class Instrument(Protocol):
-    """What every instrument of the bench can do."""
+    """What every instrument of the bench can do; one thread at a time uses it."""
 
     @property
     def line(self) -> InstrumentLine:
@@ -20,12 +20,15 @@ class Instrument(Protocol):
         ...
 
     def look(self) -> None:
-        """Ask for a sign of life, as the watchdog does every moment; what is wrong is a BenchError."""
+        """Look whether all is as it was set, every moment while no procedure runs; what is wrong is a BenchError.
+
+        Before anything was set it is a sign of life.
+        """
         ...
 
 
 class Gate(Instrument, Protocol):
-    """Opens the gate unit of the tube for a set time at each trigger."""
+    """Opens the gate unit of the tube for a set time at each trigger; `GateDriver` compares settings for its models."""
 
     @property
     def shut_commands(self) -> tuple[str, ...]:
@@ -48,7 +51,7 @@ class Gate(Instrument, Protocol):
 
 
 class Supply(Instrument, Protocol):
-    """Puts the high voltage across the microchannel plate."""
+    """Puts the high voltage across the microchannel plate; `SupplyDriver` compares the output for its models."""
 
     @property
     def off_commands(self) -> tuple[str, ...]:
@@ -64,15 +67,11 @@ class Supply(Instrument, Protocol):
     """Whether this object switched it on and not off."""
 
     def check_voltage(self, volts: float) -> None:
-        """Refuse (BadInput) a voltage that this model cannot hold or is finer than its resolution."""
+        """Refuse (BadInput) a voltage that this model cannot put out or is finer than its resolution."""
         ...
 
     def prepare(self, *, limit_v: float) -> None:
         """Switch off, and make the supply itself refuse more than a limit, V."""
-        ...
-
-    def order_off(self) -> None:
-        """Order the high voltage off; the charge takes seconds to leave."""
         ...
 
     def switch_on(self) -> None:
@@ -80,7 +79,7 @@ class Supply(Instrument, Protocol):
         ...
 
     def raise_to(self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None) -> float:
-        """Raise the voltage no faster than a rate, V/s, and return the settled output, V."""
+        """Raise the voltage no faster than a rate, V/s, and return the settled output, V; a trip ends the ramp."""
         ...
 
     def lower_to(self, goal_v: float, *, check: Callable[[], None] = lambda: None) -> float:
@@ -139,7 +138,7 @@ class LightSource(Instrument, Protocol):
 
 
 class LightMeter(Instrument, Protocol):
-    """Measures the light beside the tube."""
+    """Measures the light next to the tube."""
 
     def tune(self, wavelength_nm: float) -> None:
         """Have it correct for the sensitivity of its head at a wavelength, nm; read back."""
