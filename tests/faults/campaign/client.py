@@ -253,8 +253,11 @@ def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, s
 class _Person(PromptingOperator):
     """Whoever is asked at the terminal, and really sets the light."""
 
+    is_by_hand = True
+
     def __init__(self, hands: Operator) -> None:
         self._hands = hands
+        self.while_waiting: Callable[[], None] = lambda: None
 
     def darken(self) -> None:
         super().darken()
