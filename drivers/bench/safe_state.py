@@ -75,6 +75,17 @@ class SafeStateReport:
         """How the tube was left, and what to do by hand where it may be hot."""
         return self.sentence() if self.whole else f"{self.sentence()}; by hand, now: {BY_HAND}"
 
+    def not_whole(self) -> str:
+        """Return the sentence on a tube that may be hot."""
+        why = f" ({self.failures[0]})" if self.failures else ""
+        rule = "the bench must be left with gate shut, high voltage off and light out"
+        return f"{rule}, got: {self.last_words()}{why}"
+
+    def require_whole(self) -> None:
+        """Raise a BenchError where the tube may be hot."""
+        if not self.whole:
+            raise BenchError(self.not_whole())
+
 
 class Crew:
     """Threads that wait for work, so that a process that can start no thread any more can still make the tube safe.

@@ -7,8 +7,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from drivers.errors import InstrumentDisconnected, InstrumentRejected, InstrumentReplyError, InstrumentTimeout
-from drivers.errors import InstrumentTripped
+from drivers.errors import (
+    InstrumentDisconnected,
+    InstrumentRejected,
+    InstrumentReplyError,
+    InstrumentTimeout,
+    InstrumentTripped,
+)
 from drivers.serial_lines.line import InstrumentLine
 from labdata.lamp import Lamp
 from labdata.limits import Limits, limits_in_force
@@ -319,7 +324,11 @@ class Laboratory:
 
     def _gets_safe(self, line: Wire) -> None:
         """An instrument gets safe now: it must not be late, but for one whose port is back only now."""
-        if (late_s := self._late_s()) > SAFE_AFTER_S and not line.in_vain and not 0.0 <= CLOCK.now_s - line.back_s < 2.0:
+        if (
+            (late_s := self._late_s()) > SAFE_AFTER_S
+            and not line.in_vain
+            and not 0.0 <= CLOCK.now_s - line.back_s < 2.0
+        ):
             assert self.demand is not None
             self.hurts.append(f"the {line.name} was made safe {late_s:.2f} s after it was hot {self.demand[1]}")
 
