@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 from drivers.bench.interlock import Interlock
 from drivers.bench.state import FilterRead, TurnFilter
-from drivers.roles import FilterWheel, LightSource
+from drivers.instruments.filter_wheel import FilterWheel
+from drivers.instruments.light_source import LightSource
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp, LampSetting
