@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.errors import BenchError, InstrumentDisconnected
+from drivers.instruments.gate_limits import Gate
+from drivers.instruments.instrument import Instrument
+from drivers.instruments.light_source import LightSource
 from drivers.instruments.models import model_of
-from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S
-from drivers.roles import Gate, Instrument, LightSource, Supply
+from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.wires import Reached, Role, Wires
 
 DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
