@@ -216,15 +216,10 @@ class TubeBench(LightControl):
         self.check()
         self.interlock.permit(move)
         if isinstance(move, LowerGain):
-            return self._read_gain(supply.lower_to(volts, check=self._check_ramp))
+            return self._read_gain(supply.lower_to(volts, check=self.check))
         if not supply.is_on:
             supply.switch_on()
-        return self._read_gain(supply.raise_to(volts, rate_v_per_s=move.rate_v_per_s, check=self._check_ramp))
-
-    def _check_ramp(self) -> None:
-        """Look after the bench along a ramp, and for a trip of the supply, at which nobody else looks meanwhile."""
-        self.check()
-        self._supply.driver.check_on()
+        return self._read_gain(supply.raise_to(volts, rate_v_per_s=move.rate_v_per_s, check=self.check))
 
     def _open_gate(self, width_ns: float) -> float:
         self.check()
