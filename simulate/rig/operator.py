@@ -1,6 +1,7 @@
 """The hands of the virtual bench: which target and how much light stand before the virtual camera now."""
 
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -44,8 +45,13 @@ class VirtualOperator:
         Folder of the bench.
     """
 
+    is_by_hand = False
+    """Whether a person sets the light."""
+
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
+        self.while_waiting: Callable[[], None] = lambda: None
+        """Never called: nobody is waited for."""
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None

@@ -132,8 +132,11 @@ class FakeBench(_Opened):
 
 
 class FakeOperator:
+    is_by_hand = False
+
     def __init__(self, rig: FakeRig) -> None:
         self.rig = rig
+        self.while_waiting: Callable[[], None] = lambda: None
 
     def place(
         self, *, kind: str, target: Any, illuminance_lux: float, filter_density: float | None = None
