@@ -59,7 +59,7 @@ def test_a_door_that_opens_in_mid_stack_breaks_a_run_off(plan, tmp_path):
     dark, flat = plan.steps
     at_gain = replace(plan, steps=(dark, replace(flat, conditions=replace(flat.conditions, mcp_v=650.0))))
     door = Strike(instrument="surroundings", kind="room light", value=1.0, at_step="flat", for_s=4.0)
-    with pytest.raises(BadInput, match="of its pixels full|pixels may be saturated"):
+    with pytest.raises(BadInput, match=r"of its pixels full|pixels may be saturated"):
         take(at_gain, tmp_path / "s", resume=False, progress=quiet, tell=quiet, rehearse=FaultScript(fault=(door,)))
 
 
