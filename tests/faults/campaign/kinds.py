@@ -64,8 +64,8 @@ class Fault:
     one_suffices
         Whether one of gate and voltage is enough, in a run that goes on.
     client_lives, log_lives, terminal_lives
-        Whether the client lives on; whether it has what it takes to end in a sentence, and the session's log takes
-        that; whether the terminal does.
+        Whether the client lives on, with what it takes to end in a sentence; whether the session's log takes that, and
+        the terminal.
     silence_s
         How long the client's camera may be silent, s: short where silence is the fault, long where drawing a frame
         on a busy machine must not be taken for one.
@@ -271,7 +271,7 @@ def _starved(who: str, of: Literal["descriptors", "threads", "memory"]) -> Draw:
         return _signalled(other, KILL)(rig, client)
 
     # A run that ends for want of something may do so at once, or before it writes its log.
-    return lambda rng: Fault(strike=strike, client_lives=other == "server", log_lives=other == "server", ends_run=True)
+    return lambda rng: Fault(strike=strike, client_lives=False, log_lives=False, ends_run=True)
 
 
 def _starve(pid: int, of: str) -> None:

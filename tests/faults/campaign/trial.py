@@ -259,7 +259,7 @@ def _too_late(fault: Fault, gate_s: float | None, voltage_s: float | None) -> It
 def _badly_ended(client: Client, fault: Fault, code: int | None, *, live: bool) -> Iterator[str]:
     if code is None:
         yield f"the client did not end within {END_S:g} s"
-    if fault.log_lives and (code == 3 or any(line.startswith(("Traceback", "TRACEBACK")) for line in client.told())):
+    if fault.client_lives and (code == 3 or any(line.startswith(("Traceback", "TRACEBACK")) for line in client.told())):
         yield f"the client ended in a traceback: {client.told()[-1:]}"
     if code == 0 and fault.ends_run and live:
         yield "the run ended as if nothing had happened"
