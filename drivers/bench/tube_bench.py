@@ -320,6 +320,8 @@ class TubeBench:
         """Turn the filter in the dark, then light the lamp; the target stands where it was placed in the dark."""
         if self._lamp is None:
             raise BadInput("a light of its own must have a lamp at the bench, got none")
+        if (target, point) != (self.interlock.state.target, self.interlock.state.point):
+            raise BadInput(f"a target must be placed in the dark before it is lit, got {target}")
         self._is_safe = False
         with self._using("light-source", "filter-wheel"):
             setting = self._lamp.setting(illuminance_lux, filter_density)
@@ -408,7 +410,6 @@ class TubeBench:
         finally:
             station.procedure.release()
         self._heed(lux)
-        self.react()
 
     def _heed(self, metered_lux: float | None) -> None:
         """Let the interlock know of more light than it thinks there is; what is next to nothing is the meter's zero."""

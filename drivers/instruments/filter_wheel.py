@@ -13,7 +13,6 @@ IDENTITY = re.compile(r"(?i).*FW(102|212).*")
 SENSORS_OFF = "sensors=0"
 """The lamps of its own position sensors out while it stands: they would light the tube."""
 
-
 PROMPT = b"> "
 END = "\r"
 KNOWN = "*idn?"

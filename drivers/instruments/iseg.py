@@ -29,7 +29,6 @@ _IDENTITY = re.compile(r"(\d+);([\w.]+);(\d+)V;(\d+(?:\.\d+)?)([um])A")
 _SCALED = re.compile(r"([+-]?\d{1,9})([+-]\d{1,2})")
 _PLAIN = re.compile(r"[+-]?\d{1,9}(\.\d{1,9})?")
 
-
 END = b"\r\n"
 
 # Until it is told otherwise, the unit waits about 255 ms after each character that it sends.

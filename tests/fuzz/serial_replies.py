@@ -54,6 +54,10 @@ class NoisyPort:
     def reopen(self) -> None:
         """It was never gone."""
 
+    def fileno(self) -> int:
+        """No descriptor."""
+        return -1
+
     def close(self) -> None:
         """Nothing to let go of."""
 
