@@ -319,7 +319,11 @@ class Laboratory:
 
     def _gets_safe(self, line: Wire) -> None:
         """An instrument gets safe now: it must not be late, but for one whose port is back only now."""
-        if (late_s := self._late_s()) > SAFE_AFTER_S and not line.in_vain and not 0.0 <= CLOCK.now_s - line.back_s < 2.0:
+        if (
+            (late_s := self._late_s()) > SAFE_AFTER_S
+            and not line.in_vain
+            and not 0.0 <= CLOCK.now_s - line.back_s < 2.0
+        ):
             assert self.demand is not None
             self.hurts.append(f"the {line.name} was made safe {late_s:.2f} s after it was hot {self.demand[1]}")
 

@@ -97,9 +97,7 @@ class Plant:
         self.in_order = self.over = False
         self.hung_until_s = self.silent_until_s = self.run_hangs_until_s = -1.0
         self.placing: dict[int, Callable[[], None]] = {}
-        self.interlock = Interlock(
-            self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic
-        )
+        self.interlock = Interlock(self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic)
         self.interruption = self.slip = None
         lab.fault_s, lab.truly_dark_seen, lab.thought, lab.demand = float("inf"), False, 1, None
         lab.beat_s = lab.stamp_s = self.stamp_s = CLOCK.now_s
@@ -353,7 +351,11 @@ def run(plant: Plant, program: bytes) -> None:
 def bounds_hold(plant: Plant) -> None:
     """The interlock never thinks the tube cooler than it is, but for what was changed by hand a moment ago."""
     state, lab = plant.interlock.state, plant.lab
-    unseen = {line.name for line in (lab.gate.line, lab.supply.line, lab.lamp.line, lab.wheel.line) if line.changed_s <= CLOCK.now_s}
+    unseen = {
+        line.name
+        for line in (lab.gate.line, lab.supply.line, lab.lamp.line, lab.wheel.line)
+        if line.changed_s <= CLOCK.now_s
+    }
     if lab.duty > state.duty * (1 + 1e-9) and "gate" not in unseen:
         lab.hurts.append(f"the gate was thought open for {state.duty:.3g} and was for {lab.duty:.3g}")
     if lab.volts > state.mcp_v * (1 + 1e-9) and "supply" not in unseen:
@@ -374,7 +376,9 @@ def step(plant: Plant, what: int, first: int, second: int) -> None:
         plant.slip = (None, None, None, "gate not shut", "too fast")[first // 16 % 5]
         plant.ask("set_conditions", asked, later=second > 250)
     elif what < 164:
-        plant.place(_of(LUX, first), _of(TARGETS, second // 16), share=second % 3 / 2, shows=second > 40, later=second < 4)
+        plant.place(
+            _of(LUX, first), _of(TARGETS, second // 16), share=second % 3 / 2, shows=second > 40, later=second < 4
+        )
     elif what < 172:
         target = _of(TARGETS, second // 16)
         point, density = target.pinhole_px is not None, (None, *laboratory.DENSITIES)[second % 8]

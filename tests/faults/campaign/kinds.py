@@ -358,7 +358,6 @@ KINDS: dict[str, Draw] = {
     "power of an instrument off and on": _power_cut(back=True),
     "packet loss": _seen(lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3)))),
     "camera stalls": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, ends_run=True),
-    "camera gone": _camera_gone,
     "clocks jump": _clock_jump,
     KILL_CLIENT: _struck("client", KILL),
     "client stopped": _struck("client", STOP),
@@ -415,6 +414,8 @@ KINDS: dict[str, Draw] = {
     "terminal blocks": _blocked(*TERMINAL, terminal_lives=False),
     "terminal blocks, SIGTERM": _blocked(*TERMINAL, ENDED, terminal_lives=False),
     "a person takes 3 s at the prompt": _prompt,
+    # The last: a camera takes seconds to come up, or minutes where another bench on the machine took its wire.
+    "camera gone": _camera_gone,
 }
 """Every fault by its kind."""
 
