@@ -303,7 +303,13 @@ def _blocked(block: Act, release: Act, then: Act = _nothing, **known: Any) -> Dr
 KILLED, ENDED, INTERRUPTED = (
     _signalled("client", *numbers, wait_s=0.15) for numbers in ((KILL,), (TERM,), (INTERRUPT, INTERRUPT))
 )
-DISK: tuple[Act, Act] = (lambda rig, client: client.disk.hang(), lambda rig, client: client.disk.answer())
+ENDED_LATER, INTERRUPTED_LATER = (
+    _signalled("client", *numbers, wait_s=0.8) for numbers in ((TERM,), (INTERRUPT, INTERRUPT))
+)
+"""By then the main thread waits for what hangs."""
+
+DISK: tuple[Act, Act] = (lambda rig, client: client.disk.begin(), lambda rig, client: client.disk.end())
+CAMERA: tuple[Act, Act] = (lambda rig, client: client.camera.begin(), lambda rig, client: client.camera.end())
 LOG: tuple[Act, Act] = (lambda rig, client: rig.block_log(True), lambda rig, client: rig.block_log(False))
 LEDGER: tuple[Act, Act] = (lambda rig, client: rig.lock_ledger(True), lambda rig, client: rig.lock_ledger(False))
 TERMINAL: tuple[Act, Act] = (lambda rig, client: client.terminal.stop(), lambda rig, client: client.terminal.go_on())
@@ -401,9 +407,12 @@ KINDS: dict[str, Draw] = {
         for of in ("descriptors", "threads", "memory")
     },
     "session disk hangs": _blocked(*DISK, since="strike", ends_run=True),
-    "session disk hangs, SIGTERM": _blocked(*DISK, ENDED),
-    "session disk hangs, second Ctrl-C": _blocked(*DISK, INTERRUPTED),
+    "session disk hangs, SIGTERM": _blocked(*DISK, ENDED_LATER),
+    "session disk hangs, second Ctrl-C": _blocked(*DISK, INTERRUPTED_LATER),
     "session disk hangs, server killed": _blocked(*DISK, _signalled("server", KILL, wait_s=0.8)),
+    "main thread hangs": _blocked(*CAMERA, since="strike", ends_run=True),
+    "main thread hangs, SIGTERM": _blocked(*CAMERA, ENDED),
+    "main thread hangs, second Ctrl-C": _blocked(*CAMERA, INTERRUPTED),
     "log blocks": _blocked(*LOG, pipes_log=True),
     "log blocks, client killed": _blocked(*LOG, KILLED, pipes_log=True),
     "dose ledger locked": _blocked(*LEDGER),
