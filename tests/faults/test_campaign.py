@@ -42,6 +42,8 @@ ENDS = {
     "server without threads, client killed": "SIGKILL",
     "session disk hangs, server killed": "",
     "session disk hangs, SIGTERM": "143",
+    "main thread hangs": "must show life",
+    "main thread hangs, second Ctrl-C": "",
     "log blocks, client killed": "SIGKILL",
     "terminal blocks": "",
     # The last, for the next camera takes seconds to draw its first frame.

@@ -40,8 +40,8 @@ PROMPT = "What does the meter read"
 _LIBC = ctypes.CDLL(None)
 
 
-class HangingDisk:
-    """A disk that stops answering: whoever writes to it stays in the call, and no signal reaches it there."""
+class Hang:
+    """A call that does not come back as long as this holds, and in which no signal reaches its thread."""
 
     def __init__(self) -> None:
         self._shared = mmap.mmap(-1, mmap.PAGESIZE)
@@ -52,37 +52,42 @@ class HangingDisk:
         _LIBC.pthread_mutex_init(self._mutex, shared_by_processes)
 
     @property
-    def hangs(self) -> bool:
-        """Whether it does not answer now."""
+    def holds(self) -> bool:
+        """Whether calls hang now."""
         return bool(self._shared[-1])
 
-    def hang(self) -> None:
-        """Stop answering."""
-        if not self.hangs:
+    def begin(self) -> None:
+        """Have calls hang."""
+        if not self.holds:
             _LIBC.pthread_mutex_lock(self._mutex)
             self._shared[-1] = 1
 
-    def answer(self) -> None:
-        """Answer again."""
-        if self.hangs:
+    def end(self) -> None:
+        """Have them come back."""
+        if self.holds:
             self._shared[-1] = 0
             _LIBC.pthread_mutex_unlock(self._mutex)
 
-    def hold_up(self, folder: Path) -> None:
-        """Have this process wait for it with every write, sync and rename in a folder."""
+    def call(self) -> None:
+        """Make a call that hangs if calls do."""
+        if self.holds:
+            _LIBC.pthread_mutex_lock(self._mutex)
+            _LIBC.pthread_mutex_unlock(self._mutex)
 
-        def waiting(call: Any) -> Any:
+    def call_with_every_write(self, folder: Path) -> None:
+        """Make one before every write, sync and rename of this process in a folder."""
+
+        def after_call(act: Any) -> Any:
             def called(where: Any, *rest: Any) -> Any:
-                path = os.readlink(f"/proc/self/fd/{where}") if self.hangs and isinstance(where, int) else where
-                if self.hangs and str(path).startswith(str(folder)):
-                    _LIBC.pthread_mutex_lock(self._mutex)
-                    _LIBC.pthread_mutex_unlock(self._mutex)
-                return call(where, *rest)
+                path = os.readlink(f"/proc/self/fd/{where}") if self.holds and isinstance(where, int) else where
+                if str(path).startswith(str(folder)):
+                    self.call()
+                return act(where, *rest)
 
             return called
 
         for name in ("write", "fsync", "rename", "replace"):
-            setattr(os, name, waiting(getattr(os, name)))
+            setattr(os, name, after_call(getattr(os, name)))
 
 
 class Client:
@@ -102,7 +107,8 @@ class Client:
 
     def __init__(self, rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, prompts: bool = False) -> None:
         self.began_s = time.monotonic()
-        self.disk, self.terminal, self._marks = HangingDisk(), StoppablePipe(*os.pipe()), StoppablePipe(*os.pipe())
+        self.disk, self.camera = Hang(), Hang()
+        self.terminal, self._marks = StoppablePipe(*os.pipe()), StoppablePipe(*os.pipe())
         keyboard, self._typed = os.pipe()
         self._status: int | None = None
         self._lines: list[str] = []
@@ -205,7 +211,7 @@ def _acquire(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, sil
         # A test runner may have put something else there.
         sys.stdin, sys.stdout = os.fdopen(0), os.fdopen(1, "w", buffering=1)
         sys.stderr = sys.stdout
-        client.disk.hold_up(session)
+        client.disk.call_with_every_write(session)
         signal.signal(signal.SIGUSR2, _clock_jumps)
         code = _exit_code(client, rig, plan, session, silence_s=silence_s, prompts=prompts)
     except SystemExit as end:
@@ -235,7 +241,7 @@ def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, s
             session,
             camera=_MarkingCamera(client, rig, silence_s=silence_s),
             bench=bench,
-            operator=_Person(rig.operator) if prompts else rig.operator,
+            operator=_Person(rig.operator) if prompts else _Hands(rig.operator),
             judge=SaturationJudge(),
             resume=(session / PLAN).exists(),
             progress=lambda sentence, share: print(sentence, flush=True),
@@ -248,6 +254,25 @@ def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, s
         if bench.last_words:
             print(f"{LAST_WORDS} {bench.last_words}.", flush=True)
     return 0
+
+
+class _Hands:
+    """Hands that set the light; they need no disk, so that one that fails says nothing of how a run would end."""
+
+    is_by_hand = False
+
+    def __init__(self, hands: Operator) -> None:
+        self._hands = hands
+        self.while_waiting: Callable[[], None] = lambda: None
+
+    def darken(self) -> None:
+        with suppress(OSError):
+            self._hands.darken()
+
+    def place(self, **asked: Any) -> Conditions:
+        with suppress(OSError):
+            return self._hands.place(**asked)
+        return Conditions(illuminance_lux=asked["illuminance_lux"])
 
 
 class _Person(PromptingOperator):
@@ -302,6 +327,7 @@ class _MarkingCapture:
 
     def __iter__(self) -> Iterator[Frame]:
         for frame in self._capture:
+            self._client.camera.call()
             if np.count_nonzero(frame.pixels >= self._full_dn) > SATURATED * frame.pixels.size:
                 self._client.mark("saturated")
             self._client.mark("frame")

@@ -64,8 +64,8 @@ class Fault:
     one_suffices
         Whether one of gate and voltage is enough, in a run that goes on.
     client_lives, log_lives, terminal_lives
-        Whether the client lives on; whether it has what it takes to end in a sentence, and the session's log takes
-        that; whether the terminal does.
+        Whether the client lives on, with what it takes to end in a sentence; whether the session's log takes that, and
+        the terminal.
     silence_s
         How long the client's camera may be silent, s: short where silence is the fault, long where drawing a frame
         on a busy machine must not be taken for one.
@@ -271,7 +271,7 @@ def _starved(who: str, of: Literal["descriptors", "threads", "memory"]) -> Draw:
         return _signalled(other, KILL)(rig, client)
 
     # A run that ends for want of something may do so at once, or before it writes its log.
-    return lambda rng: Fault(strike=strike, client_lives=other == "server", log_lives=other == "server", ends_run=True)
+    return lambda rng: Fault(strike=strike, client_lives=False, log_lives=False, ends_run=True)
 
 
 def _starve(pid: int, of: str) -> None:
@@ -303,7 +303,13 @@ def _blocked(block: Act, release: Act, then: Act = _nothing, **known: Any) -> Dr
 KILLED, ENDED, INTERRUPTED = (
     _signalled("client", *numbers, wait_s=0.15) for numbers in ((KILL,), (TERM,), (INTERRUPT, INTERRUPT))
 )
-DISK: tuple[Act, Act] = (lambda rig, client: client.disk.hang(), lambda rig, client: client.disk.answer())
+ENDED_LATER, INTERRUPTED_LATER = (
+    _signalled("client", *numbers, wait_s=0.8) for numbers in ((TERM,), (INTERRUPT, INTERRUPT))
+)
+"""By then the main thread waits for what hangs."""
+
+DISK: tuple[Act, Act] = (lambda rig, client: client.disk.begin(), lambda rig, client: client.disk.end())
+CAMERA: tuple[Act, Act] = (lambda rig, client: client.camera.begin(), lambda rig, client: client.camera.end())
 LOG: tuple[Act, Act] = (lambda rig, client: rig.block_log(True), lambda rig, client: rig.block_log(False))
 LEDGER: tuple[Act, Act] = (lambda rig, client: rig.lock_ledger(True), lambda rig, client: rig.lock_ledger(False))
 TERMINAL: tuple[Act, Act] = (lambda rig, client: client.terminal.stop(), lambda rig, client: client.terminal.go_on())
@@ -358,7 +364,6 @@ KINDS: dict[str, Draw] = {
     "power of an instrument off and on": _power_cut(back=True),
     "packet loss": _seen(lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3)))),
     "camera stalls": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, ends_run=True),
-    "camera gone": _camera_gone,
     "clocks jump": _clock_jump,
     KILL_CLIENT: _struck("client", KILL),
     "client stopped": _struck("client", STOP),
@@ -402,9 +407,12 @@ KINDS: dict[str, Draw] = {
         for of in ("descriptors", "threads", "memory")
     },
     "session disk hangs": _blocked(*DISK, since="strike", ends_run=True),
-    "session disk hangs, SIGTERM": _blocked(*DISK, ENDED),
-    "session disk hangs, second Ctrl-C": _blocked(*DISK, INTERRUPTED),
+    "session disk hangs, SIGTERM": _blocked(*DISK, ENDED_LATER),
+    "session disk hangs, second Ctrl-C": _blocked(*DISK, INTERRUPTED_LATER),
     "session disk hangs, server killed": _blocked(*DISK, _signalled("server", KILL, wait_s=0.8)),
+    "main thread hangs": _blocked(*CAMERA, since="strike", ends_run=True),
+    "main thread hangs, SIGTERM": _blocked(*CAMERA, ENDED),
+    "main thread hangs, second Ctrl-C": _blocked(*CAMERA, INTERRUPTED),
     "log blocks": _blocked(*LOG, pipes_log=True),
     "log blocks, client killed": _blocked(*LOG, KILLED, pipes_log=True),
     "dose ledger locked": _blocked(*LEDGER),
@@ -415,6 +423,8 @@ KINDS: dict[str, Draw] = {
     "terminal blocks": _blocked(*TERMINAL, terminal_lives=False),
     "terminal blocks, SIGTERM": _blocked(*TERMINAL, ENDED, terminal_lives=False),
     "a person takes 3 s at the prompt": _prompt,
+    # The last: a camera takes seconds to come up, or minutes where another bench on the machine took its wire.
+    "camera gone": _camera_gone,
 }
 """Every fault by its kind."""
 

@@ -23,6 +23,7 @@ END_S = 20.0
 COMPLETE_S = 90.0
 WARM_UPS = 4
 REST_S = 0.1
+BEYOND_S = 0.3
 SAME_SIGNAL = 0.5
 """Frames of one flat whose mean signals differ by more than this share of their median do not show one light."""
 
@@ -44,7 +45,7 @@ class Outcome:
         Whether gate or high voltage were on when the fault struck.
     gate_s, voltage_s
         Seconds, counted as the fault says, until the gate was last seen open and the voltage last seen not falling;
-        None where there is nothing to time: it was not on, the run endured, or the instrument could not hear.
+        None where there is nothing to time: nothing was on, the run endured, or the instrument could not hear.
     limit_s
         Longest time promised, s.
     sentence
@@ -138,22 +139,29 @@ class _Watch:
         self._open_s = self._high_s = -np.inf
         self._volts = 0.0
 
+    @property
+    def live(self) -> bool:
+        """Whether gate or voltage were on when the fault struck."""
+        return self.gate_was_open or self.voltage_was_on
+
     def follow(self) -> None:
-        """Look until the tube is at rest or the fault has lasted its time; heal it."""
-        until_s = self.since_s + self._fault.lasts_s
+        """Look until the tube is at rest, or the fault and its limit are over; heal it."""
+        fault, healed = self._fault, False
+        heals_s = self.since_s + fault.lasts_s
+        until_s = max(heals_s, self.since_s + fault.limit_s + BEYOND_S)
         hot_s = time.monotonic()
-        healed = False
         while True:
             now_s = time.monotonic()
             if self._look(now_s):
                 hot_s = now_s
             at_rest = now_s > hot_s + REST_S
-            if not healed and (now_s > until_s or (at_rest and not self._fault.passes)):
-                self._fault.heal(self._rig, self._client)
+            over = at_rest and (self.live or self._client.exit_code() is not None)
+            if not healed and (now_s > heals_s or (over and not fault.passes)):
+                fault.heal(self._rig, self._client)
                 healed, self.healed_s = True, now_s
-                if self._fault.returns:
-                    until_s = now_s + self._fault.limit_s
-            if healed and (at_rest or now_s > until_s):
+                if fault.returns:
+                    until_s = now_s + fault.limit_s + BEYOND_S
+            if healed and (at_rest or now_s > until_s or fault.one_suffices):
                 return
             self._client.listen()
             time.sleep(LOOK_S)
@@ -197,8 +205,8 @@ class _Watch:
 def _outcome(
     client: Client, session: Path, kind: str, fault: Fault, watch: _Watch, code: int | None, left: tuple[str, ...]
 ) -> Outcome:
-    endured, live = code == 0, watch.gate_was_open or watch.voltage_was_on
-    timed = not endured or fault.ends_run or fault.one_suffices or fault.since == "progress"
+    endured, live = code == 0, watch.live
+    timed = live and (not endured or fault.ends_run or fault.one_suffices or fault.since == "progress")
     gate_s, voltage_s = (watch.seconds(one) if timed else None for one in (GATE, SUPPLY))
     acknowledged = client.acknowledged()
     found, wrong = frames_found(session, acknowledged)
@@ -251,7 +259,7 @@ def _too_late(fault: Fault, gate_s: float | None, voltage_s: float | None) -> It
 def _badly_ended(client: Client, fault: Fault, code: int | None, *, live: bool) -> Iterator[str]:
     if code is None:
         yield f"the client did not end within {END_S:g} s"
-    if fault.log_lives and (code == 3 or any(line.startswith(("Traceback", "TRACEBACK")) for line in client.told())):
+    if fault.client_lives and (code == 3 or any(line.startswith(("Traceback", "TRACEBACK")) for line in client.told())):
         yield f"the client ended in a traceback: {client.told()[-1:]}"
     if code == 0 and fault.ends_run and live:
         yield "the run ended as if nothing had happened"
