@@ -30,6 +30,7 @@ _WRONGS = {
     "unplugged": Faults(unplugged=True),
     "trip": Faults(tripped=True),
     "power-cycle": Faults(),
+    "panel": Faults(),
 }
 
 
@@ -50,7 +51,6 @@ class VirtualPair:
             raise BadInput(f"a model must be one of {', '.join(sorted(known))}, got {name!r}")
         self.model: InstrumentModel = known[name]
         self._virtual, self._folder = virtual_model(name), Path(folder)
-        self._port = str(self._folder.absolute() / self._virtual.place)
         self._instruments = VirtualInstruments(
             self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
         )
@@ -70,7 +70,7 @@ class VirtualPair:
     def driver(self) -> Any:
         """Open the line anew and return a driver on it."""
         self._close()
-        self._line = self.model.open_line(self._port, ADDRESS)
+        self._line = self.model.open_line(self._instruments.port(self._virtual.place), ADDRESS)
         return self.model.driver(self._line)
 
     def outputs(self) -> Mapping[str, Any]:
@@ -81,15 +81,11 @@ class VirtualPair:
         return found
 
     def suffer(self, wrong: str, setting: str = "") -> None:
-        """Begin one of the wrongs, all others ended; a setting is changed at the panel by orders of another program."""
-        if wrong == "panel":
-            hand = self.model.open_line(self._port, ADDRESS, exclusive=False)
-            for command in self._virtual.panel[setting]:
-                hand.order(command)
-            hand.close()
-            return
+        """Begin one of the wrongs, all others ended; "panel" changes a setting once, at the instrument itself."""
         self._power_cycles += wrong == "power-cycle"
         self._tripped = wrong == "trip"
+        if wrong == "panel":
+            self._now(Faults(panel=self._virtual.panel[setting]))
         self._now(_WRONGS[wrong])
 
     def heal(self) -> None:

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.errors import BenchError, InstrumentDisconnected
+from drivers.instruments.gate_limits import Gate
+from drivers.instruments.instrument import Instrument
+from drivers.instruments.light_source import LightSource
 from drivers.instruments.models import model_of
-from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S
-from drivers.roles import Gate, Instrument, LightSource, Supply
+from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.wires import Reached, Role, Wires
 
 DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
@@ -74,6 +76,17 @@ class SafeStateReport:
     def last_words(self) -> str:
         """How the tube was left, and what to do by hand where it may be hot."""
         return self.sentence() if self.whole else f"{self.sentence()}; by hand, now: {BY_HAND}"
+
+    def not_whole(self) -> str:
+        """Return the sentence on a tube that may be hot."""
+        why = f" ({self.failures[0]})" if self.failures else ""
+        rule = "the bench must be left with gate shut, high voltage off and light out"
+        return f"{rule}, got: {self.last_words()}{why}"
+
+    def require_whole(self) -> None:
+        """Raise a BenchError where the tube may be hot."""
+        if not self.whole:
+            raise BenchError(self.not_whole())
 
 
 class Crew:

@@ -11,7 +11,6 @@ import os
 import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import islice
 from pathlib import Path
 
 from numpy.typing import NDArray
@@ -21,8 +20,8 @@ from labdata.store.layout import chunk, frame_bytes, read_metadata
 
 JOURNAL = "journal.jsonl"
 
-MAX_RESTORED_LINES = 100
-"""Damaged lines that are tried to be restored; each costs some 20 ms, and more are no single bytes."""
+MAX_RESTORED_LINES = 8
+"""Damaged lines up to which they are tried to be restored; each costs some 10 ms, and more are no single bytes."""
 
 MAX_LINE_BYTES = 320
 """Longest text that is tried to be restored: a line has at most 200 bytes."""
@@ -35,7 +34,13 @@ RECORD = re.compile(
     rb'"time_s": (?P<time_s>-?(?:\d+(?:\.\d+)?(?:e[+-]?\d+)?|Infinity)|NaN), "sha256": "(?P<sha256>[0-9a-f]{64})")'
     rb'(?:, "checksum": "(?P<checksum>[0-9a-f]{16})")?\}'
 )
-LINE_BYTES = bytes(sorted(set(b'{}"_:, +-.0123456789 abcdef index frame number time sha checksum NaN Infinity')))
+BEGINNING = re.compile(rb'\{"index": \d+, "frame_number": ')
+END = re.compile(rb'", "checksum": "[0-9a-f]{16}"\}$')
+EDGE_BYTES = 48
+"""Longest text that either of the two matches."""
+
+VALUE_BYTES = tuple(bytes([byte]) for byte in b"0123456789abcdef.-+")
+LINE_BYTES = tuple(bytes([byte]) for byte in sorted({*b'{}"_:, -+.0123456789indexframe_numbertime_ssha256checksum'}))
 NUMBERS = range(-(2**63), 2**63)
 """Frame numbers that an array of whole numbers can hold."""
 
@@ -221,8 +226,10 @@ def _has_chunk(path: Path, frame: Acknowledged) -> bool:
 
 def _restored(damaged: Mapping[int, bytes], there: Container[int], path: Path) -> Iterator[Acknowledged]:
     """Yield the frames that are not there and whose damaged lines one byte explains, in one way only."""
-    for place, line in islice(damaged.items(), MAX_RESTORED_LINES):
-        # The one byte may have become a line's end, or be one that was inserted.
+    if len(damaged) > MAX_RESTORED_LINES:
+        return
+    for place, line in damaged.items():
+        # The one byte may have become a line's end, or be an end that was inserted.
         for text in (line, line + b"\n" + damaged[place + 1]) if place + 1 in damaged else (line,):
             found = {
                 frame
@@ -236,15 +243,23 @@ def _restored(damaged: Mapping[int, bytes], there: Container[int], path: Path) -
 
 
 def _one_byte_from(text: bytes) -> Iterator[bytes]:
-    """Yield all texts of a line's bytes from which one changed, inserted or removed byte makes this one."""
+    """Yield the texts that may be records and from which one changed, inserted or removed byte makes this one."""
     if len(text) > MAX_LINE_BYTES:
         return
-    for at in range(len(text) + 1):
+    begins, ends = BEGINNING.match(text), END.search(text)
+    places, alphabet = range(len(text) + 1), LINE_BYTES
+    if RECORD.fullmatch(text):
+        alphabet = VALUE_BYTES
+    elif not begins:
+        places = range(min(EDGE_BYTES, len(text)) + 1)
+    elif not ends:
+        places = range(max(0, len(text) - EDGE_BYTES), len(text) + 1)
+    for at in places:
         before, after = text[:at], text[at:]
         yield before + after[1:]
-        for byte in range(len(LINE_BYTES)):
-            yield before + LINE_BYTES[byte : byte + 1] + after[1:]
-            yield before + LINE_BYTES[byte : byte + 1] + after
+        for byte in alphabet:
+            yield before + byte + after[1:]
+            yield before + byte + after
 
 
 def _named(word: str, numbers: Sequence[int], total: int = 0) -> str:

@@ -159,9 +159,8 @@ class Storage:
                 return self._give_up()
 
     def _give_up(self) -> None:
-        """Leave the frames that wait: the thread may hang for ever, and if it does not, it takes up no other work."""
+        """End the writing: the thread may hang for ever, and if it does not, it records what waits as lost."""
         frames = sum(job.frame is not None for job in (*self._in_hand, *self._jobs))
-        self._jobs.clear()
         self.failure = self.failure or BadInput(
             f"the disk must take every frame, got no progress for {STALLED_S:g} s: {frames} frames of "
             f"{self._writer.folder} are not acknowledged"
@@ -173,6 +172,8 @@ class Storage:
         while jobs := self._next():
             try:
                 self._do(jobs)
+                if self.failure is not None and self._jobs:
+                    self._fail(self.failure, [])
             except Exception as error:  # whatever it is, it is raised where frames are put
                 self._fail(error, jobs)
             with self._turn:

@@ -141,6 +141,8 @@ class Laboratory:
     beat_s: float = -math.inf
     stamp_s: float = -math.inf
     fault_s: float = math.inf
+    stopped_by: str = ""
+    """What nothing may be made hotter after: the end of the server, a safe action since the present order began."""
     demands: dict[str, float] = field(default_factory=dict)
     """What demands the safe state of a hot tube, and since when, s."""
 
@@ -282,6 +284,8 @@ class Laboratory:
             self.hurts.append(f"a current of {asked:.3g} nA/cm2")
 
     def _heated(self, what: str) -> None:
+        if self.stopped_by:
+            self.hurts.append(f"{what} after {self.stopped_by}")
         if self.fault_s < CLOCK.now_s:
             self.hurts.append(f"{what} after a failure")
         if not CLOCK.now_s - self.beat_s <= SAFE_AFTER_S:
@@ -362,10 +366,9 @@ class Gate:
         self.shut()
         self.lab.between()
         self.line.write((width_ns, rate_hz))
-        self.lab.between()
-        read_ns = self.line.answer(lambda: self.lab.open[0])
         self.set = self.lab.open
-        return read_ns
+        self.lab.between()
+        return self.line.answer(lambda: self.lab.open[0])
 
 
 class Supply:
@@ -437,9 +440,9 @@ class Supply:
             raise InstrumentTripped("the supply must stay on")
 
     def _settled(self) -> float:
+        self.set = self.lab.volts
         self.lab.between()
-        self.set = self.measured_v()
-        return self.set
+        return self.measured_v()
 
 
 class LightSource:
@@ -476,10 +479,10 @@ class LightSource:
     def shine(self, current_a: float) -> float:
         self.lab.between()
         self.line.write(current_a)
+        self.set = self.lab.lamp_a
         self.lab.between()
-        self.set = self.line.answer(lambda: self.lab.lamp_a)
         self.lab.door_seen = self.lab.door_noted = False
-        return self.set
+        return self.line.answer(lambda: self.lab.lamp_a)
 
 
 class Wheel:

@@ -97,12 +97,11 @@ class Plant:
         self.in_order = self.over = False
         self.hung_until_s = self.silent_until_s = self.run_hangs_until_s = -1.0
         self.placing: dict[int, Callable[[], None]] = {}
-        self.interlock = Interlock(
-            self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic
-        )
+        self.interlock = Interlock(self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic)
         self.interruption = self.slip = None
         lab.fault_s, lab.truly_dark_seen, lab.thought = float("inf"), False, 1
         lab.demands.clear()
+        lab.stopped_by = ""
         if self.number % 2:
             lab.filter = len(laboratory.DENSITIES)  # somebody turned the wheel while the bench was off
         lab.beat_s = lab.stamp_s = self.stamp_s = CLOCK.now_s
@@ -151,7 +150,7 @@ class Plant:
                 request = self.server.orders.get_nowait()
                 self.in_order, self.lab.door_noted = True, self.lab.door_seen
                 self.server.obey(request)
-                self.in_order = False
+                self.in_order, self.lab.stopped_by = False, "the server's end" if self.over else ""
                 self.slip = self.interruption = None
                 self.make_safe()
                 self.lab.watch()
@@ -234,10 +233,13 @@ class Plant:
         if CLOCK.now_s < self.hung_until_s or self.over:
             return
         if reason := self.server.end_reason():
-            self.over = True
-            self.server.end(reason)
+            self.end(reason)
         else:
             self.server.react()
+
+    def end(self, reason: str) -> None:
+        self.over, self.lab.stopped_by = True, "the server's end"
+        self.server.end(reason)
 
     def _hear(self) -> None:
         """Have the signs of life of client and run arrive, if they live and somebody listens."""
@@ -264,6 +266,7 @@ class Plant:
                     self.server.make_safe(order)
                     self._hear()  # the main loop went on meanwhile
                     continue
+                self.lab.stopped_by = "a safe action in mid-order"
                 self.safe_thread = threading.Thread(target=self._act, args=(order,), daemon=True)
                 self.safe_thread.start()
             elif self.in_order:
@@ -356,7 +359,11 @@ def run(plant: Plant, program: bytes) -> None:
 def bounds_hold(plant: Plant) -> None:
     """The interlock never thinks the tube cooler than it is, but for what was changed by hand a moment ago."""
     state, lab = plant.interlock.state, plant.lab
-    unseen = {line.name for line in (lab.gate.line, lab.supply.line, lab.lamp.line, lab.wheel.line) if line.changed_s <= CLOCK.now_s}
+    unseen = {
+        line.name
+        for line in (lab.gate.line, lab.supply.line, lab.lamp.line, lab.wheel.line)
+        if line.changed_s <= CLOCK.now_s
+    }
     if lab.duty > state.duty * (1 + 1e-9) and "gate" not in unseen:
         lab.hurts.append(f"the gate was thought open for {state.duty:.3g} and was for {lab.duty:.3g}")
     if lab.volts > state.mcp_v * (1 + 1e-9) and "supply" not in unseen:
@@ -377,7 +384,9 @@ def step(plant: Plant, what: int, first: int, second: int) -> None:
         plant.slip = (None, None, None, "gate not shut", "too fast")[first // 16 % 5]
         plant.ask("set_conditions", asked, later=second > 250)
     elif what < 164:
-        plant.place(_of(LUX, first), _of(TARGETS, second // 16), share=second % 3 / 2, shows=second > 40, later=second < 4)
+        plant.place(
+            _of(LUX, first), _of(TARGETS, second // 16), share=second % 3 / 2, shows=second > 40, later=second < 4
+        )
     elif what < 172:
         target = _of(TARGETS, second // 16)
         point, density = target.pinhole_px is not None, (None, *laboratory.DENSITIES)[second % 8]
@@ -422,8 +431,7 @@ def _happens(plant: Plant, which: int) -> None:
         plant.hung_until_s = now_s + (0.3, 2.5)[detail % 2]
         plant.passes((0.3, 1.2, 2.0)[detail % 3])
     elif kind < 14 and plant.server.end_reason() is None:
-        plant.over = True
-        plant.server.end("the client leaves")
+        plant.end("the client leaves")
         plant.make_safe()
     else:
         _by_hand(plant, detail)
@@ -450,11 +458,13 @@ def _sensible(plant: Plant, first: int, second: int) -> None:
         if first < 100:
             lab.door_lux = 0.0
             plant.open()
+        elif first < 120:
+            plant.ask("set_conditions", Conditions(mcp_v=600.0, gate_ns=1e6))
         elif first < 140:
             plant.place(1e-4, Target())
         return
     plant.passes(0.02)
-    volts, lux = (600.0, 800.0, 865.0, 899.0)[first % 4], (1e-4, 2e-3, 9e-3, 9.0)[first // 4 % 4]
+    volts, lux = (600.0, 800.0, 865.0, 899.0)[first % 4], (1e-4, 2e-3, 9e-3, 10.0)[first // 4 % 4]
     target = TARGETS[2] if lux > 1.0 else TARGETS[0]
     width_ns = 1.6e7 if plant.setup.field_hz > 50.0 else 1.9e7
     if not state.dark and first % 4:

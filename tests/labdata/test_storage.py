@@ -2,7 +2,10 @@
 
 import errno
 import os
+import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -44,7 +47,7 @@ class Disk:
         monkeypatch.setattr(os, "fsync", self.fsync)
 
     def fsync(self, file: int) -> None:
-        self.go_on.wait(10.0)
+        self.go_on.wait(30.0)
         if self.full:
             raise OSError(errno.ENOSPC, "No space left on device")
         self._fsync(file)
@@ -157,3 +160,117 @@ def test_a_stack_that_may_not_be_begun_is_told_when_its_frames_come(writer):
             stack.put(frames(1)[0])
             stack.finish()
         storage.wait()
+
+
+def test_a_disk_is_stalled_while_work_waits_and_nothing_moves(writer, monkeypatch):
+    disk = Disk(monkeypatch)
+    with Storage(writer) as storage:
+        assert storage.stalled_s == 0.0
+        stack = begun(storage)
+        storage.wait()
+        storage._progress_s -= 1000.0
+        assert storage.stalled_s == 0.0
+        disk.go_on.clear()
+        stack.put(frames(1)[0])
+        # The time in which no work waited does not count.
+        assert storage.stalled_s < 500.0
+        time.sleep(0.1)
+        assert storage.stalled_s >= 0.1
+        disk.go_on.set()
+        storage.wait()
+        assert storage.stalled_s == 0.0
+
+
+def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_counted(writer, monkeypatch):
+    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.3)
+    disk = Disk(monkeypatch)
+    sentence = r"got no progress for 0\.3 s: 5 frames of .* are not acknowledged"
+    began_s = 0.0
+    with pytest.raises(BadInput, match=sentence), Storage(writer) as storage:
+        stack = begun(storage)
+        for frame in frames(3):
+            stack.put(frame)
+        storage.wait()
+        disk.go_on.clear()
+        for frame in frames(5, first=4):
+            stack.put(frame)
+        began_s = time.monotonic()
+    assert time.monotonic() - began_s < 3.0
+    # The disk comes back before the process ends: each frame is there or has its number and reason.
+    disk.go_on.set()
+    storage._thread.join(5.0)
+    assert not storage._thread.is_alive()
+    entry = open_session(writer.folder).stack("flat")
+    there = entry.read().frame_number.tolist()
+    assert there[:3] == [1, 2, 3]
+    assert there + [n for loss in entry.losses for n in range(loss.first, loss.last + 1)] == list(range(1, 9))
+    assert all("no progress" in loss.reason for loss in entry.losses)
+
+
+def test_waiting_for_a_frozen_disk_ends_and_what_comes_after_it_is_refused(writer, monkeypatch):
+    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.2)
+    disk = Disk(monkeypatch)
+    with pytest.raises(BadInput, match="got no progress"), Storage(writer) as storage:
+        stack = begun(storage)
+        storage.wait()
+        disk.go_on.clear()
+        stack.put(frames(1)[0])
+        with pytest.raises(BadInput, match=r"got no progress for 0\.2 s: 1 frames"):
+            storage.wait()
+        with pytest.raises(BadInput, match="got no progress"):
+            stack.put(frames(1)[0])
+    disk.go_on.set()
+    storage._thread.join(5.0)
+
+
+def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_well(writer, monkeypatch):
+    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.2)
+    disk = Disk(monkeypatch)
+    with pytest.raises(KeyboardInterrupt) as interrupted, Storage(writer) as storage:
+        stack = begun(storage)
+        storage.wait()
+        disk.go_on.clear()
+        stack.put(frames(1)[0])
+        raise KeyboardInterrupt
+    assert "1 frames of" in interrupted.value.__notes__[0]
+    disk.go_on.set()
+    storage._thread.join(5.0)
+
+
+def test_a_disk_that_is_slow_but_moves_is_waited_for(writer, monkeypatch):
+    """Each group of frames takes less than the bound, all of them together far more."""
+    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.4)
+    monkeypatch.setattr("labdata.store.storage.TOGETHER_BYTES", SHAPE[0] * SHAPE[1])
+    forced = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: (time.sleep(0.03), forced(file))[1])
+    with Storage(writer) as storage:
+        stack = begun(storage)
+        for frame in frames(8):
+            stack.put(frame)
+    assert len(open_session(writer.folder).stack("flat").read()) == 8
+
+
+STUCK = """
+import os, sys, threading
+import numpy as np
+from labdata.capture import Frame
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.store import SessionWriter, storage
+
+storage.STALLED_S = 0.3
+writer = SessionWriter.create(sys.argv[1], name="stuck")
+try:
+    with storage.Storage(writer) as disk:
+        stack = disk.begin_stack("flat", "flat", (4, 4), np.uint8, Conditions())
+        disk.wait()
+        os.fsync = lambda file: threading.Event().wait()
+        stack.put(Frame(pixels=np.zeros((4, 4), np.uint8), number=1, time_s=0.0))
+except BadInput as error:
+    print(error)
+"""
+
+
+def test_a_process_whose_disk_is_frozen_ends(tmp_path):
+    done = subprocess.run([sys.executable, "-c", STUCK, tmp_path / "s"], capture_output=True, text=True, timeout=30)
+    assert done.returncode == 0 and "1 frames of" in done.stdout

@@ -7,7 +7,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,11 +17,10 @@ from labdata.errors import BadInput
 from tests.faults.campaign.kinds import KINDS, draw_fault
 from tests.faults.campaign.page import Row, page
 from tests.faults.campaign.rig import CampaignRig
-from tests.faults.campaign.trial import COMPLETE_S, Outcome, resume, try_fault
+from tests.faults.campaign.trial import Outcome, resume, try_fault, warm_up
 
-EARLIEST_S, LATEST_S = -0.5, 1.2
+EARLIEST_S = -0.5
 STRIKES_A_SESSION = 5
-WARM_UPS = 4
 MOST_MISSED = 3
 
 Tell = Callable[[Outcome], object]
@@ -107,7 +106,8 @@ def strike(
         fault = draw_fault(kind, rng)
         plan = fault.plan(rig.plan())
         for _ in range(min(STRIKES_A_SESSION, strikes - len(outcomes))):
-            after_s = float(rng.uniform(0.0 if outcomes or fault.prompts else EARLIEST_S, LATEST_S))
+            earliest_s = EARLIEST_S if not outcomes and fault.latest_s and not fault.prompts else 0.0
+            after_s = float(rng.uniform(earliest_s, fault.latest_s))
             outcome = try_fault(rig, plan, session, kind, fault, after_s=after_s)
             if outcome is None:
                 break  # complete before it struck
@@ -120,15 +120,6 @@ def strike(
         if len(resumed) > len(outcomes) + MOST_MISSED:
             raise RuntimeError(f"{kind} must strike runs, got {len(resumed)} that ended before: {resumed[-1]}")
     return Row(kind=kind, outcomes=tuple(outcomes), resumed=tuple(map(tuple, resumed)))
-
-
-def warm_up(rig: CampaignRig, session: Path) -> None:
-    """Run the plan until it completes: where the simulator is compiled first, a frame takes half a minute."""
-    wrong: Sequence[str] = ()
-    for _ in range(WARM_UPS):
-        if not (wrong := resume(rig, rig.plan(), session, silence_s=COMPLETE_S)):
-            return
-    raise RuntimeError(f"a run without faults must complete, got {wrong}")
 
 
 if __name__ == "__main__":

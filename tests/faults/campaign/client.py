@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -17,6 +17,7 @@ import numpy as np
 from charact.cli.judge import SaturationJudge
 from charact.cli.prompting import PromptingOperator
 from drivers.acquisition.acquire import acquire
+from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_start import PLAN
 from drivers.bench.setup import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
@@ -34,6 +35,7 @@ CLOCK_JUMP_S = 7200.0
 SATURATED = 0.05
 """Share of saturated pixels beyond which a frame ends a run, dimensionless."""
 
+LAST_WORDS = "The tube:"
 PROMPT = "What does the meter read"
 _LIBC = ctypes.CDLL(None)
 
@@ -217,36 +219,45 @@ def _acquire(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, sil
 
 
 def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, silence_s: float, prompts: bool) -> int:
+    """Acquire as the command line does, and say on the terminal what it says."""
+    bench = open_bench(
+        rig.wires,
+        limits_in_force(plan.limits, rig.sensor, plan.overrides),
+        log=rig.log,
+        gate_hz=float(rig.sensor.video.field_rate_hz),
+        gating=plan.gating,
+        dose=DoseLedger(rig.ledger),
+        session=str(session),
+    )
     try:
         acquire(
             plan,
             session,
             camera=_MarkingCamera(client, rig, silence_s=silence_s),
-            bench=open_bench(
-                rig.wires,
-                limits_in_force(plan.limits, rig.sensor, plan.overrides),
-                log=rig.log,
-                gate_hz=float(rig.sensor.video.field_rate_hz),
-                gating=plan.gating,
-                dose=DoseLedger(rig.ledger),
-                session=str(session),
-            ),
+            bench=bench,
             operator=_Person(rig.operator) if prompts else rig.operator,
             judge=SaturationJudge(),
             resume=(session / PLAN).exists(),
             progress=lambda sentence, share: print(sentence, flush=True),
+            requests=RunControl(print),
         )
     except (BadInput, BenchError) as error:
         print(error, flush=True)
         return 1
+    finally:
+        if bench.last_words:
+            print(f"{LAST_WORDS} {bench.last_words}.", flush=True)
     return 0
 
 
 class _Person(PromptingOperator):
     """Whoever is asked at the terminal, and really sets the light."""
 
+    is_by_hand = True
+
     def __init__(self, hands: Operator) -> None:
         self._hands = hands
+        self.while_waiting: Callable[[], None] = lambda: None
 
     def darken(self) -> None:
         super().darken()
@@ -265,9 +276,10 @@ class _MarkingCamera(AravisCamera):
         super().__init__(rig.wires.camera, silence_s=silence_s)
         self._client, self._full_dn = client, 2**rig.sensor.video.bit_depth - 1
 
-    def capture(self, *, frames: int, discard: int = 0) -> Any:
+    def capture(self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None) -> Any:
         self._client.mark("asked")
-        return _MarkingCapture(super().capture(frames=frames, discard=discard), self._client, self._full_dn)
+        capture = super().capture(frames=frames, discard=discard, while_waiting=while_waiting)
+        return _MarkingCapture(capture, self._client, self._full_dn)
 
 
 class _MarkingCapture:

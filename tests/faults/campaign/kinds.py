@@ -64,7 +64,8 @@ class Fault:
     one_suffices
         Whether one of gate and voltage is enough, in a run that goes on.
     client_lives, log_lives, terminal_lives
-        Whether the client lives to write how its run ended, whether the session's log takes it, and the terminal.
+        Whether the client lives on; whether it has what it takes to end in a sentence, and the session's log takes
+        that; whether the terminal does.
     silence_s
         How long the client's camera may be silent, s: short where silence is the fault, long where drawing a frame
         on a busy machine must not be taken for one.
@@ -72,6 +73,8 @@ class Fault:
         Makes the plan under which it strikes from the campaign's own.
     ready
         Whether the tube is in the state in which it strikes.
+    latest_s
+        Until when it waits at random for that, s after the first step began.
     prompts
         Whether a person at the terminal sets the light.
     pipes_log
@@ -96,6 +99,7 @@ class Fault:
     silence_s: float = PATIENT_S
     plan: Callable[[Plan], Plan] = field(default=lambda plan: plan)
     ready: Callable[[Outputs], bool] = _gate_is_open
+    latest_s: float = 1.2
     prompts: bool = False
     pipes_log: bool = False
     repair: Callable[[CampaignRig], object] = field(default=lambda rig: None)
@@ -107,9 +111,13 @@ Draw = Callable[[np.random.Generator], Fault]
 # Instruments on their lines, at their panels, and what they feel
 
 
-def _provoked(instrument: str, wrong: Faults, **known: Any) -> Fault:
+def _provoked(instrument: str, wrong: Faults, *, and_then: Act = _nothing, **known: Any) -> Fault:
+    def strike(rig: CampaignRig, client: Client) -> object:
+        rig.provoke(instrument, wrong)
+        return and_then(rig, client)
+
     return Fault(
-        strike=lambda rig, client: rig.provoke(instrument, wrong),
+        strike=strike,
         heal=lambda rig, client: rig.provoke(instrument, Faults()),
         **known,
     )
@@ -179,12 +187,16 @@ def _without_voltage(outputs: Outputs) -> bool:
     return outputs.gate_open and outputs.mcp_v < DANGEROUS_V
 
 
+def _voltage_rises(outputs: Outputs) -> bool:
+    return not outputs.gate_open and DANGEROUS_V < outputs.mcp_v < 640.0
+
+
 def _triggered(plan: Plan) -> Plan:
     return replace(plan, gating=Gating(sync="triggered"))
 
 
 def _disobedient(instrument: str) -> Draw:
-    return lambda rng: _provoked(instrument, Faults(disobedient=True), deaf=(instrument,))
+    return lambda rng: _provoked(instrument, Faults(disobedient=True), deaf=(instrument,), since="progress")
 
 
 def _seen(faults: Callable[[np.random.Generator], Faults], **known: Any) -> Draw:
@@ -256,7 +268,7 @@ def _starved(who: str, of: Literal["descriptors", "threads", "memory"]) -> Draw:
     def strike(rig: CampaignRig, client: Client) -> object:
         if (pid := client.pid if who == "client" else rig.server()) is not None and client.exit_code() is None:
             _starve(pid, of)
-        return _signalled(other, KILL, wait_s=0.2)(rig, client)
+        return _signalled(other, KILL)(rig, client)
 
     # A run that ends for want of something may do so at once, or before it writes its log.
     return lambda rng: Fault(strike=strike, client_lives=other == "server", log_lives=other == "server", ends_run=True)
@@ -352,7 +364,21 @@ KINDS: dict[str, Draw] = {
     "client stopped": _struck("client", STOP),
     "client: SIGTERM": _struck("client", TERM),
     "client: second Ctrl-C": _struck("client", INTERRUPT, INTERRUPT),
+    "client killed, voltage rising": lambda rng: replace(
+        _struck("client", KILL)(rng), ready=_voltage_rises, latest_s=0.0
+    ),
+    "client killed, supply silent": lambda rng: _provoked(
+        SUPPLY,
+        Faults(silent=True),
+        and_then=KILLED,
+        passes=True,
+        lasts_s=1.5,
+        deaf=(SUPPLY,),
+        returns=True,
+        client_lives=False,
+    ),
     "server killed": _struck("server", KILL),
+    "server: SIGTERM": _struck("server", TERM),
     "server stopped": _struck("server", STOP),
     "room light": lambda rng: _provoked(
         "surroundings", Faults(room_light_lux=ROOM_LUX), since="saturation", ends_run=True
@@ -378,6 +404,7 @@ KINDS: dict[str, Draw] = {
     "session disk hangs": _blocked(*DISK, since="strike", ends_run=True),
     "session disk hangs, SIGTERM": _blocked(*DISK, ENDED),
     "session disk hangs, second Ctrl-C": _blocked(*DISK, INTERRUPTED),
+    "session disk hangs, server killed": _blocked(*DISK, _signalled("server", KILL, wait_s=0.8)),
     "log blocks": _blocked(*LOG, pipes_log=True),
     "log blocks, client killed": _blocked(*LOG, KILLED, pipes_log=True),
     "dose ledger locked": _blocked(*LEDGER),
