@@ -49,7 +49,7 @@ class SafeStateReport:
     light_dark
         Whether every lamp of the bench read back that it is out; a bench without one has none that burns.
     failures
-        One sentence for each step that failed.
+        One sentence for each step that failed on an instrument that was not verified in the end.
     """
 
     gate_shut: bool
@@ -221,6 +221,8 @@ class _Task:
                 time.sleep(FOLLOW_S)
                 if self._disconnected:
                     self._reopen()
+        if self.verified:
+            self.failures.clear()
 
     @property
     def patience_s(self) -> float:
