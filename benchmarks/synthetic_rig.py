@@ -54,15 +54,16 @@ class PacedCamera(_Opened):
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> "PacedCapture":
-        """Return a capture; its frames come at the camera's rate from its beginning on."""
-        return PacedCapture(self, frames=frames, discard=discard)
+        """Return a capture; its frames come at the camera's rate, 10 Hz or more, from its beginning on."""
+        return PacedCapture(self, frames=frames, discard=discard, while_waiting=while_waiting)
 
 
 class PacedCapture(_Opened):
     """A capture whose frames are due at fixed times."""
 
-    def __init__(self, camera: PacedCamera, *, frames: int, discard: int) -> None:
+    def __init__(self, camera: PacedCamera, *, frames: int, discard: int, while_waiting: Callable[[], None]) -> None:
         self._camera, self._frames, self._discard = camera, frames, discard
+        self._while_waiting = while_waiting
         self.losses: tuple[LostFrames, ...] = ()
 
     @property
@@ -74,6 +75,7 @@ class PacedCapture(_Opened):
         period_s, began_s = 1.0 / (self._camera.settings.frame_rate_hz or 30.0), time.monotonic()
         number = handed_out = 0
         while handed_out < self._frames:
+            self._while_waiting()
             number += 1
             late = int((time.monotonic() - began_s) / period_s) - BUFFERS - number
             if late > 0:

@@ -31,21 +31,24 @@ def conform(
 
 
 def _tried(name: str) -> int:
-    """Try one model, print its tally, and return how many rules it broke."""
+    """Try one model, print each rule, and return how many it broke."""
     import tempfile
     from pathlib import Path
 
     from charact.cli.virtual_pair import VirtualPair
     from drivers.instruments.conformance import rules_for
 
-    broken = []
+    broken = 0
     with tempfile.TemporaryDirectory() as folder, VirtualPair(name, Path(folder)) as pair:
         rules = rules_for(pair.model)
+        print(f"{name} ({pair.model.role}), {len(rules)} rules:")
         for rule in rules:
+            said = (rule.__doc__ or rule.__name__).strip().splitlines()[0]
             try:
                 rule(pair)
+                print(f"  kept    {said}")
             except Exception as error:  # whatever a driver raises wrongly is what the trial is for
-                broken.append(f"  {rule.__name__}: {error!r}")
+                broken += 1
+                print(f"  BROKEN  {said} {rule.__name__}: {error!r}")
                 pair.heal()
-    print(f"{name} ({pair.model.role}): {len(rules) - len(broken)} of {len(rules)} rules kept", *broken, sep="\n")
-    return len(broken)
+    return broken

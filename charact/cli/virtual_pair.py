@@ -30,6 +30,7 @@ _WRONGS = {
     "unplugged": Faults(unplugged=True),
     "trip": Faults(tripped=True),
     "power-cycle": Faults(),
+    "panel": Faults(),
 }
 
 
@@ -49,7 +50,7 @@ class VirtualPair:
         if name not in known:
             raise BadInput(f"a model must be one of {', '.join(sorted(known))}, got {name!r}")
         self.model: InstrumentModel = known[name]
-        self._place, self._folder = virtual_model(name).place, Path(folder)
+        self._virtual, self._folder = virtual_model(name), Path(folder)
         self._instruments = VirtualInstruments(
             self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
         )
@@ -69,7 +70,7 @@ class VirtualPair:
     def driver(self) -> Any:
         """Open the line anew and return a driver on it."""
         self._close()
-        self._line = self.model.open_line(self._instruments.port(self._place), ADDRESS)
+        self._line = self.model.open_line(self._instruments.port(self._virtual.place), ADDRESS)
         return self.model.driver(self._line)
 
     def outputs(self) -> Mapping[str, Any]:
@@ -79,10 +80,12 @@ class VirtualPair:
             found |= json.loads(path.read_text())
         return found
 
-    def suffer(self, wrong: str) -> None:
-        """Begin one of the wrongs, all others ended."""
+    def suffer(self, wrong: str, setting: str = "") -> None:
+        """Begin one of the wrongs, all others ended; "panel" changes a setting once, at the instrument itself."""
         self._power_cycles += wrong == "power-cycle"
         self._tripped = wrong == "trip"
+        if wrong == "panel":
+            self._now(Faults(panel=self._virtual.panel[setting]))
         self._now(_WRONGS[wrong])
 
     def heal(self) -> None:
@@ -92,7 +95,7 @@ class VirtualPair:
         self._tripped = False
 
     def _now(self, faults: Faults) -> None:
-        provoke(self._folder, self._place, replace(faults, power_cycles=self._power_cycles))
+        provoke(self._folder, self._virtual.place, replace(faults, power_cycles=self._power_cycles))
         time.sleep(SEEN_S)
 
     def _close(self) -> None:

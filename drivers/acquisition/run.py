@@ -13,7 +13,7 @@ from drivers.acquisition.read_back import merged, require_same
 from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError
-from drivers.interface import Bench, Camera, FrameLevels, Operator
+from drivers.interface import Bench, Camera, CameraError, FrameLevels, Operator
 from labdata.calibrated_gain import by_calibration
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
@@ -25,7 +25,7 @@ from labdata.session import open_session
 from labdata.store.storage import Storage, StoredStack
 
 LOOK_S = 0.1
-DISK_S = 1.5
+DISK_S = 1.2
 """Longest time in which the disk may take nothing while frames wait, s: a hot tube is not kept waiting for it."""
 
 CAMERA_S = 15.0
@@ -279,6 +279,8 @@ class Run:
         """Where the bench fails, doubt the frames so far: the gate may have been shut before it was told."""
         try:
             yield
+        except CameraError:
+            raise
         except BenchError as error:
             with suppress(BadInput):
                 stack.doubt(f"the bench failed while they were taken, and the last may be dark: {error}")

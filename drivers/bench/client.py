@@ -10,26 +10,22 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from drivers.bench.auxiliary_meters import Reading
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
 from drivers.bench.guarded_light import GuardedLight
 from drivers.bench.last_bench import remember_bench
 from drivers.bench.safe_state import REOPEN_S, Crew, SafeStateReport, make_safe
 from drivers.bench.setup import BenchSetup
-from drivers.bench.tube_bench import not_safe, raise_unless_whole
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S
 from drivers.interface import FrameLevels, Operator
 from drivers.serial_lines.port import InheritedPort
-from labdata.conditions import Conditions
 from labdata.event_log import EventLog
-from labdata.target import Target
 from labdata.wires import Role
 
 SERVER_SILENCE_S = SILENCE_S + BEAT_S
@@ -44,6 +40,15 @@ RESERVE_BYTES = 8 << 20
 
 KILLED_S = 0.1
 """Longest wait for a killed server to let go of its ports, s; one that the kernel holds is not waited for."""
+
+
+def _command(name: str) -> Callable[..., Any]:
+    """Return the method that has the server run a command of its bench."""
+
+    def ask(client: "BenchClient", *arguments: Any, **named: Any) -> Any:
+        return client._ask(name, *arguments, **named)
+
+    return ask
 
 
 class BenchClient:
@@ -118,39 +123,21 @@ class BenchClient:
         except OSError as error:
             self._log("bench not remembered", error=str(error))
 
-    # Commands
+    # Commands, as `TubeBench` describes them
 
-    def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain, see `TubeBench.set_conditions`."""
-        return self._ask("set_conditions", conditions)
+    set_conditions = _command("set_conditions")
+    shut_gate = _command("shut_gate")
+    light_unknown = _command("light_unknown")
+    permit_light = _command("permit_light")
+    light_read = _command("light_read")
+    darken = _command("darken")
+    shine = _command("shine")
+    read_meters = _command("read_meters")
+    verify = _command("verify")
 
     def guard(self, operator: Operator) -> Operator:
         """Put the lamp, and whoever places targets and light, behind the interlock; use only what is returned."""
         return GuardedLight(operator, self)
-
-    def light_unknown(self) -> bool:
-        """Know nothing of the light any more; return whether the bench has a lamp of its own."""
-        return self._ask("light_unknown")
-
-    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None:
-        """Refuse (InterlockRefused) a target and a light that a rule forbids; else it counts as set."""
-        self._ask("permit_light", illuminance_lux, point=point, target=target)
-
-    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None:
-        """Report what the light was read as."""
-        self._ask("light_read", illuminance_lux, zero=zero)
-
-    def darken(self) -> None:
-        """Put the lamp out, if there is one."""
-        self._ask("darken")
-
-    def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
-        """Make a light with the lamp, see `TubeBench.shine`."""
-        return self._ask("shine", illuminance_lux, point=point, target=target, filter_density=filter_density)
-
-    def shut_gate(self) -> None:
-        """Shut the gate and read it back."""
-        self._ask("shut_gate")
 
     def dark_frame_seen(self, levels: FrameLevels) -> bool:
         """Report a frame taken without light; one that is not dark is NotDark."""
@@ -161,14 +148,6 @@ class BenchClient:
         """Report how much of a frame is saturated; nothing is waited for."""
         self.alive()
         self._server.send(Request(number=0, command="frame_seen", arguments=(levels,)))
-
-    def read_meters(self) -> Reading:
-        """Read light and temperature, see `TubeBench.read_meters`."""
-        return self._ask("read_meters")
-
-    def verify(self) -> None:
-        """Compare gate and supply with what was set, now."""
-        self._ask("verify")
 
     def check(self) -> None:
         """Show a sign of life, and raise what went wrong at the bench."""
@@ -191,7 +170,7 @@ class BenchClient:
 
     def safe(self) -> None:
         """Make the tube safe now; a BenchError where that is not verified. Work may go on if nothing has failed."""
-        raise_unless_whole(self._made_safe())
+        self._made_safe().require_whole()
 
     def safe_at_once(self) -> None:
         """Order the safe state and wait for nothing: for whoever gets a signal while the run may hang."""
@@ -292,7 +271,7 @@ class BenchClient:
             self._take_over("does not answer")
         finally:
             self._hang_up()
-        sentences = [] if self.report is None or self.report.whole else [not_safe(self.report)]
+        sentences = [] if self.report is None or self.report.whole else [self.report.not_whole()]
         sentences += [unwritten] if unwritten else []
         for sentence in sentences:
             if error is None:

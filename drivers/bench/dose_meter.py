@@ -36,7 +36,7 @@ class DoseMeter:
         self._pending: list[Dose] = []
         self._pending_s = 0.0
         self._unwritten: list[Dose] = []
-        self._writer = BackgroundWriter(self._append, name="dose")
+        self._writer: BackgroundWriter[Dose | None] = BackgroundWriter(self._append, name="dose")
 
     @property
     def failure(self) -> str | None:
@@ -58,22 +58,29 @@ class DoseMeter:
         if self._pending and (self._pending_s >= LONGEST_S or (state.shut and self._charged())):
             self._write()
 
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until what was counted so far is written or refused; return whether that is so."""
+        return self._writer.flush(timeout_s)
+
     def close(self, timeout_s: float) -> str | None:
         """Write what was counted since the last time; return why that failed, if it did."""
         self._write()
-        if unwritten := self._writer.close(timeout_s):
-            where = self._ledger.path
-            return self.failure or f"the tube's dose must be written to {where}, got {unwritten} parts of it unwritten"
-        return self.failure
+        self._writer.put(None)  # what a disk refused is tried once more
+        if self._writer.flush(timeout_s):
+            self._writer.close(timeout_s)
+            return self.failure
+        return f"the tube's dose must be written to {self._ledger.path}, got a disk that takes nothing"
 
     def _write(self) -> None:
         if self._pending:
             self._writer.put(sum_of(self._pending))
         self._pending, self._pending_s = [], 0.0
 
-    def _append(self, dose: Dose) -> None:
+    def _append(self, dose: Dose | None) -> None:
         """Append to the ledger, with what a disk that refused has not taken yet; in the writer's thread."""
-        self._unwritten.append(dose)
+        self._unwritten += [] if dose is None else [dose]
+        if not self._unwritten:
+            return
         self._ledger.append(sum_of(self._unwritten), session=self._session)
         self._unwritten.clear()
 

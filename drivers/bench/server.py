@@ -15,14 +15,16 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
 from drivers.bench.last_bench import with_present_ports
+from drivers.bench.light_control import Station
 from drivers.bench.safe_state import DANGEROUS, Record
 from drivers.bench.setup import BenchSetup
-from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, Station, TubeBench, stations_on
+from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.serial_lines.line import InstrumentLine
@@ -98,7 +100,7 @@ class BenchServer:
     def serve(self) -> None:
         """Serve the client until it leaves or is lost; in the end the bench is safe."""
         self._log("start", pid=os.getpid())
-        for work in (self._obey, self._obey_safe_orders, self._look_at_light):
+        for work in (self._obey, self._obey_safe_orders, partial(self._look, METER_EVERY_S, TubeBench.look_at_light)):
             threading.Thread(target=work, daemon=True).start()
         reason, leaving = "the server itself failed", 0
         try:
@@ -164,11 +166,16 @@ class BenchServer:
         else:
             self._bench.react()
 
+    def end(self, reason: str) -> "SafeOrder":
+        """Have the safe action run a last time."""
+        order = SafeOrder(reason=reason)
+        self.to_make_safe.put(order)
+        return order
+
     def _end(self, reason: str, leaving: int) -> None:
         report = unwritten = None
         if self._bench is not None:
-            order = SafeOrder(reason=reason)
-            self.to_make_safe.put(order)
+            order = self.end(reason)
             while not order.done.wait(BEAT_S):
                 self._client.send(Beat())
             report, unwritten = self._bench.report, self._bench.close()
@@ -225,7 +232,8 @@ class BenchServer:
         self._is_open = True
         for role in bench.stations:
             if role not in DISPENSABLE:
-                threading.Thread(target=self._look, args=(role,), daemon=True).start()
+                look = partial(TubeBench.look, role=role)
+                threading.Thread(target=self._look, args=(LOOK_EVERY_S, look), daemon=True).start()
 
     def obey(self, request: Request) -> None:
         """Do what is asked and send the reply."""
@@ -260,22 +268,19 @@ class BenchServer:
             self._client.send(Reply(number=order.number, value=report))
         order.done.set()
 
-    def _look(self, role: Role) -> None:
-        """Look at one instrument again and again; one that keeps silent holds up nobody else."""
-        while not self._over.wait(LOOK_EVERY_S):
-            self._look_by(lambda bench: bench.look(role))
+    def _look(self, every_s: float, look: Callable[[TubeBench], object]) -> None:
+        """Look again and again; an instrument that keeps silent holds up nobody else."""
+        while not self._over.wait(every_s):
+            self.look_by(look)
 
-    def _look_at_light(self) -> None:
-        while not self._over.wait(METER_EVERY_S):
-            self._look_by(lambda bench: bench.look_at_light())
-
-    def _look_by(self, look: Callable[[TubeBench], object]) -> None:
-        """Look; an error that is none of an instrument's is one of ours, and makes safe."""
+    def look_by(self, look: Callable[[TubeBench], object]) -> None:
+        """Look, and react as the main loop does, should that hang; an error of our own makes safe."""
         bench = self._bench
         if bench is None or not self._is_open or bench.fault is not None:
             return
         try:
             look(bench)
+            self.react()
         except Exception as error:
             bench.fail(BenchError(f"the bench server failed: {error!r}"))
 

@@ -2,78 +2,124 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
 
 from drivers.interface import CameraError
 from labdata.capture import Frame, LostFrames, losses_before
+from labdata.errors import BadInput
 
 MOST_BROKEN = 20
-"""Broken frames that a capture bears beyond as many as it wants whole ones."""
+"""Broken frames that a capture accepts beyond the number of whole ones it wants."""
+
+POLL_S = 0.05
+"""Longest wait for a frame between two calls of `while_waiting`, s; half of the 0.1 s that a run may rely on."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class IncompleteFrame:
-    """A frame that came and is not whole: its number where it can be told, and what is wrong in a few words."""
+    """A frame that arrived and is not whole: its number where it is known, and the fault in a few words."""
 
     number: int | None
     fault: str
 
 
-class FrameAssembler:
-    """The frames of one capture.
+class RunningNumbers:
+    """Frame numbers that go on where a camera's counter starts again.
 
     Parameters
     ----------
-    wanted
+    cycle
+        Numbers that the counter has. A counter that passes it is a longer one and does not start again.
+    """
+
+    def __init__(self, cycle: int) -> None:
+        self._cycle = cycle
+        self._counted: int | None = None
+        self._number = 0
+
+    def running(self, counted: int) -> int:
+        """Return the running number of a frame; the first keeps its own."""
+        step = counted if self._counted is None else counted - self._counted
+        if self._counted is not None and max(counted, self._counted) <= self._cycle and abs(step) > self._cycle // 2:
+            # Back: the counter started again. Forward: a late frame of the cycle before.
+            step += self._cycle if step < 0 else -self._cycle
+        self._counted, self._number = counted, self._number + step
+        return self._number
+
+
+class FrameCapture:
+    """A capture that runs within its `with` block; iterate it for whole frames.
+
+    A camera adds how it starts and stops, and `_next_frame`, which waits for a frame and calls `while_waiting` at
+    least every 0.1 s.
+
+    Parameters
+    ----------
+    frames
         Whole frames to hand out.
     discard
-        Whole frames to throw away first.
+        Whole frames to discard first: they may have been exposed under earlier conditions.
+    while_waiting
+        Called before each frame and while none comes; what it raises ends the capture.
     identifier
         The camera's name, for sentences.
     """
 
-    def __init__(self, *, wanted: int, discard: int, identifier: str) -> None:
-        self._wanted, self._discard, self._identifier = wanted, discard, identifier
+    def __init__(self, *, frames: int, discard: int, while_waiting: Callable[[], None], identifier: str) -> None:
+        if frames < 1 or discard < 0:
+            raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
+        self._wanted, self._discard, self._identifier = frames, discard, identifier
+        self._while_waiting = while_waiting
         self._expected: int | None = None
         self._faults: dict[int, str] = {}
-        self.losses: tuple[LostFrames, ...] = ()
-        """Frames numbered by the camera since the first one kept, and not whole."""
+        self._losses: tuple[LostFrames, ...] = ()
 
     @property
-    def lost(self) -> int:
-        """How many they are."""
-        return sum(loss.last - loss.first + 1 for loss in self.losses)
+    def lost_frames(self) -> int:
+        """Frames numbered by the camera since the first whole one, and not whole."""
+        return sum(map(len, self._losses))
 
-    def of(self, next_one: Callable[[], Frame | IncompleteFrame]) -> Iterator[Frame]:
-        """Hand out whole frames.
+    @property
+    def losses(self) -> tuple[LostFrames, ...]:
+        """The same frames with their numbers, and why they are not whole."""
+        return self._losses
 
-        Parameters
-        ----------
-        next_one
-            Returns the next frame, whole or broken.
+    def __enter__(self) -> Self:
+        try:
+            self._start()
+        except BaseException:
+            self._stop()
+            raise
+        return self
 
-        Raises
-        ------
-        CameraError
-            If the camera sends only broken frames.
-        """
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Hand out whole frames; a camera that is silent, gone or sends only broken frames is a `CameraError`."""
         whole = broken = 0
         while whole < self._discard + self._wanted:
-            frame = next_one()
+            self._while_waiting()
+            frame = self._next_frame()
             if isinstance(frame, Frame) and self._expected is not None and frame.number < self._expected:
                 frame = IncompleteFrame(number=frame.number, fault="too late")
             if isinstance(frame, IncompleteFrame):
                 broken += 1
-                self._note(frame)
-                self._require_some_whole(whole, broken, fault=frame.fault)
+                if frame.number is not None:
+                    self._faults[frame.number] = frame.fault
+                if broken > MOST_BROKEN + self._wanted:
+                    raise CameraError(
+                        f"camera {self._identifier} must send whole frames, got {broken} broken ones "
+                        f"(the last: {frame.fault}) and {whole} whole"
+                    )
                 continue
             self._count_lost(frame.number, handed_out=whole >= self._discard)
             whole += 1
             if whole > self._discard:
                 yield frame
-
-    def _note(self, frame: IncompleteFrame) -> None:
-        if frame.number is not None:
-            self._faults[frame.number] = frame.fault
 
     def _count_lost(self, number: int, *, handed_out: bool) -> None:
         """Count the numbers that are missing since the last whole frame.
@@ -82,13 +128,16 @@ class FrameAssembler:
         frame is already coming, so that a busy machine receives the very first one without it.
         """
         if handed_out and self._expected is not None:
-            self.losses += losses_before(number, expected=self._expected, faults=self._faults)
+            self._losses += losses_before(number, expected=self._expected, faults=self._faults)
         self._faults.clear()
         self._expected = number + 1
 
-    def _require_some_whole(self, whole: int, broken: int, *, fault: str) -> None:
-        if broken > MOST_BROKEN + self._wanted:
-            raise CameraError(
-                f"camera {self._identifier} must send whole frames, got {broken} broken ones "
-                f"(the last: {fault}) beside {whole} whole"
-            )
+    def _start(self) -> None:
+        """Start the camera."""
+
+    def _stop(self) -> None:
+        """Stop the camera, however far it was started."""
+
+    def _next_frame(self) -> Frame | IncompleteFrame:
+        """Wait for the next frame, whole or not."""
+        raise NotImplementedError

@@ -1,7 +1,7 @@
 """A camera that plays a session back: the recorded frames with their numbers, time stamps and gaps."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from drivers.cameras.frame_assembly import FrameAssembler, IncompleteFrame
+from drivers.cameras.frame_assembly import POLL_S, FrameCapture
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.errors import BadInput
@@ -90,27 +90,29 @@ class ReplayCamera:
                 raise BadInput(f"{item.name} of the {self.identifier} must be as recorded, {is_value}, got {asked}")
         return recorded
 
-    def capture(self, *, frames: int, discard: int = 0) -> "ReplayCapture":
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> "ReplayCapture":
         """Return a capture of `frames` recorded frames after `discard` that are passed over."""
-        if frames < 1 or discard < 0:
-            raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
         entry = self._next()
-        self._played += 1
         stack = open_stack(entry)
+        capture = ReplayCapture(
+            stack,
+            self._stamps(entry, stack),
+            entry.losses,
+            speed=self._speed,
+            frames=frames,
+            discard=discard,
+            while_waiting=while_waiting,
+            identifier=self.identifier,
+        )
         if len(stack) < frames + discard:
             raise CameraError(
                 f"the {self.identifier} must hold the {frames + discard} frames asked for, "
                 f"stack {entry.label!r} has {len(stack)}"
             )
-        return ReplayCapture(
-            stack,
-            self._stamps(entry, stack),
-            entry.losses,
-            frames=frames,
-            discard=discard,
-            speed=self._speed,
-            name=self.identifier,
-        )
+        self._played += 1
+        return capture
 
     def _next(self) -> StackEntry:
         """Return the stack that the next capture plays."""
@@ -154,7 +156,7 @@ class ReplayCamera:
         return list(zip(numbers.tolist(), times_s.tolist(), strict=True))
 
 
-class ReplayCapture:
+class ReplayCapture(FrameCapture):
     """A running replay; frames that were lost when it was recorded are counted as they were then."""
 
     def __init__(
@@ -163,46 +165,34 @@ class ReplayCapture:
         stamps: list[tuple[int, float]],
         recorded: tuple[LostFrames, ...],
         *,
+        speed: float | None,
         frames: int,
         discard: int,
-        speed: float | None,
-        name: str,
+        while_waiting: Callable[[], None],
+        identifier: str,
     ) -> None:
-        self._stack, self._stamps, self._speed, self._name = stack, stamps, speed, name
+        super().__init__(frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier)
+        self._stack, self._stamps, self._speed = stack, stamps, speed
         self._recorded, self._at, self._first = recorded, 0, discard
-        self._whole = FrameAssembler(wanted=frames, discard=discard, identifier=name)
-
-    @property
-    def lost_frames(self) -> int:
-        """Frames missing between the recorded ones that were played."""
-        return self._whole.lost
 
     @property
     def losses(self) -> tuple[LostFrames, ...]:
-        """The same frames with their numbers and, where it was recorded, why they were lost."""
+        """Frames missing between the recorded ones that were played and, where it was recorded, why they were lost."""
         played = [number for number, _ in self._stamps[max(0, self._first - 1) : self._at]]
         known = tuple(loss for loss in self._recorded if played and played[0] < loss.first and loss.last < played[-1])
-        return known if sum(map(len, known)) == self._whole.lost else self._whole.losses
+        return known if sum(map(len, known)) == self.lost_frames else self._losses
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Hand out the recorded frames at the pace of the recording."""
-        return self._whole.of(self._frame)
-
-    def _frame(self) -> Frame | IncompleteFrame:
+    def _next_frame(self) -> Frame:
+        """Return the next recorded frame when its time has come."""
         if self._at >= len(self._stamps):
-            raise CameraError(f"the {self._name} has ended after {self._at} frames")
+            raise CameraError(f"the {self._identifier} has ended after {self._at} frames")
         number, time_s = self._stamps[self._at]
         if self._at and self._speed is not None:
             pause_s = (time_s - self._stamps[self._at - 1][1]) / self._speed
-            time.sleep(min(max(0.0, pause_s), LONGEST_PAUSE_S))
+            due_s = time.monotonic() + min(pause_s, LONGEST_PAUSE_S)
+            while (left_s := due_s - time.monotonic()) > 0:
+                time.sleep(min(left_s, POLL_S))
+                self._while_waiting()
         (pixels,) = self._stack.frames(self._at, self._at + 1)
         self._at += 1
         return Frame(pixels=pixels, number=number, time_s=time_s)

@@ -1,34 +1,57 @@
 """The filters: a Thorlabs FW102C wheel with six or twelve positions."""
 
-import re
-
-from drivers.serial_lines.line import InstrumentLine
+from drivers.instruments.instrument import Instrument, InstrumentModel
+from drivers.serial_lines.echo_checked_line import EchoCheckedLine
+from drivers.serial_lines.line import InstrumentLine, KnownAnswer
 from drivers.serial_lines.replies import query_int, rejected_error, reply_error, verify_read_back
 from labdata.errors import BadInput
 
-IDENTITY = re.compile(r"(?i).*FW(102|212).*")
 SENSORS_OFF = "sensors=0"
 """The lamps of its own position sensors out while it stands: they would light the tube."""
 
+PROMPT = b"> "
+END = "\r"
+KNOWN = KnownAnswer(question="*idn?", form=r"(?s)\*idn\?\r.*")
 
-class FilterWheel:
-    """The wheel.
+# The prompt after a command that turns the wheel comes when the wheel stands (recalled).
+TURNING, TURN_S = "pos=", 4.0
 
-    Parameters
-    ----------
-    line
-        InstrumentLine to the instrument.
-    """
+
+class PromptLine(EchoCheckedLine):
+    """Commands and answers of a filter wheel, each ended by a prompt; its parameters are those of `InstrumentLine`."""
+
+    def _order(self, command: str) -> None:
+        self._send((END + command + END).encode("ascii"))
+
+    def _get_into_step(self) -> None:
+        """End what may be half said and throw away what is late, until the unit echoes a known question."""
+        self._send(END.encode())
+        self._drain()
+        self._send((KNOWN.question + END).encode("ascii"))
+        self._await_known(PROMPT, KNOWN)
+
+    def _exchange(self, question: str) -> str:
+        self._send((question + END).encode("ascii"))
+        said = self._until(PROMPT, question, within_s=TURN_S if question.startswith(TURNING) else None)
+        echo, mark, answer = said.partition(END)
+        if echo != question or not mark:
+            raise reply_error(self, f"echo {question!r}", repr(said[:80]))
+        return answer.strip()
+
+    def _refusal(self, answer: str) -> str | None:
+        return answer[:80] if answer.startswith("Command error") else None
+
+
+class FilterWheel(Instrument):
+    """The wheel."""
 
     def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
+        super().__init__(line)
         self._seen: int | None = None
 
     def identify(self) -> str:
         """Return the identity, and have the wheel's own lamps out; another instrument is InstrumentReplyError."""
-        identity = self.line.ask("*idn?")
-        if not IDENTITY.fullmatch(identity):
-            raise reply_error(self.line, "be an FW102C or FW212C", repr(identity))
+        identity = self._identity(KNOWN.question, r"(?i).*FW(102|212).*", "an FW102C or FW212C")
         self.line.write(SENSORS_OFF)
         verify_read_back(self.line, "sensors?", 0)
         return identity
@@ -67,3 +90,13 @@ class FilterWheel:
             raise rejected_error(self.line, f"turn to {position}", f"{reached}")
         self._seen = reached
         return reached
+
+
+MODEL = InstrumentModel(
+    name="fw102c",
+    role="filter-wheel",
+    title="filter wheel",
+    line=lambda port, address: PromptLine(port, name="filter wheel"),
+    driver=FilterWheel,
+    baud=115200,
+)

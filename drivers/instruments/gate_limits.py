@@ -1,39 +1,195 @@
-"""What holds for the pulse of every gate generator: it fits between two triggers and is no finer than a step."""
+"""Gate generators: the pulses that one can make, and the comparison of its settings with what was set."""
 
+import time
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
+
+from drivers.errors import InstrumentRejected
+from drivers.instruments.instrument import Instrument
+from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.replies import LONGEST_QUOTE, parse_float, query_int, rejected_error
 from labdata.errors import BadInput
+from labdata.gating import Sync
 
 # Rounding that changes nothing which could be measured, relative to the pulse: a field time is no multiple of 5 ps.
 _UNSEEN = 1e-6
 
+MISSED_TRIGGERS = 2.0
+"""Trigger periods without a trigger after which none comes."""
 
-def check_pulse(width_ns: float, *, rate_hz: float, delay_ns: float, step_ns: float, dead_ns: float) -> None:
-    """Refuse a pulse that a generator cannot make.
 
-    Parameters
-    ----------
-    width_ns, delay_ns
-        Width, and delay after the trigger, ns.
-    rate_hz
-        Triggers a second, Hz.
-    step_ns
-        Resolution of the generator, ns.
-    dead_ns
-        Time after the longest delay before the next trigger is taken, ns.
+class Gate(Instrument):
+    """A pulse generator, its AB output wired to a gate unit that opens while the level is high.
 
-    Raises
-    ------
-    BadInput
-        If the pulse is not over before the next trigger, or the generator would round width or delay by more than a
-        millionth of the pulse.
+    It keeps the answer to each setting that was read back, and `look` compares the answers of now with them.
     """
-    longest_ns = 1e9 / rate_hz - dead_ns - delay_ns
-    if not step_ns <= width_ns <= longest_ns:
-        raise BadInput(
-            f"gate_ns must lie between {step_ns:g} and {longest_ns:.0f} at {rate_hz:g} triggers a second, "
-            f"got {width_ns:g}"
-        )
-    if not delay_ns >= 0.0:
-        raise BadInput(f"the delay of the gate must not be negative, got {delay_ns:g} ns")
-    for name, value_ns in (("gate_ns", width_ns), ("the delay of the gate, ns,", delay_ns)):
-        if abs(value_ns - step_ns * round(value_ns / step_ns)) > _UNSEEN * max(width_ns, value_ns):
-            raise BadInput(f"{name} must be a multiple of the generator's {step_ns:g} ns, got {value_ns:.12g}")
+
+    shut_commands: ClassVar[tuple[str, ...]]
+    """Commands that shut the gate at once, sent one by one when the tube is made safe."""
+
+    step_ns: ClassVar[float]
+    dead_ns: ClassVar[float]
+    """Time after the longest delay before the next trigger is taken, ns."""
+
+    sources: ClassVar[Mapping[Sync, int]]
+    source_command: ClassVar[str]
+    source_question: ClassVar[str]
+    delay_question: ClassVar[str]
+    status_question: ClassVar[str]
+    triggered_bit: ClassVar[int]
+    lost_bit: ClassVar[int]
+
+    def __init__(self, line: InstrumentLine) -> None:
+        super().__init__(line)
+        self._kept: dict[str, tuple[str, str]] = {}  # setting and answer, by question
+        self._external_hz, self._triggered_s = 0.0, 0.0
+
+    def look(self) -> None:
+        """Compare every setting with what it was set to, and require the triggers of an external source.
+
+        Raises
+        ------
+        InstrumentRejected
+            If a setting has changed, or triggers stay away or are lost.
+        """
+        if not self._kept:
+            query_int(self.line, self.source_question)
+        for question, (setting, answer) in self._kept.items():
+            if (now := self.line.ask(question)) != answer:
+                raise rejected_error(
+                    self.line,
+                    f"keep its {setting} at {answer[:LONGEST_QUOTE]}",
+                    f"{now[:40]}: somebody changed it at the panel, or it lost its settings",
+                )
+        if self._external_hz:
+            self._require_triggers(self._external_hz, is_external=True)
+
+    def check_pulse(
+        self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
+    ) -> None:
+        """Refuse a pulse that this model cannot make.
+
+        Parameters
+        ----------
+        width_ns, delay_ns
+            Width, and delay after the trigger, ns.
+        rate_hz
+            Triggers a second, Hz.
+        sync
+            What triggers.
+
+        Raises
+        ------
+        BadInput
+            If the pulse is not over before the next trigger, or the generator would round width or delay by more than
+            a millionth of the pulse.
+        """
+        longest_ns = 1e9 / rate_hz - self.dead_ns - delay_ns
+        if not self.step_ns <= width_ns <= longest_ns:
+            raise BadInput(
+                f"gate_ns must lie between {self.step_ns:g} and {longest_ns:.0f} at {rate_hz:g} triggers a second, "
+                f"got {width_ns:g}"
+            )
+        if not delay_ns >= 0.0:
+            raise BadInput(f"the delay of the gate must not be negative, got {delay_ns:g} ns")
+        for name, value_ns in (("gate_ns", width_ns), ("the delay of the gate, ns,", delay_ns)):
+            if abs(value_ns - self.step_ns * round(value_ns / self.step_ns)) > _UNSEEN * max(width_ns, value_ns):
+                raise BadInput(f"{name} must be a multiple of the generator's {self.step_ns:g} ns, got {value_ns:.12g}")
+
+    def shut(self) -> None:
+        """Shut the gate: no triggers, idle level 0 V; read back."""
+        self._kept, self._external_hz = {}, 0.0
+        self._set(*self.shut_commands)
+        self._verify_shut()
+
+    def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
+        """Open the gate for a time at each trigger.
+
+        Parameters
+        ----------
+        width_ns
+            Time that the gate is open at each trigger, ns.
+        rate_hz
+            Triggers a second, Hz: one for each field of the camera.
+        delay_ns
+            From trigger to opening, ns.
+        sync
+            What triggers.
+
+        Returns
+        -------
+        float
+            Width as read back, ns.
+
+        Raises
+        ------
+        BadInput
+            If this model cannot make the pulse, see `check_pulse`.
+        InstrumentRejected
+            If the instrument refuses a setting, reads another one back, loses triggers, or gets none.
+        """
+        self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
+        self.shut()
+        del self._kept[self.source_question]
+        read_ns = self._program(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
+        query_int(self.line, self.status_question)
+        self._set(f"{self.source_command} {self.sources[sync]}")
+        self._verify("trigger source", self.source_question, self.sources[sync])
+        self._triggered_s = time.monotonic()
+        time.sleep(MISSED_TRIGGERS / rate_hz)
+        is_external = sync != "free-running"
+        try:
+            self._require_triggers(rate_hz, is_external=is_external)
+        except InstrumentRejected:
+            self.shut()
+            raise
+        self._external_hz = rate_hz if is_external else 0.0
+        return read_ns
+
+    @abstractmethod
+    def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
+        """Set and read back everything but the trigger source of a gate that is shut; return the width, ns."""
+
+    @abstractmethod
+    def _verify_shut(self) -> None:
+        """Read back trigger source and idle level."""
+
+    @abstractmethod
+    def _refuse_errors(self, command: str) -> None:
+        """Raise InstrumentRejected if the instrument did not accept a command."""
+
+    def _require_triggers(self, rate_hz: float, *, is_external: bool) -> None:
+        status, now_s = query_int(self.line, self.status_question), time.monotonic()
+        if status & self.lost_bit:
+            raise rejected_error(self.line, "use every trigger", f"some lost at {rate_hz:g} Hz")
+        if status & self.triggered_bit:
+            self._triggered_s = now_s
+        elif is_external and now_s - self._triggered_s >= MISSED_TRIGGERS / rate_hz:
+            raise rejected_error(self.line, f"be triggered {rate_hz:g} times a second", "no trigger")
+
+    def _set(self, *commands: str) -> None:
+        for command in commands:
+            self.line.write(command)
+        self._refuse_errors("; ".join(commands))
+
+    def _verify(self, setting: str, question: str, value: float, *, within: float = 0.0) -> None:
+        """Read a setting back and keep the answer; one that is not as it was set is InstrumentRejected."""
+        kept = self._kept  # where the safe action shuts the gate meanwhile, this answer belongs to nothing
+        answer = self.line.ask(question)
+        if abs((read := parse_float(answer, line=self.line, question=question)) - value) > within:
+            raise rejected_error(self.line, f"answer {question} with {value:g} as set", f"{read:g}")
+        kept[question] = setting, answer
+
+    def _verify_delay(self, setting: str, edge: int, reference: int, delay_ns: float) -> float:
+        """Read the delay of an edge after another back, ns, and keep the answer."""
+        kept, question = self._kept, self.delay_question.format(edge)
+        answer = self.line.ask(question)
+        after, _, seconds = answer.partition(",")
+        if after != str(reference):
+            raise rejected_error(self.line, f"keep edge {edge} behind edge {reference}", repr(answer))
+        read_ns = parse_float(seconds, line=self.line, question=question) * 1e9
+        if abs(read_ns - delay_ns) > self.step_ns:
+            raise rejected_error(self.line, f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back")
+        kept[question] = setting, answer
+        return read_ns

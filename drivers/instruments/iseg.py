@@ -8,68 +8,92 @@ import re
 import time
 from collections.abc import Callable
 
-from drivers.errors import InstrumentTripped
-from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, check_voltage
-from drivers.serial_lines.line import InstrumentLine
+from drivers.instruments.instrument import InstrumentModel
+from drivers.instruments.voltage_limits import POLL_S, SETTLED_V, Supply
+from drivers.serial_lines.echo_checked_line import EchoCheckedLine
+from drivers.serial_lines.line import InstrumentLine, KnownAnswer
 from drivers.serial_lines.replies import query_int, rejected_error, reply_error
 from labdata.errors import BadInput
 
-LOWEST_V = 10.0
-"""Voltage at switching on, V: a set value of 0 then betrays a unit that lost its power meanwhile."""
-
-STEP_V = 1.0
 SLOWEST_V_PER_S, FASTEST_V_PER_S = 2, 255
 SWITCH_STEP_PERCENT = 10
 """One position of the rotary switch of the hardware limit, % of the nominal voltage; recalled."""
 
-SETTLED_V, SETTLE_S, POLL_S = 2.0, 3.0, 0.1
+SETTLE_S = 3.0
 MANUAL, POSITIVE, SWITCH_OFF = 1, 4, 8  # module status
 TRIPS = {"TRP": "on current", "ERR": "at a limit", "INH": "on its inhibit input", "OFF": "at its panel switch",
          "MAN": "to manual control"}  # fmt: skip
 STATES = ("ON", "L2H", "H2L", "LAS", "QUA", *TRIPS)
-_IDENTITY = re.compile(r"(\d+);([\w.]+);(\d+)V;(\d+(?:\.\d+)?)([um])A")
+KNOWN = KnownAnswer(question="#", form=r"\d+;[\w.]+;\d+V;\d+(\.\d+)?[um]A")
 _SCALED = re.compile(r"([+-]?\d{1,9})([+-]\d{1,2})")
 _PLAIN = re.compile(r"[+-]?\d{1,9}(\.\d{1,9})?")
 
+END = b"\r\n"
 
-class Iseg:
-    """The supply of the microchannel plate, positive polarity, under remote control.
+# Until it is told otherwise, the unit waits about 255 ms after each character that it sends.
+SLOWEST_CHARACTER_S = 0.5
+QUICK = "W=1"
+SLOW_START_S = 6.0  # the echo and answer of one question and the echo of QUICK: 22 characters
 
-    Parameters
-    ----------
-    line
-        InstrumentLine to the instrument.
+REFUSALS = (
+    (r"\?\?\?\?", "it does not understand"),
+    (r"\?WCN", "it has no such channel"),
+    (r"\?TOT", "the command was not over in time, and it starts anew"),
+    (r"\? ?UMAX=.*", "beyond its limit"),
+)
+
+
+class IsegLine(EchoCheckedLine):
+    """Commands and answers of an iseg supply, two lines an exchange; its parameters are those of `InstrumentLine`.
+
+    Whoever takes the echo for the answer is one exchange behind for ever, so the echo is compared every time.
     """
+
+    def _order(self, command: str) -> None:
+        # The empty line before it ends what another program may have left half said.
+        self._send(END + command.encode("ascii") + END)
+        self._drain()  # it takes the next command when it has echoed this one
+
+    def _get_into_step(self) -> None:
+        """Have the unit answer quickly, throw away what is late, and wait until it says who it is."""
+        self._send(END + QUICK.encode() + END)
+        self._drain(quiet_s=SLOWEST_CHARACTER_S, within_s=SLOW_START_S)
+        self._send(KNOWN.question.encode() + END)
+        self._await_known(END, KNOWN)
+
+    def _exchange(self, question: str) -> str:
+        self._send(question.encode("ascii") + END)
+        echo = self._until(END, f"the echo of {question}")
+        if echo != question:
+            raise reply_error(self, f"echo {question!r}", repr(echo[:80]))
+        return self._until(END, question).strip()
+
+    def _refusal(self, answer: str) -> str | None:
+        meanings = (meaning for form, meaning in REFUSALS if re.fullmatch(form, answer))
+        return next((f"{answer}: {meaning}" for meaning in meanings), None)
+
+
+class Iseg(Supply):
+    """The supply, under remote control."""
 
     off_commands = (f"V1={FASTEST_V_PER_S}", "D1=0", "G1")
     """There is no off: the fastest ramp to 0 V."""
 
     reading = "U1"
+    lowest_v = 10.0
+    """Voltage at switching on, V: a set value of 0 then betrays a unit that lost its power meanwhile."""
 
     def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
-        self.is_on = False
-        self._nominal_v = math.inf
+        super().__init__(line)
+        self.highest_v = math.inf
 
     def identify(self) -> str:
         """Return serial number, firmware and ratings, and clear old latches; a negative unit is InstrumentRejected."""
-        identity = self.line.ask("#")
-        match = _IDENTITY.fullmatch(identity)
-        if match is None:
-            raise reply_error(self.line, "be an iseg supply of the legacy command set", repr(identity))
-        self._nominal_v = float(match[3])
+        identity = self._identity(KNOWN.question, KNOWN.form, "an iseg supply of the legacy command set")
+        self.highest_v = float(identity.split(";")[2].removesuffix("V"))
         if not query_int(self.line, "T1") & POSITIVE:
             raise rejected_error(self.line, "be of positive polarity", "a negative one: turn its polarity switch")
         return identity
-
-    def look(self) -> None:
-        """Look for a trip, see `check_on`."""
-        if self.is_on:
-            self.check_on()
-
-    def check_voltage(self, volts: float) -> None:
-        """Refuse (BadInput) a voltage that this unit cannot hold or cannot set so finely."""
-        check_voltage(volts, lowest_v=LOWEST_V, highest_v=self._nominal_v, step_v=STEP_V)
 
     def prepare(self, *, limit_v: float) -> None:
         """Take the voltage off; the hardware limit must stand no higher than its first position at or above a limit, V.
@@ -79,74 +103,15 @@ class Iseg:
         self.order_off()
         if (state := self._state()) in ("TRP", "ERR"):
             raise self._tripped(f"{TRIPS[state]} before anything was switched on")
-        position_v = self._nominal_v * SWITCH_STEP_PERCENT / 100.0
+        position_v = self.highest_v * SWITCH_STEP_PERCENT / 100.0
         allowed_v = math.ceil(limit_v / position_v - 1e-9) * position_v
-        kept_v = self._nominal_v * query_int(self.line, "M1") / 100.0
+        kept_v = self.highest_v * query_int(self.line, "M1") / 100.0
         if kept_v > allowed_v + 0.5:
             raise rejected_error(
                 self.line,
                 f"limit itself to {allowed_v:g} V for a limit of {limit_v:g} V",
                 f"{kept_v:g} V: turn its rotary switch down",
             )
-
-    def order_off(self) -> None:
-        """Order the fastest ramp to 0 V."""
-        self.is_on = False
-        for command in self.off_commands[:2]:
-            self.line.write(command)
-        self._start()
-
-    def switch_on(self) -> None:
-        """Raise to the lowest voltage; a unit that is switched off or to manual at its panel is InstrumentRejected."""
-        status = query_int(self.line, "T1")
-        if status & SWITCH_OFF:
-            raise rejected_error(self.line, "be switched on at its panel", "its switch off")
-        if status & MANUAL:
-            raise rejected_error(self.line, "be under remote control", "its switch at manual")
-        self._go(LOWEST_V, FASTEST_V_PER_S)
-        self.is_on = True
-
-    def raise_to(self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None) -> float:
-        """Let the unit ramp up no faster than a rate, and return the voltage measured once settled, V.
-
-        Parameters
-        ----------
-        goal_v
-            Voltage to reach, V.
-        rate_v_per_s
-            Largest rate, V/s; the unit knows whole ones from 2 to 255.
-        check
-            Called at every look; what it raises ends the wait.
-
-        Raises
-        ------
-        BadInput
-            If goal or rate are none that the unit can set.
-        InstrumentRejected
-            If the output does not get there.
-        """
-        self.check_voltage(goal_v)
-        rate = min(math.floor(rate_v_per_s), FASTEST_V_PER_S)
-        if rate < SLOWEST_V_PER_S:
-            raise BadInput(f"ramp_v_per_s must be at least {SLOWEST_V_PER_S} for this supply, got {rate_v_per_s:g}")
-        return self._ramp(goal_v, rate, check)
-
-    def lower_to(self, goal_v: float, *, check: Callable[[], None] = lambda: None) -> float:
-        """Lower the voltage as fast as the unit can, and return the voltage measured once settled, V."""
-        self.check_voltage(goal_v)
-        return self._ramp(goal_v, FASTEST_V_PER_S, check)
-
-    def off(self) -> float:
-        """Order off, wait until the output is discharged, and return it, V."""
-        self.order_off()
-        deadline_s = time.monotonic() + FALL_S
-        while (volts := self.measured_v()) > DISCHARGED_V:
-            if time.monotonic() > deadline_s:
-                raise rejected_error(
-                    self.line, f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V"
-                )
-            time.sleep(POLL_S)
-        return volts
 
     def measured_v(self) -> float:
         """Voltage at the output, V."""
@@ -157,10 +122,40 @@ class Iseg:
 
         Reading the state clears a latched trip: only the one owner of the line may do it.
         """
+        self._require_untripped()
+        if self._volts("D1") < self.lowest_v:
+            raise self._tripped("without a word: its set value is gone, as after a loss of power")
+
+    def _require_untripped(self) -> None:
         if (state := self._state()) in TRIPS:
             raise self._tripped(TRIPS[state])
-        if self._volts("D1") < LOWEST_V:
-            raise self._tripped("without a word: its set value is gone, as after a loss of power")
+
+    def _require_off(self) -> None:
+        if (state := self._state()) in ("L2H", "MAN"):
+            raise rejected_error(self.line, "stay off", f"{state}: somebody switched it on at the panel")
+
+    def _order_off(self) -> None:
+        for command in self.off_commands[:2]:
+            self.line.write(command)
+        self._start()
+
+    def _switch_on(self) -> None:
+        """Raise to the lowest voltage; a unit that is switched off or to manual at its panel is InstrumentRejected."""
+        status = query_int(self.line, "T1")
+        if status & SWITCH_OFF:
+            raise rejected_error(self.line, "be switched on at its panel", "its switch off")
+        if status & MANUAL:
+            raise rejected_error(self.line, "be under remote control", "its switch at manual")
+        self._go(self.lowest_v, FASTEST_V_PER_S)
+
+    def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
+        rate = min(math.floor(rate_v_per_s), FASTEST_V_PER_S)
+        if rate < SLOWEST_V_PER_S:
+            raise BadInput(f"ramp_v_per_s must be at least {SLOWEST_V_PER_S} for this supply, got {rate_v_per_s:g}")
+        return self._ramp(goal_v, rate, check)
+
+    def _lower(self, goal_v: float, check: Callable[[], None]) -> float:
+        return self._ramp(goal_v, FASTEST_V_PER_S, check)
 
     def _ramp(self, goal_v: float, rate_v_per_s: int, check: Callable[[], None]) -> float:
         now_v = self.measured_v()
@@ -168,6 +163,7 @@ class Iseg:
         self._go(goal_v, rate_v_per_s)
         while abs((now_v := self.measured_v()) - goal_v) > SETTLED_V:
             check()
+            self.check_on()
             if time.monotonic() > deadline_s:
                 raise rejected_error(self.line, f"put out {goal_v:g} V as set", f"{now_v:g} V")
             time.sleep(POLL_S)
@@ -176,7 +172,7 @@ class Iseg:
     def _go(self, goal_v: float, rate_v_per_s: int) -> None:
         self.line.write(f"V1={rate_v_per_s}")
         self.line.write(f"D1={goal_v:.0f}")
-        if abs((kept_v := self._volts("D1")) - goal_v) > STEP_V / 2:
+        if abs((kept_v := self._volts("D1")) - goal_v) > self.step_v / 2:
             raise rejected_error(self.line, f"keep a set value of {goal_v:g} V", f"{kept_v:g} V back")
         self._start()
 
@@ -199,9 +195,6 @@ class Iseg:
             raise reply_error(self.line, f"answer {question} with a number", repr(answer))
         return value
 
-    def _tripped(self, how: str) -> InstrumentTripped:
-        return InstrumentTripped(f"the {self.line.name} must stay on, got a trip {how}", instrument=self.line.name)
-
 
 def legacy_number(text: str) -> float | None:
     """Read a number as a model of the legacy set writes it; None if it is none.
@@ -212,3 +205,12 @@ def legacy_number(text: str) -> float | None:
     if match := _SCALED.fullmatch(text):
         return float(f"{match[1]}e{match[2]}")
     return float(text) if _PLAIN.fullmatch(text) else None
+
+
+MODEL = InstrumentModel(
+    name="iseg",
+    role="supply",
+    title="high-voltage supply",
+    line=lambda port, address: IsegLine(port, name="high-voltage supply"),
+    driver=Iseg,
+)

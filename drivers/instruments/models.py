@@ -6,138 +6,30 @@ A package brings one with a Python entry point of the group `charact.instruments
     my-supply = "my_package:MY_SUPPLY"
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import Any
 
-from drivers.instruments.delay_generator import DelayGenerator
-from drivers.instruments.dg535 import Dg535
-from drivers.instruments.filter_wheel import FilterWheel
-from drivers.instruments.high_voltage import HighVoltage
-from drivers.instruments.iseg import Iseg
-from drivers.instruments.light_source import LightSource
-from drivers.instruments.power_meter import PowerMeter
-from drivers.instruments.thermometer import Thermometer
-from drivers.serial_lines.line import InstrumentLine
-from drivers.serial_lines.line_factory import (
-    GATE_NAME,
-    LIGHT_NAME,
-    METER_NAME,
-    SUPPLY_NAME,
-    THERMOMETER_NAME,
-    WHEEL_NAME,
-    bus_line,
-    gate_line,
-    iseg_line,
-    light_line,
-    meter_line,
-    supply_line,
-    thermometer_line,
-    wheel_line,
+from drivers.instruments import (
+    delay_generator,
+    dg535,
+    filter_wheel,
+    high_voltage,
+    iseg,
+    light_source,
+    power_meter,
+    thermometer,
 )
-from drivers.serial_lines.port import Port, SerialPort
+from drivers.instruments.instrument import InstrumentModel
+from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.port import Port
 from labdata.errors import BadInput
 from labdata.wires import Reached, Role, Wires
 
 GROUP = "charact.instruments"
-
-
-@dataclass(frozen=True, kw_only=True)
-class InstrumentModel:
-    """One model of instrument.
-
-    Parameters
-    ----------
-    name
-        What a plan calls it, such as "dg645".
-    role
-        What it is for; its driver keeps the protocol of that role (see `drivers.roles`).
-    title
-        What sentences call it, such as "delay generator".
-    line
-        Makes a line on a port; the second argument is the address on a bus, for those that have one.
-    driver
-        Makes the driver that speaks on a line.
-    baud
-        Rate of the serial port, baud.
-    hardware_handshake
-        RTS/CTS.
-    """
-
-    name: str
-    role: Role
-    title: str
-    line: Callable[[Port, int], InstrumentLine]
-    driver: Callable[[InstrumentLine], Any]
-    baud: int = 9600
-    hardware_handshake: bool = False
-
-    def open_line(self, port: str, address: int = 0, *, exclusive: bool = True) -> InstrumentLine:
-        """Open a serial port and return the line to the instrument; one not to be had is InstrumentDisconnected."""
-        opened = SerialPort(
-            port, name=self.title, baud=self.baud, hardware_handshake=self.hardware_handshake, exclusive=exclusive
-        )
-        return self.line(opened, address)
-
-
-SHIPPED = (
-    InstrumentModel(
-        name="dg645",
-        role="gate",
-        title=GATE_NAME,
-        line=lambda port, address: gate_line(port),
-        driver=DelayGenerator,
-        hardware_handshake=True,
-    ),
-    InstrumentModel(
-        name="ps350",
-        role="supply",
-        title=SUPPLY_NAME,
-        line=lambda port, address: supply_line(port, address=address),
-        driver=HighVoltage,
-    ),
-    InstrumentModel(
-        name="dg535",
-        role="gate",
-        title=GATE_NAME,
-        line=lambda port, address: bus_line(port, name=GATE_NAME, address=address),
-        driver=Dg535,
-    ),
-    InstrumentModel(
-        name="iseg", role="supply", title=SUPPLY_NAME, line=lambda port, address: iseg_line(port), driver=Iseg
-    ),
-    InstrumentModel(
-        name="fw102c",
-        role="filter-wheel",
-        title=WHEEL_NAME,
-        line=lambda port, address: wheel_line(port),
-        driver=FilterWheel,
-        baud=115200,
-    ),
-    InstrumentModel(
-        name="dc2100",
-        role="light-source",
-        title=LIGHT_NAME,
-        line=lambda port, address: light_line(port),
-        driver=LightSource,
-        baud=115200,
-    ),
-    InstrumentModel(
-        name="pm101",
-        role="light-meter",
-        title=METER_NAME,
-        line=lambda port, address: meter_line(port),
-        driver=PowerMeter,
-        baud=115200,
-    ),
-    InstrumentModel(
-        name="ctc100",
-        role="thermometer",
-        title=THERMOMETER_NAME,
-        line=lambda port, address: thermometer_line(port),
-        driver=Thermometer,
-    ),
+SHIPPED: tuple[InstrumentModel, ...] = tuple(
+    module.MODEL
+    for module in (delay_generator, high_voltage, dg535, iseg, filter_wheel, light_source, power_meter, thermometer)
 )
 
 

@@ -18,7 +18,7 @@ from simulate.rig.in_process import InProcessInstruments
 from simulate.rig.in_process_camera import InProcessCamera
 from simulate.rig.models import virtual_model
 from simulate.rig.operator import VirtualOperator, read_placement
-from simulate.rig.outputs import Outputs, read_outputs
+from simulate.rig.outputs import Outputs, read_outputs, read_room_light_lux
 from simulate.rig.process import VirtualInstruments
 from simulate.rig.truth_folder import TRUTH, Truth, make_truth, read_truth
 
@@ -126,15 +126,17 @@ class VirtualBench:
 
     def outputs(self) -> Outputs:
         """What the instruments put on the tube's wires now."""
-        return self.inside.outputs() if self.inside else read_outputs(self._wires_folder)
+        if self.inside is None:
+            return read_outputs(self._wires_folder)
+        return replace(self.inside.outputs(), room_light_lux=read_room_light_lux(self._wires_folder))
 
     def provoke(self, instrument: str, faults: Faults) -> None:
-        """Give an instrument at a place of the bench, or the camera, its faults; a real one is BadInput."""
+        """Give an instrument at a place of the bench, the camera or the surroundings faults; a real one is BadInput."""
         there = [one for one in self._asked.instruments if not one.port]
         virtual: dict[str, Role] = {virtual_model(one.model).place: one.role for one in there}
         if instrument in virtual and self.inside is not None:
             self.inside.ports[virtual[instrument]].faults = faults
-        elif instrument in virtual or (instrument == "camera" and self.camera is not None):
+        elif instrument in (*virtual, "surroundings") or (instrument == "camera" and self.camera is not None):
             provoke(self._wires_folder, instrument, faults)
         else:
             raise BadInput(f"a fault must strike an instrument on the wires of this bench, got {instrument}")

@@ -51,7 +51,7 @@ class CameraProcess:
         say: Callable[[str], None] = lambda sentence: None,
     ) -> None:
         serial = "VB" + hashlib.sha256(str(folder).encode()).hexdigest()[:10]
-        self._command = [sys.executable, "-m", "simulate.rig.camera", str(folder), str(wires), serial]
+        self._command = [sys.executable, "-P", "-m", "simulate.rig.camera", str(folder), str(wires), serial]
         self._command += ["--lost-packet-share", str(lost_packet_share)]
         self._log, self._say = wires / "camera.stderr", say
         self.identifier = ""

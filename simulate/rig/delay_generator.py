@@ -51,7 +51,7 @@ class DelayGenerator:
     """
 
     def __init__(self, *, external_hz: float = FIELD_HZ) -> None:
-        self._external_hz = external_hz
+        self._external_hz = self._wired_hz = external_hz
         self._memory = Memory()
         self._saved: dict[int, Memory] = {}
         self._errors: deque[int] = deque()
@@ -261,6 +261,7 @@ class DelayGenerator:
 
     def advance(self, now_s: float, faults: Faults) -> None:
         """Note triggers used and lost since the last look."""
+        self._external_hz = 0.0 if faults.untriggered else self._wired_hz
         if triggers_hz := self._trigger_hz():
             self._instrument_status |= TRIG | END_OF_DELAY | (RATE if triggers_hz * self._cycle_s() > 1 else 0)
 

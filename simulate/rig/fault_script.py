@@ -7,7 +7,14 @@ from labdata.errors import BadInput
 from simulate.rig.faults import Faults
 
 Place = Literal[
-    "delay_generator", "high_voltage", "filter_wheel", "light_source", "light_meter", "thermometer", "camera"
+    "delay_generator",
+    "high_voltage",
+    "filter_wheel",
+    "light_source",
+    "light_meter",
+    "thermometer",
+    "camera",
+    "surroundings",
 ]
 Kind = Literal[
     "garbage",
@@ -21,12 +28,23 @@ Kind = Literal[
     "packet loss",
     "stalled camera",
     "clock jump",
+    "front panel",
+    "disobedience",
+    "no triggers",
+    "port renamed",
+    "room light",
 ]
 
-# Kinds that need a number, and what it counts; those of the camera; those of high voltage and lamp alone.
-_COUNTED = {"late answers": "s late", "packet loss": "share of packets", "clock jump": "s off"}
+# Kinds that need a number, and what it counts; those that only some instruments can suffer.
+_COUNTED = {"late answers": "s late", "packet loss": "share of packets", "clock jump": "s off", "room light": "lux"}
 _OF_THE_CAMERA = ("packet loss", "stalled camera", "clock jump")
-_OF_A_LOAD = ("high_voltage", "light_source")
+_OF = {
+    "trip": ("high_voltage", "light_source"),
+    "front panel": ("delay_generator", "high_voltage", "light_source"),
+    "disobedience": ("delay_generator", "high_voltage", "light_source"),
+    "no triggers": ("delay_generator",),
+    "room light": ("surroundings",),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +64,10 @@ class Strike:
     for_s
         How long it lasts, s; a power cycle is over at once.
     value
-        For late answers how late, s; for packet loss the share lost; for a clock jump how far, s.
+        For late answers how late, s; for packet loss the share lost; for a clock jump how far, s; for room light the
+        illuminance on the photocathode, lux.
+    panel
+        For the front panel: what is entered there, in the instrument's own language.
     """
 
     instrument: Place
@@ -55,14 +76,19 @@ class Strike:
     at_s: float = 0.0
     for_s: float = 1.0
     value: float | None = None
+    panel: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.at_s >= 0.0 or not self.for_s > 0.0:
             raise BadInput(f"a fault must strike at 0 s or later for some time, got {self.at_s:g} and {self.for_s:g} s")
         if (self.kind in _OF_THE_CAMERA) != (self.instrument == "camera"):
             raise BadInput(f"a camera must suffer one of {', '.join(_OF_THE_CAMERA)}, and no other, got {self.words}")
-        if self.kind == "trip" and self.instrument not in _OF_A_LOAD:
-            raise BadInput(f"a trip must be of {' or '.join(_OF_A_LOAD)}, got {self.words}")
+        if self.instrument not in _OF.get(self.kind, (self.instrument,)):
+            raise BadInput(f"a fault of kind {self.kind!r} must be of {' or '.join(_OF[self.kind])}, got {self.words}")
+        if self.instrument == "surroundings" and self.kind != "room light":
+            raise BadInput(f"the surroundings must suffer room light, and nothing else, got {self.words}")
+        if (self.kind == "front panel") != bool(self.panel):
+            raise BadInput(f"panel must hold commands for a front panel, and for no other, got {self.panel}")
         if (self.kind in _COUNTED) != (self.value is not None):
             counted = ", ".join(_COUNTED)
             raise BadInput(f"value must be given for {counted}, and for no other, got {self.value} for {self.kind}")
@@ -91,6 +117,11 @@ class Strike:
             "packet loss": Faults(lost_packet_share=value),
             "stalled camera": Faults(stalled=True),
             "clock jump": Faults(clock_jump_s=value),
+            "front panel": Faults(panel=self.panel),
+            "disobedience": Faults(disobedient=True),
+            "no triggers": Faults(untriggered=True),
+            "port renamed": Faults(port_name=f"{self.instrument}.renamed"),
+            "room light": Faults(room_light_lux=value),
         }
         return known[self.kind]
 

@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from simulate.rig.outputs import replace_file
+from simulate.rig.outputs import faults_file, replace_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +35,16 @@ class Faults:
         Share of the camera's packets that get lost, dimensionless.
     clock_jump_s
         How far the camera's clock is off its time, s.
+    panel
+        Commands entered at the front panel, in the instrument's own language: once, when they change.
+    disobedient
+        It answers as if it obeyed, and its outputs stay as they are; what it measures there is true.
+    untriggered
+        No pulses come to the delay generator's trigger input.
+    port_name
+        Name under which its port stands now; empty: its own.
+    room_light_lux
+        Of the surroundings: light that falls on the photocathode besides the source's, lux.
     """
 
     silent: bool = False
@@ -48,6 +58,14 @@ class Faults:
     stalled: bool = False
     lost_packet_share: float = 0.0
     clock_jump_s: float = 0.0
+    panel: tuple[str, ...] = ()
+    disobedient: bool = False
+    untriggered: bool = False
+    port_name: str = ""
+    room_light_lux: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "panel", tuple(self.panel))  # JSON knows lists only
 
     def arrives(self, answer: bytes) -> bytes:
         """Return what of an answer arrives."""
@@ -66,18 +84,18 @@ def provoke(folder: Path, instrument: str, faults: Faults) -> None:
     folder
         Folder of the bench's wires.
     instrument
-        Its place at the bench: "delay_generator", "high_voltage", "filter_wheel", "light_source" or "camera".
+        Its place at the bench, such as "delay_generator", "high_voltage" or "camera", or "surroundings".
     faults
         What is wrong with it from now on.
     """
-    replace_file(_path(folder, instrument), json.dumps(asdict(faults)))
+    replace_file(faults_file(folder, instrument), json.dumps(asdict(faults)))
 
 
 class FaultFile:
     """The faults of one instrument as its file says now; the file is read again only after a change."""
 
     def __init__(self, folder: Path, instrument: str) -> None:
-        self._path = _path(folder, instrument)
+        self._path = faults_file(folder, instrument)
         self._stamp: tuple[int, int] | None = None
         self._faults = Faults()
 
@@ -91,7 +109,3 @@ class FaultFile:
         if stamp != self._stamp:
             self._stamp, self._faults = stamp, Faults(**json.loads(self._path.read_text()))
         return self._faults
-
-
-def _path(folder: Path, instrument: str) -> Path:
-    return Path(folder) / f"{instrument}.faults.json"

@@ -1,5 +1,6 @@
 """The virtual instruments inside this process, behind ports of bytes, where there are no pseudo-terminals."""
 
+import copy
 import threading
 import time
 from typing import Any
@@ -9,7 +10,7 @@ from simulate.rig.faults import Faults
 from simulate.rig.models import virtual_model
 from simulate.rig.outputs import GateOutput, Outputs
 from simulate.rig.prologix import PrologixAdapter
-from simulate.rig.pseudo_terminal import Instrument
+from simulate.rig.pseudo_terminal import Instrument, enter_at_panel
 from simulate.rig.thermometer import TEMPERATURE_C
 
 AT_ONCE_S = 2.5e-3
@@ -29,9 +30,26 @@ class InProcessPort:
         self._instrument, self._answers = instrument, b""
         self._ready_s = 0.0
         self._turn = threading.RLock()
-        self._power_cycles = 0
-        self.faults = Faults()
+        self._faults = Faults()
+        self._shown = instrument
+
+    @property
+    def faults(self) -> Faults:
         """What is wrong with the instrument; replace it to provoke a fault."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        with self._turn:
+            self.advance()
+            if faults.disobedient != self._faults.disobedient:
+                # Its outputs stay as they are now, whatever it answers.
+                self._shown = copy.deepcopy(self._instrument) if faults.disobedient else self._instrument
+            if faults.power_cycles > self._faults.power_cycles:
+                self._instrument.power_cycle()
+            if faults.panel != self._faults.panel:
+                enter_at_panel(self._instrument, faults.panel)
+            self._faults = faults
 
     def send(self, data: bytes) -> None:
         """Send bytes."""
@@ -58,10 +76,8 @@ class InProcessPort:
     def advance(self) -> None:
         """Let the instrument's physics catch up with the clock."""
         with self._turn:
-            if self.faults.power_cycles > self._power_cycles:
-                self._instrument.power_cycle()
-            self._power_cycles = self.faults.power_cycles
-            self._instrument.advance(time.monotonic(), self.faults)
+            if not self._faults.disobedient:
+                self._instrument.advance(time.monotonic(), self._faults)
 
     def volts(self) -> float:
         """Voltage that a supply at the far end puts out now, V."""
@@ -74,7 +90,7 @@ class InProcessPort:
     def far_end(self) -> Any:
         """The instrument at the far end as it is now, whatever adapter stands before it."""
         self.advance()
-        return _behind_adapter(self._instrument)
+        return _behind_adapter(self._shown)
 
     def reopen(self) -> None:
         """Nothing to open: the instrument is in this process."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import fields, replace
 from pathlib import Path
 from types import TracebackType
@@ -13,6 +14,9 @@ from labdata.capture import CameraSettings, Frame
 from labdata.errors import BadInput
 from simulate.rig.outputs import Outputs
 from simulate.rig.tube import VirtualTube
+
+POLL_S = 0.05
+"""Longest wait for a frame between two calls of `while_waiting`, s."""
 
 
 class InProcessCamera:
@@ -33,6 +37,7 @@ class InProcessCamera:
         sensor = self._tube.sensor
         field_rate_hz = float(sensor.video.field_rate_hz)
         self._number = 0
+        self._drawing = ThreadPoolExecutor(1)
         self._settings = CameraSettings(
             rows=sensor.ccd.rows,
             columns=sensor.ccd.columns,
@@ -60,12 +65,17 @@ class InProcessCamera:
         self._settings = replace(self._settings, **given)
         return self._settings
 
-    def capture(self, *, frames: int, discard: int = 0) -> "InProcessCapture":
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> "InProcessCapture":
         """Return a capture of `frames` frames after `discard` that are thrown away."""
-        return InProcessCapture(self, frames=frames, discard=discard)
+        return InProcessCapture(self, frames=frames, discard=discard, while_waiting=while_waiting)
 
-    def expose(self) -> Frame:
-        """Expose one frame now."""
+    def begin_exposure(self) -> Future[Frame]:
+        """Start to expose a frame, as soon as the one before is drawn."""
+        return self._drawing.submit(self._expose)
+
+    def _expose(self) -> Frame:
         self._number += 1
         scene = self._tube.scene(exposure_s=self._settings.exposure_s or 0.0, gain_db=self._settings.gain_db or 0.0)
         deep = self._settings.pixel_format != "Mono8"
@@ -79,8 +89,11 @@ class InProcessCapture:
     lost_frames = 0
     losses = ()
 
-    def __init__(self, camera: InProcessCamera, *, frames: int, discard: int) -> None:
+    def __init__(
+        self, camera: InProcessCamera, *, frames: int, discard: int, while_waiting: Callable[[], None]
+    ) -> None:
         self._camera, self._frames, self._discard = camera, frames, discard
+        self._while_waiting = while_waiting
 
     def __enter__(self) -> Self:
         return self
@@ -92,6 +105,10 @@ class InProcessCapture:
 
     def __iter__(self) -> Iterator[Frame]:
         for taken in range(self._discard + self._frames):
-            frame = self._camera.expose()
+            self._while_waiting()
+            drawing = self._camera.begin_exposure()
+            while not wait([drawing], POLL_S).done:
+                self._while_waiting()
+            frame = drawing.result()
             if taken >= self._discard:
                 yield frame

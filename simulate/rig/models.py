@@ -4,8 +4,8 @@ A package brings one with a Python entry point of the group `charact.virtual_ins
 `VirtualModel`; its name is the one of the driver's model in the group `charact.instruments`.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 
 from labdata.errors import BadInput
@@ -45,24 +45,52 @@ class VirtualModel:
         Makes it, from its address on a bus and how much faster than life it moves.
     baud
         Rate set on it, baud; None: a USB adapter, which has none.
+    panel
+        Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and
+        "busy" (every second trigger is lost), of a supply "voltage" and "on".
     """
 
     name: str
     place: str
     make: Callable[[int, float], Instrument]
     baud: int | None
+    panel: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 SHIPPED = (
-    VirtualModel(name="dg645", place=GATE, make=lambda address, scale: DelayGenerator(), baud=9600),
-    VirtualModel(name="dg535", place=GATE, make=lambda address, scale: PrologixAdapter({address: Dg535()}), baud=None),
+    VirtualModel(
+        name="dg645",
+        place=GATE,
+        make=lambda address, scale: DelayGenerator(),
+        baud=9600,
+        panel={
+            "source": ("TSRC 1",),
+            "idle level": ("LOFF 1,2",),
+            "width": ("DLAY 3,2,0.002",),
+            "busy": ("DLAY 4,0,0.02",),
+        },
+    ),
+    VirtualModel(
+        name="dg535",
+        place=GATE,
+        make=lambda address, scale: PrologixAdapter({address: Dg535()}),
+        baud=None,
+        panel={"source": ("TM 4",), "idle level": ("OP 4,0",), "width": ("DT 3,2,0.002",), "busy": ("DT 5,1,0.02",)},
+    ),
     VirtualModel(
         name="ps350",
         place=SUPPLY,
         make=lambda address, scale: PrologixAdapter({address: HighVoltageSupply(time_scale=scale)}),
         baud=None,
+        panel={"voltage": ("VSET 350",), "on": ("VSET 100", "HVON")},
     ),
-    VirtualModel(name="iseg", place=SUPPLY, make=lambda address, scale: IsegSupply(time_scale=scale), baud=9600),
+    VirtualModel(
+        name="iseg",
+        place=SUPPLY,
+        make=lambda address, scale: IsegSupply(time_scale=scale),
+        baud=9600,
+        panel={"voltage": ("D1=350", "G1"), "on": ("D1=100", "G1")},
+    ),
     VirtualModel(name="fw102c", place=WHEEL, make=lambda address, scale: FilterWheel(time_scale=scale), baud=115200),
     VirtualModel(name="dc2100", place=LIGHT, make=lambda address, scale: LightSource(), baud=115200),
     VirtualModel(name="pm101", place=METER, make=lambda address, scale: PowerMeter(), baud=115200),

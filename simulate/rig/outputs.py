@@ -1,6 +1,7 @@
 """The electrical wires of the virtual bench: what the instruments put out now, where the virtual tube can read it."""
 
 import json
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,6 +58,8 @@ class Outputs:
         Whether there is a wheel before the lamp.
     temperature_c
         Temperature of the tube, degrees Celsius; None: nobody measures it.
+    room_light_lux
+        Light of the surroundings on the photocathode, lux.
     """
 
     mcp_v: float
@@ -69,13 +72,14 @@ class Outputs:
     filter_position: int | None = None
     has_wheel: bool = False
     temperature_c: float | None = None
+    room_light_lux: float = 0.0
 
     def open_ns(self, exposure_s: float) -> float:
         """Time that the gate is open during one exposure of `exposure_s` seconds, ns, averaged over its phase."""
         if not self.gate_open:
             return 0.0
         exposure_ns = exposure_s * 1e9
-        if self.gate_ns * self.gate_hz >= 1e9:
+        if math.isinf(self.gate_ns) or self.gate_ns * self.gate_hz >= 1e9:
             return exposure_ns
         return min(self.gate_ns * self.gate_hz * exposure_s, exposure_ns)
 
@@ -103,7 +107,19 @@ def read_outputs(folder: Path) -> Outputs:
         filter_position=None if wheel is None else wheel["position"],
         has_wheel=wheel is not None,
         temperature_c=None if warm is None else warm["temperature_c"],
+        room_light_lux=read_room_light_lux(folder),
     )
+
+
+def read_room_light_lux(folder: Path) -> float:
+    """Read the light of the surroundings, lux; a bench whose door nobody opened has none."""
+    surroundings = _read(faults_file(folder, "surroundings"))
+    return 0.0 if surroundings is None else surroundings["room_light_lux"]
+
+
+def faults_file(folder: Path, instrument: str) -> Path:
+    """Return the file in which the faults of an instrument, or of the surroundings, are kept."""
+    return Path(folder) / f"{instrument}.faults.json"
 
 
 def replace_file(path: Path, text: str) -> None:

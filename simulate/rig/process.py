@@ -119,7 +119,7 @@ class VirtualInstruments:
         self._processes.clear()
 
     def _start(self, instrument: str) -> subprocess.Popen:
-        command = [sys.executable, "-m", "simulate.rig", self._models[instrument], "--folder", str(self.folder)]
+        command = [sys.executable, "-P", "-m", "simulate.rig", self._models[instrument], "--folder", str(self.folder)]
         command += ["--parent", str(os.getpid()), "--address", str(self._addresses.get(instrument, 0))]
         command += ["--time-scale", str(self._time_scale)]
         with self._complaints(instrument).open("wb") as complaints:

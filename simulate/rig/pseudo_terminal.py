@@ -7,10 +7,12 @@ import termios
 import time
 import tty
 from collections import deque
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Protocol
 
 from simulate.rig.faults import FaultFile, Faults
+from simulate.rig.prologix import PrologixAdapter
 
 TICK_S = 0.02
 """Longest time between two updates of an instrument's physics, s."""
@@ -57,13 +59,14 @@ class PseudoTerminal:
         self.plugged = False
         self.plug()
 
-    def plug(self) -> None:
-        """Put the plug in: a new terminal behind the same link."""
+    def plug(self, name: str = "") -> None:
+        """Put the plug in: a new terminal behind the same link, or behind one of another name."""
+        self._link = self.link.with_name(name) if name else self.link
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # else the line echoes our own answers back to us until a client opens it
         os.set_blocking(self._master, False)
-        self.link.unlink(missing_ok=True)
-        self.link.symlink_to(os.ttyname(self._slave))
+        self._link.unlink(missing_ok=True)
+        self._link.symlink_to(os.ttyname(self._slave))
         self.plugged = True
 
     def close(self) -> None:
@@ -71,7 +74,7 @@ class PseudoTerminal:
         if not self.plugged:
             return
         self.plugged = False
-        self.link.unlink(missing_ok=True)
+        self._link.unlink(missing_ok=True)
         os.close(self._master)
         os.close(self._slave)
 
@@ -117,18 +120,23 @@ def serve(instrument: Instrument, terminal: PseudoTerminal, *, folder: Path, fau
         Process that started this one; its death is noticed by adoption.
     """
     waiting: deque[tuple[float, bytes]] = deque()
-    heard_s, power_cycles = time.monotonic(), 0
+    heard_s, before = time.monotonic(), Faults()
     while os.getppid() == parent or time.monotonic() - heard_s < ORPHAN_S:
         data = terminal.read(_patience(waiting))
         now_s, wrong = time.monotonic(), faults.now()
-        instrument.advance(now_s, wrong)
-        if terminal.plugged == wrong.unplugged:
-            terminal.close() if wrong.unplugged else terminal.plug()
+        if not wrong.disobedient:
+            instrument.advance(now_s, wrong)
+        if terminal.plugged == wrong.unplugged or before.port_name != wrong.port_name:
+            terminal.close()
             waiting.clear()
-        if wrong.power_cycles > power_cycles:
+            if not wrong.unplugged:
+                terminal.plug(wrong.port_name)
+        if wrong.power_cycles > before.power_cycles:
             instrument.power_cycle()
             waiting.clear()
-        power_cycles = wrong.power_cycles
+        if wrong.panel != before.panel:
+            enter_at_panel(instrument, wrong.panel)
+        before = wrong
         if data:
             heard_s = now_s
         if data and not wrong.silent:
@@ -138,7 +146,17 @@ def serve(instrument: Instrument, terminal: PseudoTerminal, *, folder: Path, fau
                 waiting.append((free_s + wrong.late_s, wrong.arrives(answer)))
         while waiting and waiting[0][0] <= time.monotonic():
             terminal.write(waiting.popleft()[1])
-        instrument.publish(folder)
+        if not wrong.disobedient:
+            instrument.publish(folder)
+
+
+def enter_at_panel(instrument: Instrument, commands: Iterable[str]) -> None:
+    """Enter commands at an instrument's own front panel; what it answers is shown to nobody on the line."""
+    for command in commands:
+        if isinstance(instrument, PrologixAdapter):
+            instrument.only.listen(command.encode(), end=True)
+        else:
+            instrument.receive(command.encode() + b"\n")
 
 
 def _patience(waiting: deque[tuple[float, bytes]]) -> float:

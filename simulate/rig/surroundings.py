@@ -8,9 +8,12 @@ from simulate.rig.outputs import read_outputs
 
 
 def light_at(wires: Path) -> float:
-    """Return the illuminance on the photocathode of the bench whose wires lie in a folder, lux; 0 where no tube is."""
+    """Return the illuminance on the photocathode, lux, of the bench whose wires lie in a folder."""
     truth = _truth(Path(wires).parent / "truth")
-    return 0.0 if truth is None else truth.illuminance_lux(read_placement(Path(wires).parent), read_outputs(wires))
+    outputs = read_outputs(wires)
+    if truth is None:
+        return outputs.room_light_lux
+    return truth.illuminance_lux(read_placement(Path(wires).parent), outputs)
 
 
 @lru_cache(maxsize=1)

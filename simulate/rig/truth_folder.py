@@ -40,7 +40,10 @@ class Truth:
     lamp: Lamp | None = None
 
     def illuminance_lux(self, placement: Placement, outputs: Outputs) -> float:
-        """True illuminance on the photocathode, lux: of the bench's lamp if it has one, else as an operator set it."""
+        """True illuminance on the photocathode, lux: the room's, and the lamp's or, without one, an operator's."""
+        return outputs.room_light_lux + self._source_lux(placement, outputs)
+
+    def _source_lux(self, placement: Placement, outputs: Outputs) -> float:
         if outputs.lamp_a is None or self.lamp is None:
             return placement.illuminance_lux * self.light_per_reading
         position = outputs.filter_position if outputs.has_wheel else 1

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from labdata.gating import whole_field_s
 from labdata.sensor import Sensor
+from labdata.target import Target
 from simulate.iiccd.streamed.engine import SEGMENT_FRAMES
 from simulate.lab import LabBench
 from simulate.rig.fields import Fields
@@ -71,6 +72,8 @@ class VirtualTube:
             Gain behind the sensor, dB.
         """
         placement, outputs = read_placement(self._folder), self._outputs()
+        if outputs.room_light_lux:
+            placement = replace(placement, kind="flat", target=Target())  # it falls on everything, darks included
         field_hz = float(self.sensor.video.field_rate_hz)
         exposure_s = min(exposure_s, 1.0 / field_hz)
         fields = self._fields(outputs, field_hz, whole_field_s(exposure_s, field_hz))

@@ -24,7 +24,7 @@ from labdata.session import open_session
 ROOT = Path(__file__).resolve().parents[2]
 CASES = ROOT.parent / "shared" / "cases"
 
-VERB = f'{sys.executable} -c "from charact.cli import main; main()" mtf edge --method edge-slanted --quick'
+VERB = f'{sys.executable} -P -c "from charact.cli import main; main()" mtf edge --method edge-slanted --quick'
 
 # An edge blurred by a Gaussian has its MTF at 0.5 where exp(-2 (pi sigma f)^2) is.
 MTF50_CY_PER_PX = 0.125

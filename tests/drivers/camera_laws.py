@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ class Bench:
     ----------
     open
         Returns the camera, not yet open.
+    quiet
+        Returns the camera, not yet open, as it is while no frame comes for at least 0.7 s after at most one.
     is_whole
         Whether a frame holds exactly the picture that the camera sent under its number.
     asked
@@ -40,6 +43,7 @@ class Bench:
     """
 
     open: Callable[[], AbstractContextManager[Any]]
+    quiet: Callable[[], AbstractContextManager[Any]]
     is_whole: Callable[[Frame], bool]
     asked: tuple[CameraSettings, ...] = ()
     refused: tuple[tuple[CameraSettings, str], ...] = field(default_factory=tuple)
@@ -53,7 +57,40 @@ def taken(camera: Any, frames: int, discard: int = 0) -> tuple[list[Frame], Any]
         return list(capture), capture
 
 
-class CameraLaws:
+class WaitingLaws:
+    """A run shows that it is alive and looks after its bench however long a camera exposes."""
+
+    def test_a_run_is_called_ten_times_a_second_while_no_frame_comes_and_may_end_the_capture(self, laws: Bench) -> None:
+        calls_s: list[float] = []
+
+        def waiting() -> None:
+            calls_s.append(time.monotonic())
+            if calls_s[-1] > calls_s[0] + 0.5:
+                raise ZeroDivisionError
+
+        frames: list[Frame] = []
+        with laws.quiet() as camera:
+            with pytest.raises(ZeroDivisionError), camera.capture(frames=30, while_waiting=waiting) as capture:
+                frames.extend(capture)
+            ended_s = time.monotonic()
+        assert len(frames) <= 1
+        assert len(calls_s) > 5
+        # A bench makes safe after 0.6 s without a sign of life.
+        assert np.max(np.diff([*calls_s, ended_s])) < 0.5
+        with laws.open() as camera:
+            assert len(taken(camera, 3)[0]) == 3
+
+    def test_a_run_is_called_between_frames_that_are_discarded(self, laws: Bench) -> None:
+        calls = count()
+        with (
+            laws.open() as camera,
+            camera.capture(frames=1, discard=4, while_waiting=lambda: next(calls)) as capture,
+        ):
+            next(iter(capture))
+        assert next(calls) >= 5
+
+
+class CameraLaws(WaitingLaws):
     """The laws."""
 
     def test_as_many_whole_frames_come_as_were_asked_for(self, laws: Bench) -> None:

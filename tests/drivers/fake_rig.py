@@ -67,14 +67,14 @@ class FakeCamera(_Opened):
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> "FakeCapture":
-        return FakeCapture(self.rig, frames, discard)
+        return FakeCapture(self.rig, frames, while_waiting)
 
 
 class FakeCapture:
     losses: tuple[LostFrames, ...] = ()
 
-    def __init__(self, rig: FakeRig, frames: int, discard: int) -> None:
-        self.rig, self.frames, self.discard = rig, frames, discard
+    def __init__(self, rig: FakeRig, frames: int, while_waiting: Callable[[], None]) -> None:
+        self.rig, self.frames, self.while_waiting = rig, frames, while_waiting
 
     @property
     def lost_frames(self) -> int:
@@ -91,6 +91,7 @@ class FakeCapture:
         if self.rig.lose:
             self.losses = (LostFrames(first=1, last=self.rig.lose, reason="missing packets"),)
         for _ in range(self.frames):
+            self.while_waiting()
             self.rig.frames_sent += 1
             self.rig.happens("frame")
             number = self.rig.frames_sent

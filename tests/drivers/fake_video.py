@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.cameras.v4l2 import requests
 from drivers.cameras.v4l2.fields import PROGRESSIVE
-from drivers.cameras.v4l2.structures import BUFFER_FAULTY, CAN_CAPTURE, CAN_STREAM, NEXT_CONTROL, code_of
+from drivers.cameras.v4l2.structures import BUFFER_FAULTY, CAN_CAPTURE, CAN_STREAM, NEXT_CONTROL, Request, code_of
 
 ROWS, COLUMNS = 24, 32
 SIZES = ((ROWS, COLUMNS), (12, 16))
@@ -108,7 +107,7 @@ class FakeDevice:
         self.asked: list[str] = []
         self.waits_s: list[float] = []
 
-    def ask(self, request: requests.Request, structure: Any) -> None:
+    def ask(self, request: Request, structure: Any) -> None:
         self.asked.append(request.name)
         answer = getattr(self, f"_{request.name.lower()}", None)
         if answer is None:

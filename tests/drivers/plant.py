@@ -1,272 +1,349 @@
-"""A tube in a laboratory that anything may happen to: it obeys, half obeys or breaks, and writes down what hurt it.
+"""Stories of a bench server: what a client may ask, in whatever order, while anything happens in its laboratory."""
 
-It knows the interlock's commands and none of its rules: what hurts is computed here from the laws of the tube.
-"""
+import contextlib
+import importlib.util
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from unittest import mock
 
-import math
-from dataclasses import dataclass, field
-
+from drivers.bench import safe_state, server, tube_bench
+from drivers.bench.connection import Beat, Fault, Reply, Request
 from drivers.bench.interlock import Interlock
 from drivers.bench.rules import REACTIONS, RULES
-from drivers.bench.state import (
-    DarkSeen,
-    Failed,
-    FilterMoved,
-    FilterRead,
-    GainRead,
-    GateRead,
-    Heard,
-    InterlockRefused,
-    LightRead,
-    LowerGain,
-    OpenGate,
-    RaiseGain,
-    SafeOrdered,
-    SetLight,
-    TurnFilter,
-)
-from labdata.limits import Limits, limits_in_force
-from labdata.sensors import load_sensor
+from drivers.bench.setup import BenchSetup
+from drivers.bench.state import RaiseGain
+from drivers.interface import FrameLevels
+from labdata.conditions import Conditions
+from labdata.gating import Gating
+from labdata.meters import Meters
 from labdata.target import Target
+from labdata.wires import Wires
 
-SENSOR = load_sensor("pulnix-ag5745ef3")
-LIMITS = limits_in_force(Limits(), SENSOR)
-HURT_AFTER_S = 1.0
-"""A tube that should have been made safe this long ago is hurt, s."""
+_spec = importlib.util.spec_from_file_location("laboratory", Path(__file__).with_name("laboratory.py"))
+laboratory = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(laboratory)
+CLOCK, LIMITS, SENSOR = laboratory.CLOCK, laboratory.LIMITS, laboratory.SENSOR
 
-VOLTS = (0.0, 50.0, 400.0, 600.0, 800.0, 850.0, 899.0, 900.0, 901.0, 950.0, 2000.0, math.nan)
-RATES = (10.0, 49.0, 50.0, 51.0, 500.0, 0.0, -5.0, math.inf)
-WIDTHS_NS = (1e3, 1e6, 1.6e7, 1.99e7, 2e7, 2.01e7, 1e9, 0.0, math.nan)
-RATES_HZ = (1.0, 25.0, 50.0, 59.94, 60.1, 1000.0)
-LUX = (0.0, 1e-5, 1e-4, 1e-3, 5e-3, 9.9e-3, 1e-2, 1.1e-2, 0.5, 9.0, 10.0, 11.0, 1e5, math.nan)
-DENSITIES = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+TICK_S = 0.1
+VOLTS = (0.0, 50.0, 400.0, 600.0, 800.0, 850.0, 899.0, 900.0, 901.0, 950.0, 2000.0)
+WIDTHS_NS = (0.0, 1e3, 1.6e5, 1e6, 1.6e7, 1.7e7, 1.99e7, 2e7, 2.01e7, 1e9)
+LUX = (0.0, 1e-5, 1e-4, 1e-3, 5e-3, 9.9e-3, 1.01e-2, 1.1e-2, 0.5, 9.0, 10.0, 10.5, 1e5, float("nan"))
 TARGETS = (Target(), Target(angle_deg=5.0), Target(pinhole_px=1.0))
-FAULTS = ("the supply tripped", "the camera has gone", "the supply is silent", "the disk is full")
+FIELDS_HZ = (59.94, 25.0)
+TROUBLES = ("silent", "mute", "wrong", "gone", "disobedient", "half")
 
 
-@dataclass
+class InOneThread:
+    """A crew whose tasks run one after the other, each from the same simulated time."""
+
+    def run(self, tasks: Sequence[Callable[[], object]]) -> None:
+        began_s, ended_s = CLOCK.now_s, [CLOCK.now_s]
+        for task in tasks:
+            CLOCK.now_s = began_s
+            task()
+            ended_s.append(CLOCK.now_s)
+        CLOCK.now_s = max(ended_s)
+
+    def dismiss(self) -> None:
+        pass
+
+
+@contextlib.contextmanager
+def simulated_time():
+    """Let the server sleep in simulated time and start no threads; a plant calls their steps."""
+    threads = mock.Mock(Thread=mock.Mock(), Event=threading.Event, Lock=threading.Lock, RLock=threading.RLock)
+    with (
+        mock.patch.object(safe_state, "time", CLOCK),
+        mock.patch.object(tube_bench, "Crew", InOneThread),
+        mock.patch.object(server, "threading", threads),
+    ):
+        yield
+
+
 class Plant:
-    """Tube, instruments and light as they are; the interlock sees of them only what it is told."""
+    """A bench server at its laboratory; it can lack a rule, and its procedures may err."""
 
-    interlock: Interlock
-    hurts: list[str] = field(default_factory=list)
-    now_s: float = 100.0
-    open: tuple[float, float] = (1e6, 50.0)  # a bench that somebody left on: width in ns, rate in Hz
-    volts: float = 700.0
-    lux: float = 1e-3
-    filter: int = 3  # position of the wheel, from 1
-    thought: int = 3  # where whoever sets the lamp thinks that it stands
-    before: tuple[Target, bool] = (Target(), False)
-    truly_dark_seen: bool = False
-    guard_spoke_s: float = -math.inf
-    failed: bool = False
-    unsafe_since_s: float | None = None
-    steps: int = 0
-    passed: int = 0
+    def __init__(self, *, without: str | None = None, limits=LIMITS, kind: int = 0) -> None:
+        assert without is None or without in {one.name for one in (*RULES, *REACTIONS)}
+        self.rules = tuple(rule for rule in RULES if rule.name != without)
+        self.reactions = tuple(one for one in REACTIONS if one.name != without)
+        self.has_lamp, self.has_meter, field_hz = kind % 3 == 2, kind % 3 > 0, FIELDS_HZ[kind // 3 % 2]
+        self.lab = laboratory.Laboratory(has_lamp=self.has_lamp, between=self.between, lasts=self.passes)
+        wires = Wires(light="lamp", wheel="wheel") if self.has_lamp else Wires()
+        self.setup = BenchSetup(
+            wires=wires,
+            limits=limits,
+            log=Path("nowhere"),
+            lamp=laboratory.LAMP if self.has_lamp else None,
+            meters=Meters(lux_per_w=1.0),
+            field_hz=field_hz,
+            gating=Gating(),
+        )
+        self.steps = self.passed = self.number = 0
+        self.slip: str | None = None
+        self.interruption: tuple[int, Callable[[], None]] | None = None
+        self.safe_thread: threading.Thread | None = None
+        self.open()
 
-    @property
-    def duty(self) -> float:
-        return self.open[0] * 1e-9 * self.open[1]
+    # The server
 
-    @property
-    def anode_na_per_cm2(self) -> float:
-        """E S G d of the description, written out again."""
-        amperes_per_m2 = self.lux * float(SENSOR.photocathode.luminous_sensitivity_ua_per_lm) * 1e-6
-        plate = SENSOR.microchannel_plate
-        gain = float(plate.electron_gain) * (self.volts / float(plate.reference_v)) ** float(plate.gain_exponent)
-        return amperes_per_m2 * gain * min(self.duty, 1.0) * 1e9 / 1e4
+    def open(self) -> None:
+        """Start a server at this laboratory, its instruments mended; a bench that fails to open is not used."""
+        lab = self.lab
+        self.in_order = self.over = False
+        self.hung_until_s = self.silent_until_s = self.run_hangs_until_s = -1.0
+        self.placing: dict[int, Callable[[], None]] = {}
+        self.interlock = Interlock(self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic)
+        self.interruption = self.slip = None
+        lab.fault_s, lab.truly_dark_seen, lab.thought = float("inf"), False, 1
+        lab.demands.clear()
+        lab.stopped_by = ""
+        if self.number % 2:
+            lab.filter = len(laboratory.DENSITIES)  # somebody turned the wheel while the bench was off
+        lab.beat_s = lab.stamp_s = self.stamp_s = CLOCK.now_s
+        drivers = {"gate": lab.gate, "supply": lab.supply, "light-meter": lab.meter}
+        if self.has_lamp:
+            drivers |= {"light-source": lab.lamp, "filter-wheel": lab.wheel}
+        if not self.has_meter:
+            del drivers["light-meter"]
+        for driver in (lab.gate, lab.supply, lab.lamp, lab.wheel, lab.meter):
+            driver.line.mend()
+            driver.line.release()
+        lab.supply.is_on = False
+        stations = {role: tube_bench.Station(driver.line, driver) for role, driver in drivers.items()}
+        for station in stations.values():
+            station.procedure = Procedure(self)
+        self.next_look_s, self.next_meter_s = CLOCK.now_s, CLOCK.now_s + 1.0
+        self.server = server.BenchServer(self, self.setup, lambda *_, **__: None, clock=CLOCK.monotonic)
+        with mock.patch.object(server, "TubeBench", type("Bench", (ErringBench,), {"plant": self})):
+            self.server.open_bench(stations)
+        self.ask("light_unknown")
 
-    # Commands: each is asked for, then done by instruments that may stop half-way and say nothing.
+    gone = False
 
-    def command(self, command, *, share: float, answers: bool) -> None:
-        """Order something; `share` of it is done, and it is read back only if the instrument answers."""
-        try:
-            self.interlock.permit(command)
-        except InterlockRefused:
-            return
-        self.passed += 1
-        act = {
-            OpenGate: self._opens,
-            RaiseGain: self._raises,
-            LowerGain: self._lowers,
-            SetLight: self._lights,
-            TurnFilter: self._turns,
-        }
-        act[type(command)](command, share)
-        if answers:
-            self.answer(command)
+    def send(self, message: object, descriptors: tuple[int, ...] = ()) -> None:
+        """What the server says to its client."""
+        if isinstance(message, Fault):
+            self.lab.fault_s = min(self.lab.fault_s, CLOCK.now_s)
+        elif isinstance(message, Reply) and (place := self.placing.pop(message.number, None)) and not message.error:
+            place()
+        if isinstance(message, Reply) and not message.error:
+            self.passed += 1
 
-    def answer(self, command) -> None:
-        if isinstance(command, OpenGate):
-            self.interlock.tell(GateRead(width_ns=self.open[0], rate_hz=self.open[1]))
-        elif isinstance(command, RaiseGain | LowerGain):
-            self.interlock.tell(GainRead(mcp_v=self.volts))
-        elif isinstance(command, TurnFilter):
-            self.thought = self.filter
-            self.interlock.tell(FilterRead(position=self.filter))
+    # The client
+
+    def ask(self, command: str, *arguments, later: bool = False, **named) -> None:
+        """Ask for something, and have the server obey all that it was asked for, unless that comes later."""
+        self.number += 1
+        self.server.take(Request(number=self.number, command=command, arguments=arguments, named=named))
+        if not later:
+            self.obey()
+
+    def obey(self) -> None:
+        """Have the server do what was asked, in its order."""
+        with contextlib.suppress(queue.Empty):
+            while True:
+                request = self.server.orders.get_nowait()
+                self.in_order, self.lab.door_noted = True, self.lab.door_seen
+                self.server.obey(request)
+                self.in_order, self.lab.stopped_by = False, "the server's end" if self.over else ""
+                self.slip = self.interruption = None
+                self.make_safe()
+                self.lab.watch()
+
+    def place(self, lux: float, target: Target, *, share: float = 1.0, shows: bool = True, later: bool = False) -> None:
+        """A person places a target and sets a light where the bench permits it, and says what a meter reads."""
+        point = target.pinhole_px is not None
+        self.placing[self.number + 1] = partial(self.lab.places, lux, target, point, share)
+        before = self.passed
+        self.ask("permit_light", lux, point=point, target=target, later=later)
+        if shows and self.passed > before and (lux or not self.has_lamp):
+            self.say_light(zero=lux == 0.0)
+
+    def say_light(self, *, zero: bool = False) -> None:
+        """Say what a person reads on a meter; with the light out nobody looks."""
+        lab = self.lab
+        lab.door_seen = not zero and lab.door_lux > 0.0
+        self.ask("light_read", lab.known_lux, zero=zero)
+        if zero and lab.known_lux <= lab.meter_zero_lux:
+            lab.placed_lux = 0.0
+
+    def darken(self) -> None:
+        """Block the light."""
+        if self.has_lamp:
+            self.ask("darken")
         else:
-            self.interlock.tell(LightRead(illuminance_lux=self.lux))
+            self.lab.placed_lux = 0.0
+            self.say_light(zero=True)
 
-    def _opens(self, command: OpenGate, share: float) -> None:
-        self._heated("the gate was opened")
-        if self.lux > 0.0:
-            self.hurts.append("the gate opened onto light")
-        if not 0.0 < command.width_ns <= float(SENSOR.limits.gate_ns):
-            self.hurts.append(f"a gate of {command.width_ns:g} ns")
-        if share > 0.0:
-            self.open = (command.width_ns, command.rate_hz)
-        if not self.duty <= float(SENSOR.limits.gate_duty):
-            self.hurts.append(f"a gate open for {self.duty:.3g} of the time")
+    def show_dark_frame(self) -> None:
+        """Take a frame with the light out."""
+        lab, bright = self.lab, self.lab.looking and self.lab.own_lux + self.lab.door_lux > 1e-5
+        if lab.looking and not bright:
+            lab.truly_dark_seen = True
+        self.ask("dark_frame_seen", FrameLevels(mean=0.8 if bright else 0.05, saturated=lab.saturated))
 
-    def _raises(self, command: RaiseGain, share: float) -> None:
-        self._heated("the gain was raised")
-        if self.lux > 0.0:
-            self.hurts.append("the gain rose in the light")
-        if not 0.0 < command.rate_v_per_s <= float(SENSOR.limits.ramp_v_per_s):
-            self.hurts.append(f"the gain rose by {command.rate_v_per_s:g} V/s")
-        self._move_gain(command.goal_v, share)
+    def show_frame(self, *, allowed: float = 0.0, more: float = 0.0) -> None:
+        """Take a frame; some light in view may saturate a few more pixels."""
+        lab = self.lab
+        levels = FrameLevels(mean=0.2, saturated=min(1.0, lab.saturated + more), allowed=allowed)
+        if CLOCK.now_s >= self.hung_until_s:
+            if levels.saturated - levels.allowed > 0.05:
+                lab.demands.setdefault("in a light that saturates frames", CLOCK.now_s)
+            elif lab.looking and levels.saturated <= levels.allowed:
+                lab.light_shown = True
+            self.ask("frame_seen", levels)
+            self.make_safe()
+            lab.watch()
 
-    def _lowers(self, command: LowerGain, share: float) -> None:
-        self._heated("the gain was set")
-        self._move_gain(command.goal_v, share)
+    # Threads of the server
 
-    def _move_gain(self, goal_v: float, share: float) -> None:
-        if self.open[0] > 0.0:
-            self.hurts.append("the gain moved behind an open gate")
-        self.volts += share * (goal_v - self.volts)
-        if not self.volts <= float(SENSOR.limits.mcp_v) or not 0.0 <= goal_v <= float(SENSOR.limits.mcp_v):
-            self.hurts.append(f"{goal_v:g} V were ordered, {self.volts:g} V reached")
+    def between(self) -> None:
+        """Let a moment pass in a procedure, in which another thread may have its turn."""
+        CLOCK.sleep(0.005)
+        if self.interruption is not None and self.in_order and threading.current_thread() is not self.safe_thread:
+            left, happens = self.interruption
+            self.interruption = (left - 1, happens) if left else None
+            if not left:
+                happens()
 
-    def _lights(self, command: SetLight, share: float) -> None:
-        placed = (command.target, command.point)
-        if placed != self.before and self.open[0] > 0.0:
-            self.hurts.append("a target moved before an open gate")
-        self.before = placed
-        if command.illuminance_lux != 0.0:
-            self._heated("the light was set")
-            if not self.truly_dark_seen:
-                self.hurts.append("light before a dark frame was seen")
-        # The lamp's current is that which makes the light asked for behind the filter that is thought to stand there.
-        thicker = DENSITIES[self.filter - 1] - DENSITIES[self.thought - 1]
-        self.lux += share * (command.illuminance_lux * 10.0**-thicker - self.lux)
-        if command.illuminance_lux > 0.0 and thicker != 0.0:
-            self.hurts.append("light through another filter than was thought")
-        limits = SENSOR.limits
-        brightest = float(limits.point_illuminance_lux if command.point else limits.illuminance_lux)
-        if command.illuminance_lux != 0.0 and not command.illuminance_lux <= brightest:
-            self.hurts.append(f"a light of {command.illuminance_lux:g} lux")
-        if command.illuminance_lux != 0.0:
-            self._current_is_borne(command.point, 1.0)
+    def passes(self, seconds: float) -> None:
+        """Let time pass in small ticks, at each of which every thread of the server has its turn."""
+        until_s = CLOCK.now_s + seconds
+        while CLOCK.now_s < until_s - 1e-9:
+            CLOCK.now_s = min(CLOCK.now_s + TICK_S, until_s)
+            self._main_loop()
+            if CLOCK.now_s >= self.next_look_s and not self.over:
+                self.next_look_s = CLOCK.now_s + 0.3
+                for role in self.server_bench.stations:
+                    if role != "light-meter":
+                        self._look(partial(tube_bench.TubeBench.look, role=role))
+            if CLOCK.now_s >= self.next_meter_s and not self.over:
+                self.next_meter_s = CLOCK.now_s + 1.0
+                self._look(tube_bench.TubeBench.look_at_light)
+            self.make_safe()
+            self.lab.watch()
 
-    def _turns(self, command: TurnFilter, share: float) -> None:
-        """The wheel turns, or stops half-way at a neighbour; what light there is passes through whatever comes by."""
-        if self.lux > 0.0:
-            self.hurts.append("a filter turned in the light")
-        around = (command.position - self.filter) % len(DENSITIES)
-        self.filter = (self.filter - 1 + round(share * around)) % len(DENSITIES) + 1
+    def _main_loop(self) -> None:
+        self._hear()
+        if CLOCK.now_s < self.hung_until_s or self.over:
+            return
+        if reason := self.server.end_reason():
+            self.end(reason)
+        else:
+            self.server.react()
 
-    def _current_is_borne(self, point: bool, tolerance: float) -> None:
-        most = float(SENSOR.limits.point_anode_na_per_cm2 if point else SENSOR.limits.anode_na_per_cm2)
-        if not self.anode_na_per_cm2 <= most * tolerance * (1 + 1e-9):
-            self.hurts.append(f"a current of {self.anode_na_per_cm2:.3g} nA/cm2")
+    def end(self, reason: str) -> None:
+        self.over, self.lab.stopped_by = True, "the server's end"
+        self.server.end(reason)
 
-    def _heated(self, what: str) -> None:
-        if self.failed:
-            self.hurts.append(f"{what} after a failure")
-        if not self.now_s - self.guard_spoke_s <= 1.0:
-            self.hurts.append(f"{what} without a guard")
+    def _hear(self) -> None:
+        """Have the signs of life of client and run arrive, if they live and somebody listens."""
+        if CLOCK.now_s >= self.run_hangs_until_s:
+            self.stamp_s = CLOCK.now_s
+        if CLOCK.now_s >= max(self.hung_until_s, self.silent_until_s):
+            self.lab.beat_s, self.lab.stamp_s = CLOCK.now_s, self.stamp_s
+            self.server.take(Beat(age_s=CLOCK.now_s - self.stamp_s))
 
-    # What needs no leave, and what happens by itself.
+    def _look(self, look: Callable[[tube_bench.TubeBench], object]) -> None:
+        self.looking = True
+        self.server.look_by(look)
+        self.looking = False
 
-    def shut(self, *, works: bool) -> None:
-        self.interlock.tell(SafeOrdered())
-        if works:
-            self.open = (0.0, 0.0)
-            self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
+    looking = False
 
-    def off(self, *, works: bool) -> None:
-        self.interlock.tell(SafeOrdered())
-        if works:
-            self.volts = 0.0
-            self.interlock.tell(GainRead(mcp_v=0.0))
+    def make_safe(self) -> None:
+        """Let the thread of the safe action have its turn; a procedure that it waits for goes on meanwhile."""
+        while self.safe_thread is not None or not self.server.to_make_safe.empty():
+            if self.safe_thread is None:
+                self.waits, self.goes_on = queue.SimpleQueue(), threading.Event()
+                order = self.server.to_make_safe.get_nowait()
+                if not self.in_order:
+                    self.server.make_safe(order)
+                    self._hear()  # the main loop went on meanwhile
+                    continue
+                self.lab.stopped_by = "a safe action in mid-order"
+                self.safe_thread = threading.Thread(target=self._act, args=(order,), daemon=True)
+                self.safe_thread.start()
+            elif self.in_order:
+                return
+            else:
+                self.goes_on.set()
+            if self.waits.get() == "done":
+                self.safe_thread.join()
+                self.safe_thread = None
+            self._hear()
 
-    def darken(self, *, works: bool) -> None:
-        if works:
-            self.lux = 0.0
-            self.interlock.tell(LightRead(illuminance_lux=0.0))
-
-    def look(self) -> None:
-        """Take a frame: dark where no light reaches the screen, for whatever reason."""
-        if self.open[0] == 0.0 or self.volts == 0.0 or self.lux == 0.0:
-            if self.open[0] > 0.0 and self.volts > 0.0:
-                self.truly_dark_seen = True
-            self.interlock.tell(DarkSeen())
-
-    def speaks(self) -> None:
-        self.guard_spoke_s = self.now_s
-        self.interlock.tell(Heard(now_s=self.now_s))
-
-    def fails(self, sentence: str) -> None:
-        self.failed = True
-        self.interlock.tell(Failed(sentence=sentence))
-
-    def door_opens(self, lux: float) -> None:
-        """Somebody lets light in, and the meter sees it."""
-        self.lux = max(self.lux, lux)
-        self.interlock.tell(LightRead(illuminance_lux=self.lux))
-
-    def passes(self, seconds: float, *, guarded: bool = False) -> None:
-        """Let time pass in small ticks; at each the interlock is asked whether the tube must be made safe."""
-        until_s = self.now_s + seconds
-        while self.now_s < until_s:
-            self.now_s = min(self.now_s + 0.2, until_s)
-            if guarded:
-                self.speaks()
-            if self.interlock.alarm():
-                self.shut(works=True)
-                self.off(works=True)
-            self._should_be_safe()
-
-    def _should_be_safe(self) -> None:
-        hot = self.open[0] > 0.0 or self.volts > 0.0
-        point = self.before[1]
-        most = float(SENSOR.limits.point_anode_na_per_cm2 if point else SENSOR.limits.anode_na_per_cm2)
-        brightest = float(SENSOR.limits.point_illuminance_lux if point else SENSOR.limits.illuminance_lux)
-        reasons = [
-            "after a failure" if self.failed and hot else "",
-            "without a guard" if self.now_s - self.guard_spoke_s > 0.7 and hot else "",
-            "under too much current" if not self.anode_na_per_cm2 <= 1.3 * most else "",
-            "before too bright a light" if self.open[0] > 0.0 and not self.lux <= 1.3 * brightest else "",
-        ]
-        why = next((one for one in reasons if one), None)
-        if why is None:
-            self.unsafe_since_s = None
-        elif self.unsafe_since_s is None:
-            self.unsafe_since_s = self.now_s
-        elif self.now_s - self.unsafe_since_s > HURT_AFTER_S:
-            self.hurts.append(f"the tube was hot {why} for more than {HURT_AFTER_S:g} s")
-
-    def bounds_hold(self) -> None:
-        """The interlock never thinks the tube cooler than it is."""
-        state = self.interlock.state
-        if self.duty > state.duty * (1 + 1e-12) and state.duty < 1.0:
-            self.hurts.append(f"the gate was thought open for {state.duty:.3g} and was for {self.duty:.3g}")
-        if self.volts > state.mcp_v * (1 + 1e-12) or self.lux > state.light_lux * (1 + 1e-12):
-            self.hurts.append("gain or light was thought lower than it was")
-        if state.surely_open and self.open[0] == 0.0:
-            self.hurts.append("a shut gate was taken for surely open")
+    def _act(self, order) -> None:
+        try:
+            self.server.make_safe(order)
+        finally:
+            self.waits.put("done")
 
 
-def new_plant(*, without: str | None = None, limits=LIMITS) -> Plant:
-    """A plant behind all rules, or all but one."""
-    known = {one.name for one in (*RULES, *REACTIONS)}
-    assert without is None or without in known
-    rules = tuple(rule for rule in RULES if rule.name != without)
-    reactions = tuple(one for one in REACTIONS if one.name != without)
-    plant = Plant(interlock=None)  # type: ignore[arg-type]
-    plant.interlock = Interlock(limits, rules=rules, reactions=reactions, clock=lambda: plant.now_s)
-    plant.interlock.tell(FilterMoved())
-    return plant
+class Procedure:
+    """A station's lock among threads that take turns: who waits for it lets the others go on."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant, self.holder, self.depth = plant, None, 0
+
+    def _caller(self) -> str:
+        if threading.current_thread() is self.plant.safe_thread:
+            return "safe"
+        return "look" if self.plant.looking else "order"
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        caller = self._caller()
+        if self.holder not in (None, caller):
+            if not blocking:
+                return False
+            assert caller == "safe", "only the safe action waits for a procedure"
+            until_s = CLOCK.now_s + timeout
+            self.plant.goes_on.clear()
+            self.plant.waits.put("waits")
+            self.plant.goes_on.wait()
+            if CLOCK.now_s > until_s:
+                return False
+        self.holder, self.depth = caller, self.depth + 1
+        return True
+
+    def release(self) -> None:
+        self.depth -= 1
+        if not self.depth:
+            self.holder = None
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *_) -> None:
+        self.release()
+
+
+class ErringBench(tube_bench.TubeBench):
+    """A bench whose procedures may leave out a step or err, and between whose steps other threads have their turn."""
+
+    plant: Plant
+
+    def __init__(self, *arguments, **named) -> None:
+        super().__init__(*arguments, **named)
+        self.interlock, self.plant.server_bench = self.plant.interlock, self
+
+    def check(self) -> None:
+        self.plant.between()
+        super().check()
+
+    def shut_gate(self) -> None:
+        if self.plant.slip != "gate not shut":
+            super().shut_gate()
+
+    def _gain_move(self, volts: float):
+        move = super()._gain_move(volts)
+        fast = isinstance(move, RaiseGain) and self.plant.slip == "too fast"
+        return replace(move, rate_v_per_s=10.0 * move.rate_v_per_s) if fast else move
 
 
 def run(plant: Plant, program: bytes) -> None:
@@ -274,77 +351,143 @@ def run(plant: Plant, program: bytes) -> None:
     for at in range(0, len(program) - 2, 3):
         step(plant, program[at], program[at + 1], program[at + 2])
         plant.steps += 1
-        plant.bounds_hold()
-        if plant.hurts:
+        bounds_hold(plant)
+        if plant.lab.hurts:
             return
+
+
+def bounds_hold(plant: Plant) -> None:
+    """The interlock never thinks the tube cooler than it is, but for what was changed by hand a moment ago."""
+    state, lab = plant.interlock.state, plant.lab
+    unseen = {
+        line.name
+        for line in (lab.gate.line, lab.supply.line, lab.lamp.line, lab.wheel.line)
+        if line.changed_s <= CLOCK.now_s
+    }
+    if lab.duty > state.duty * (1 + 1e-9) and "gate" not in unseen:
+        lab.hurts.append(f"the gate was thought open for {state.duty:.3g} and was for {lab.duty:.3g}")
+    if lab.volts > state.mcp_v * (1 + 1e-9) and "supply" not in unseen:
+        lab.hurts.append(f"the gain was thought {state.mcp_v:g} V and was {lab.volts:g}")
+    if lab.known_lux > 1.25 * state.light_lux + 1e-5 and not unseen & {"lamp", "wheel"}:
+        lab.hurts.append(f"the light was thought {state.light_lux:g} lux and was {lab.known_lux:g}")
+    if state.surely_open and lab.open[0] == 0.0:
+        lab.hurts.append("a shut gate was taken for surely open")
 
 
 def step(plant: Plant, what: int, first: int, second: int) -> None:
     """One thing that somebody does or that happens."""
-    share, answers = (1.0, True) if second % 8 else ((second >> 3) % 3 / 2, second >= 128)
-    if what < 128:
-        _sensible(plant, first, share, answers)
-    elif what < 148:
-        plant.command(
-            OpenGate(width_ns=_of(WIDTHS_NS, first), rate_hz=_of(RATES_HZ, second)), share=share, answers=answers
+    lab, lines = plant.lab, _lines(plant)
+    if what < 140:
+        _sensible(plant, first, second)
+    elif what < 150:
+        asked = Conditions(mcp_v=_of(VOLTS, first), gate_ns=_of(WIDTHS_NS, second))
+        plant.slip = (None, None, None, "gate not shut", "too fast")[first // 16 % 5]
+        plant.ask("set_conditions", asked, later=second > 250)
+    elif what < 164:
+        plant.place(
+            _of(LUX, first), _of(TARGETS, second // 16), share=second % 3 / 2, shows=second > 40, later=second < 4
         )
-    elif what < 168:
-        plant.command(
-            RaiseGain(goal_v=_of(VOLTS, first), rate_v_per_s=_of(RATES, second)), share=share, answers=answers
-        )
-    elif what < 180:
-        plant.command(LowerGain(goal_v=_of(VOLTS, first)), share=share, answers=answers)
-    elif what < 205:
+    elif what < 172:
         target = _of(TARGETS, second // 16)
-        light = SetLight(illuminance_lux=_of(LUX, first), point=target.pinhole_px is not None, target=target)
-        plant.command(light, share=share, answers=answers)
-    elif what < 208:
-        turn = TurnFilter(position=first % len(DENSITIES) + 1)
-        plant.command(turn, share=share, answers=answers)
-    elif what < 215:
-        plant.shut(works=answers)
-    elif what < 220:
-        plant.off(works=answers)
-    elif what < 228:
-        plant.darken(works=answers)
-    elif what < 232:
-        plant.look()
-    elif what < 240:
-        plant.speaks()
-    elif what < 244:
-        plant.door_opens(_of((1e-5, 1e-3, 1.15e-2, 0.1, 50.0), first))
-        plant.passes(1.6 * (second % 2), guarded=True)
-    elif what < 246:
-        if first < 32:  # rarely: nothing can be done to a failed bench
-            plant.fails(_of(FAULTS, first))
+        point, density = target.pinhole_px is not None, (None, *laboratory.DENSITIES)[second % 8]
+        plant.ask("shine", _of(LUX, first), point=point, target=target, filter_density=density, later=second > 250)
+    elif what < 192:
+        other = (plant.darken, partial(plant.ask, "shut_gate"), partial(plant.ask, "read_meters"), plant.say_light)
+        more = (partial(plant.ask, "verify"), partial(plant.ask, "check"), partial(plant.ask, "light_unknown"))
+        _of((*other, *more, partial(plant.ask, "safe"), plant.show_dark_frame, partial(plant.ask, "nonsense")), first)()
+    elif what < 204:
+        plant.show_frame(allowed=(0.0, 0.0, 0.3)[first % 3], more=(0.0, 0.0, 0.02, 0.04)[second % 4])
+    elif what < 216:
+        plant.interruption = (first % 12, partial(_happens, plant, second))
+    elif what < 236:
+        plant.passes((0.05, 0.1, 0.3, 0.7)[first % 4])
+    elif what < 252 or first % 4:
+        plant.passes(0.1)
     else:
-        plant.passes(first / 100.0, guarded=bool(second % 4))
+        _happens(plant, second)
 
 
-def _sensible(plant: Plant, first: int, share: float, answers: bool) -> None:
-    """The next thing that a careful person would do, so that programs get somewhere hot."""
-    plant.speaks()
-    state = plant.interlock.state
-    goal_v, lux = (600.0, 800.0, 865.0, 899.0)[first % 4], (1e-4, 2e-3, 9e-3, 9.0)[first // 4 % 4]
+def _happens(plant: Plant, which: int) -> None:
+    """Something goes wrong, or somebody else asks for the safe state."""
+    lab, lines = plant.lab, _lines(plant)
+    kind, detail, now_s = which % 16, which // 16, CLOCK.now_s
+    if kind < 4:
+        plant.server.take(Request(number=0, command="safe"))
+        plant.make_safe()
+    elif kind < 6:
+        _of(lines, detail).break_down(_of(TROUBLES, which // 3), back_after_s=1.0 if detail % 2 else float("inf"))
+    elif kind < 8:
+        lab.door_lux = _of((0.0, 1e-4, 1e-3, 9e-3, 1.2e-2, 50.0), detail)
+        if detail % 2:
+            plant.show_frame()
+        plant.passes((1.1, 2.3)[detail % 2])
+    elif kind < 9:
+        plant.silent_until_s = now_s + (0.3, 0.45, 2.0)[detail % 3]
+        plant.passes((0.3, 1.7)[detail % 2])
+    elif kind < 11:
+        plant.run_hangs_until_s = now_s + (0.5, 1.0, 4.0)[detail % 3]
+        plant.passes((0.3, 3.0)[detail % 2])
+    elif kind < 13:
+        plant.hung_until_s = now_s + (0.3, 2.5)[detail % 2]
+        plant.passes((0.3, 1.2, 2.0)[detail % 3])
+    elif kind < 14 and plant.server.end_reason() is None:
+        plant.end("the client leaves")
+        plant.make_safe()
+    else:
+        _by_hand(plant, detail)
+        plant.passes(0.7)
+
+
+def _by_hand(plant: Plant, which: int) -> None:
+    """Somebody turns a knob at a front panel."""
+    lab, now_s = plant.lab, CLOCK.now_s
+    if which % 4 == 0:
+        lab.open, lab.gate.line.changed_s = (1e6, 50.0), now_s
+    elif which % 4 == 1:
+        lab.volts, lab.supply.line.changed_s = 850.0 if lab.volts < 850.0 else 100.0, now_s
+    elif which % 4 == 2 and lab.lamp_a > 0.0:
+        lab.lamp_a, lab.lamp.line.changed_s = 2.0 * lab.lamp_a, now_s
+    elif which % 4 == 3 and plant.has_lamp:
+        lab.filter, lab.wheel.line.changed_s = lab.filter % len(laboratory.DENSITIES) + 1, now_s
+
+
+def _sensible(plant: Plant, first: int, second: int) -> None:
+    """The next thing that a careful client would do, so that programs get somewhere hot."""
+    lab, state = plant.lab, plant.interlock.state
+    if lab.fault_s <= CLOCK.now_s or plant.over:
+        if first < 100:
+            lab.door_lux = 0.0
+            plant.open()
+        elif first < 120:
+            plant.ask("set_conditions", Conditions(mcp_v=600.0, gate_ns=1e6))
+        elif first < 140:
+            plant.place(1e-4, Target())
+        return
+    plant.passes(0.02)
+    volts, lux = (600.0, 800.0, 865.0, 899.0)[first % 4], (1e-4, 2e-3, 9e-3, 10.0)[first // 4 % 4]
     target = TARGETS[2] if lux > 1.0 else TARGETS[0]
-    point = lux > 1.0
-    if state.shut and (state.target, state.point) != (target, point):
-        plant.command(SetLight(illuminance_lux=0.0, point=point, target=target), share=1.0, answers=True)
-    elif not state.shut and (state.surely_v == 0.0 or first > 240):
-        plant.shut(works=answers)
+    width_ns = 1.6e7 if plant.setup.field_hz > 50.0 else 1.9e7
+    if not state.dark and first % 4:
+        plant.show_frame()
     elif not state.dark:
-        plant.darken(works=answers)
-    elif state.shut and (state.surely_v < 50.0 or first > 200):
-        plant.command(RaiseGain(goal_v=goal_v, rate_v_per_s=50.0), share=share, answers=answers)
-    elif state.shut:
-        plant.command(OpenGate(width_ns=1.6e7, rate_hz=59.94), share=share, answers=answers)
+        plant.darken()
+    elif (state.target, state.point) != (target, lux > 1.0) and not (state.shut or first % 8):
+        plant.ask("shut_gate")
+    elif state.shut and (state.target, state.point) != (target, lux > 1.0):
+        plant.place(0.0, target)
+    elif state.shut or state.surely_v < 50.0 or not first % 8:
+        plant.ask("set_conditions", Conditions(mcp_v=volts, gate_ns=width_ns))
     elif not state.dark_seen:
-        plant.look()
-    elif not state.filter_known or first % 16 == 1:
-        plant.command(TurnFilter(position=first // 16 % len(DENSITIES) + 1), share=share, answers=answers)
+        plant.show_dark_frame()
+    elif plant.has_lamp and first % 8 != 7:
+        plant.ask("shine", lux, point=state.point, target=state.target, filter_density=None)
     else:
-        light = SetLight(illuminance_lux=lux, point=state.point, target=state.target or Target())
-        plant.command(light, share=share, answers=answers)
+        plant.place(lux, state.target or Target())
+
+
+def _lines(plant: Plant):
+    lab = plant.lab
+    return [one.line for one in (lab.gate, lab.supply, lab.gate, lab.supply, lab.lamp, lab.wheel, lab.meter)]
 
 
 def _of(values, byte: int):

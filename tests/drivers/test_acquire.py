@@ -10,7 +10,7 @@ import pytest
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.frame_format_check import picture_of
 from drivers.acquisition.plan_check import bytes_of, check_plan
-from drivers.errors import InstrumentTripped
+from drivers.errors import BenchError, InstrumentTripped
 from drivers.interface import CameraError
 from labdata.adaptive import SaturationSearch, Until
 from labdata.border import from_toml
@@ -85,10 +85,10 @@ def test_light_is_out_while_gate_and_gain_move_and_the_gate_is_shut_while_target
     assert [event for event in rig.diary if event.startswith("light ")] == ["light out"] * 3
 
 
-def test_the_bench_opens_last_and_closes_first(tmp_path):
+def test_the_tube_is_made_safe_before_all_else_and_before_anything_is_closed(tmp_path):
     rig = FakeRig()
     take(rig, tmp_path / "s")
-    order = ["camera opens", "bench opens", "bench closes", "darkened", "camera closes"]
+    order = ["bench opens", "camera opens", "made safe", "darkened", "camera closes", "bench closes"]
     assert [event for event in rig.diary if event in order] == order
     assert not rig.gate_open
 
@@ -98,8 +98,8 @@ def test_any_end_shuts_the_gate_before_the_camera_is_stopped_and_keeps_the_frame
     rig = FakeRig(fail=at_frame(7, error))
     with pytest.raises(type(error)):
         take(rig, tmp_path / "s")
-    events = [event for event in rig.diary if event in ("made safe", "capture stops", "bench closes")]
-    assert events[-3:] == ["made safe", "capture stops", "bench closes"]
+    events = [event for event in rig.diary if event in ("frame", "made safe", "capture stops")]
+    assert events[events.index("made safe") - 1 :][:3] == ["frame", "made safe", "capture stops"]
     assert not rig.gate_open and rig.mcp_v == 0.0
     session = open_session(tmp_path / "s")
     assert [len(entry.read()) for entry in session.stacks] == [4, 2]
@@ -115,10 +115,9 @@ def test_a_bench_that_cannot_be_made_safe_does_not_hide_the_first_error(tmp_path
 
 
 def test_a_trip_of_the_supply_ends_the_run_at_the_next_frame(tmp_path):
-    checks = iter(range(1, 100))
-    trip = CameraError("high-voltage supply tripped")
-    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and next(checks) == 6 else None)
-    with pytest.raises(CameraError, match="tripped"):
+    trip = BenchError("high-voltage supply tripped")
+    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and rig.frames_sent == 6 else None)
+    with pytest.raises(BenchError, match="tripped"):
         take(rig, tmp_path / "s")
     assert not rig.gate_open
     assert [len(entry.read()) for entry in open_session(tmp_path / "s").stacks] == [4, 1]
@@ -144,13 +143,12 @@ def test_a_resumed_run_repeats_nothing_and_fills_up_what_was_broken_off(tmp_path
 
 def test_what_was_taken_while_the_bench_failed_is_put_aside_and_taken_anew(tmp_path):
     """The gate is shut some frames before anybody is told: they are dark, and no light is measured in them."""
-    checks = iter(range(1, 100))
     trip = InstrumentTripped("high-voltage supply tripped")
-    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and next(checks) == 7 else None)
+    rig = FakeRig(fail=lambda event: trip if event == "bench checked" and rig.frames_sent == 6 else None)
     with pytest.raises(InstrumentTripped):
         take(rig, tmp_path / "s")
     broken = open_session(tmp_path / "s").stack("low")
-    assert len(broken.read()) == 2
+    assert len(broken.read()) == 1
     assert any("may be dark" in note for note in broken.notes)
     rig = FakeRig()
     session = take(rig, tmp_path / "s", resume=True)
@@ -307,7 +305,7 @@ def test_a_step_that_looks_at_its_frames_needs_a_judge(tmp_path):
     rig = FakeRig()
     with pytest.raises(BadInput, match="must have a judge, got none for 'level'"):
         take(rig, tmp_path / "s", Plan(name="p", steps=(ADAPTIVE,)))
-    assert rig.diary == []
+    assert rig.diary == ["bench opens", "bench closes"]
 
 
 def test_the_log_tells_what_happened(tmp_path):
@@ -368,7 +366,7 @@ def test_the_whole_plan_is_checked_before_anything_opens(tmp_path, wrong, rule):
     plan = Plan(name="p", sensor="pulnix-ag5745ef3", steps=(step("good"), wrong))
     with pytest.raises(BadInput, match=rule):
         take(rig, tmp_path / "s", plan)
-    assert rig.diary == []
+    assert rig.diary == ["bench opens", "bench closes"], "the tube is made safe, and nothing else opens"
     assert not (tmp_path / "s").exists()
 
 
@@ -385,7 +383,7 @@ def test_a_picture_that_the_sensor_does_not_have_is_refused_before_anything_open
     with pytest.raises(BadInput, match=rule):
         plan = Plan(name="p", sensor="pulnix-ag5745ef3", picture=Picture(**picture), steps=(step("good"),))
         take(rig, tmp_path / "s", plan)
-    assert rig.diary == []
+    assert rig.diary == ["bench opens", "bench closes"]
 
 
 def test_the_camera_is_asked_for_the_picture_of_the_plan_and_for_the_whole_sensor_else(tmp_path):

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.cameras.aravis.camera import AravisCamera, list_cameras
+from drivers.cameras.aravis.camera import AravisCamera
+from drivers.cameras.aravis.connection import list_cameras
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput

@@ -114,6 +114,6 @@ def test_a_camera_that_goes_while_it_is_spoken_to_is_not_spoken_to_for_seconds(t
 
         began_s = time.monotonic()
         with pytest.raises(CameraError, match="nothing listens on its control port"):
-            camera.while_alive(killed)
+            camera.connection.while_alive(killed)
         assert time.monotonic() - began_s < 1.0
-        assert camera.is_dead
+        assert camera.connection.is_dead

@@ -89,6 +89,9 @@ def test_a_meter_that_is_needed_must_be_there():
 class Blind:
     """An operator who believes that the light is out."""
 
+    is_by_hand = False
+    while_waiting = staticmethod(lambda: None)
+
     def darken(self) -> None: ...
 
     def place(self, *, kind, target, illuminance_lux, filter_density=None) -> Conditions:

@@ -30,7 +30,8 @@ def test_charge_is_current_times_time_less_what_the_plate_cannot_give(meter, led
     meter.watch(SHUT, 0.0)
     meter.watch(LIT, 4.0)
     meter.watch(SHUT, 5.0)
-    (total,) = [ledger.total()]
+    assert meter.close(5.0) is None
+    total = ledger.total()
     asked = 1e-3 * 1350e-6 * 1e-4 * 50.0
     given = asked / (1.0 + asked / (0.2 * 0.6e-6))
     assert total.screen_c_per_cm2 == pytest.approx(given * 0.5 * 4.0, rel=1e-3)
@@ -42,6 +43,7 @@ def test_a_long_exposure_is_written_down_on_the_way(meter, ledger):
     meter.watch(SHUT, 0.0)
     for tick in range(1, 26):
         meter.watch(LIT, 1.0 * tick)
+    assert meter.flush(5.0)
     assert len(ledger) == int(25.0 // LONGEST_S)
 
 
@@ -49,6 +51,7 @@ def test_light_in_a_pinhole_is_counted_apart(meter, ledger):
     meter.watch(SHUT, 0.0)
     meter.watch(replace(LIT, point=True), 4.0)
     meter.watch(SHUT, 5.0)
+    meter.close(5.0)
     assert ledger.total().screen_c_per_cm2 == 0.0
     assert ledger.total().point_c_per_cm2 > 0.0
 
@@ -56,7 +59,7 @@ def test_light_in_a_pinhole_is_counted_apart(meter, ledger):
 def test_what_nobody_has_read_is_not_counted(meter, ledger):
     meter.watch(TubeState(), 0.0)
     meter.watch(TubeState(), 100.0)
-    meter.write()
+    meter.close(5.0)
     assert len(ledger) == 0
 
 
@@ -67,8 +70,8 @@ def test_a_disk_that_refuses_is_told_and_nothing_is_forgotten(tmp_path):
     meter.watch(SHUT, 0.0)
     meter.watch(LIT, 4.0)
     meter.watch(SHUT, 5.0)
+    assert meter.flush(5.0)
     assert meter.failure is not None and "dose must be written" in meter.failure
     (tmp_path / "tubes").unlink()
-    meter.write()
-    assert meter.failure is None
+    assert meter.close(5.0) is None
     assert ledger.total().screen_c_per_cm2 > 0.0

@@ -1,12 +1,12 @@
 """A gate opens at each trigger that it was told to take, no more often than was asked, and says where none comes."""
 
+import time
+
 import pytest
 
 from drivers.acquisition.plan_check import check_plan
 from drivers.errors import InstrumentRejected
-from drivers.instruments.delay_generator import DelayGenerator
-from drivers.instruments.dg535 import Dg535
-from drivers.serial_lines.line_factory import bus_line, gate_line
+from drivers.instruments import delay_generator, dg535, gate_limits
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gating import HOLDOFF, Gating
@@ -22,7 +22,7 @@ WIDTH_NS = 2e6
 
 def dg645(**wired):
     port = InProcessPort(VirtualDg645(**wired))
-    return DelayGenerator(gate_line(port)), port
+    return delay_generator.MODEL.driver(delay_generator.MODEL.line(port, 0)), port
 
 
 def test_a_triggered_gate_opens_once_for_each_field_and_holds_off_what_comes_too_early():
@@ -43,6 +43,21 @@ def test_a_gate_at_whose_input_nothing_comes_is_told_and_left_shut():
     assert not port.gate().gate_open
 
 
+@pytest.mark.parametrize("sync", ["triggered", "line-locked"])
+def test_triggers_that_stay_away_are_reported_at_a_look_and_not_while_one_is_still_due(monkeypatch, sync):
+    gate, port = dg645()
+    gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync=sync)
+    port.far_end()
+    gate.look()
+    monkeypatch.setattr(VirtualDg645, "_trigger_hz", lambda self: 0.0)
+    gate._triggered_s, now_s = time.monotonic(), time.monotonic()
+    monkeypatch.setattr(gate_limits.time, "monotonic", lambda: now_s + 1.9 / FIELD_HZ)
+    gate.look()
+    monkeypatch.setattr(gate_limits.time, "monotonic", lambda: now_s + 2.1 / FIELD_HZ)
+    with pytest.raises(InstrumentRejected, match=r"must be triggered .* times a second, got no trigger"):
+        gate.look()
+
+
 def test_a_gate_goes_from_one_trigger_to_another_and_keeps_nothing_of_the_first():
     gate, port = dg645()
     gate.open(width_ns=WIDTH_NS, rate_hz=FIELD_HZ, sync="triggered")
@@ -54,7 +69,7 @@ def test_a_gate_goes_from_one_trigger_to_another_and_keeps_nothing_of_the_first(
 
 def test_the_older_generator_takes_the_mains_and_refuses_what_it_cannot_hold_off():
     port = InProcessPort(PrologixAdapter({15: VirtualDg535()}))
-    gate = Dg535(bus_line(port, name="delay generator", address=15))
+    gate = dg535.MODEL.driver(dg535.MODEL.line(port, 15))
     gate.open(width_ns=WIDTH_NS, rate_hz=60.0, sync="line-locked")
     assert port.gate().gate_trigger == "mains"
     with pytest.raises(BadInput, match="has no trigger holdoff, got triggered"):

@@ -8,10 +8,9 @@ from drivers.bench.setup import open_bench
 from drivers.bench.state import InterlockRefused, TurnFilter
 from drivers.errors import BenchError, InstrumentRejected
 from drivers.instruments import high_voltage
-from drivers.instruments.filter_wheel import FilterWheel
+from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
-from drivers.serial_lines.line_factory import wheel_line
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.lamp import Lamp
@@ -35,6 +34,9 @@ DARK = {"kind": "flat", "target": Target(), "illuminance_lux": 0.0}
 
 class Hands:
     """Places targets and nothing else."""
+
+    is_by_hand = False
+    while_waiting = staticmethod(lambda: None)
 
     def __init__(self) -> None:
         self.placed: list[float] = []
@@ -133,11 +135,11 @@ def test_the_source_itself_refuses_more_than_was_calibrated(bench, virtual):
         at_gain(bench, Hands()).place(kind="flat", target=Target(), illuminance_lux=1e-2, filter_density=2.0)
         assert virtual.outputs().lamp_a == pytest.approx(1.0)  # the end of the table is no fault of the diode
         with pytest.raises(InstrumentRejected):
-            bench._lamp._source.shine(1.01)
+            bench.stations["light-source"].driver.shine(1.01)
 
 
 def test_a_wheel_that_somebody_turned_is_told(virtual):
-    ours, theirs = (FilterWheel(wheel_line(virtual.ports["filter-wheel"])) for _ in range(2))
+    ours, theirs = (FilterWheel(PromptLine(virtual.ports["filter-wheel"], name="filter wheel")) for _ in range(2))
     ours.look()
     ours.look()
     theirs.turn_to(4)

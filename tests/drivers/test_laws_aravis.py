@@ -1,6 +1,7 @@
 """The Aravis driver keeps the laws of cameras over a GigE Vision wire that loses none to 5 % of its packets."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,17 @@ def is_whole(frame: Frame) -> bool:
     return np.array_equal(frame.pixels, luma(block, *frame.pixels.shape, deep=deep))
 
 
+@contextmanager
+def untriggered(identifier: str) -> Iterator[AravisCamera]:
+    """The camera waiting for a trigger that nobody gives."""
+    with AravisCamera(identifier, silence_s=PATIENCE_S) as camera:
+        camera.configure(CameraSettings(trigger="Software"))
+        try:
+            yield camera
+        finally:
+            camera.configure(CameraSettings(trigger="off"))
+
+
 @pytest.fixture(scope="module", params=SHARES, ids=lambda share: f"{share:.1%} of packets lost")
 def wire(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, float]]:
     folder: Path = tmp_path_factory.mktemp("camera")
@@ -42,6 +54,7 @@ class TestAravis(CameraLaws):
         identifier, share = wire
         return Bench(
             open=lambda: AravisCamera(identifier, silence_s=PATIENCE_S),
+            quiet=lambda: untriggered(identifier),
             is_whole=is_whole,
             frames=50,
             loses=share > 0,

@@ -44,6 +44,7 @@ class TestReplay(CameraLaws):
     def laws(self, recorded, label):
         return Bench(
             open=lambda: ReplayCamera(recorded, label=label, speed=None),
+            quiet=lambda: ReplayCamera(recorded, label=label, speed=0.01),
             is_whole=is_whole,
             loses=label == "lossy",
             counts_from=1,

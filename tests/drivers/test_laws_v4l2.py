@@ -1,5 +1,6 @@
 """The V4L2 driver keeps the laws of cameras against a device that answers at the ioctl boundary."""
 
+import time
 from itertools import count
 
 import numpy as np
@@ -23,11 +24,20 @@ def dropping():
             yield Sent(sequence=sequence, faulty=sequence % 7 == 3, share=0.5 if sequence % 11 == 6 else 1.0)
 
 
+class SlowDevice(FakeDevice):
+    """A device that waits as long as it is asked to."""
+
+    def wait(self, timeout_s: float) -> bool:
+        time.sleep(timeout_s)
+        return False
+
+
 @pytest.mark.parametrize("loses", [False, True], ids=["all arrive", "a third does not arrive whole"])
 class TestV4l2(CameraLaws):
     @pytest.fixture
     def laws(self, loses: bool) -> Bench:
         return Bench(
+            quiet=lambda: V4l2Camera("fake", silence_s=5.0, open_device=lambda _: SlowDevice(list)),
             open=lambda: V4l2Camera("fake", open_device=lambda _: FakeDevice(dropping if loses else steadily)),
             is_whole=is_whole,
             loses=loses,

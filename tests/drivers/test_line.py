@@ -11,11 +11,16 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from drivers.errors import BenchError, BenchStopped, InstrumentDisconnected, InstrumentReplyError, InstrumentTimeout
-from drivers.serial_lines.iseg_line import IsegLine
+from drivers.instruments import high_voltage, iseg
+from drivers.instruments.filter_wheel import PromptLine
+from drivers.instruments.iseg import IsegLine
 from drivers.serial_lines.line import FramedLine
 from drivers.serial_lines.port import InheritedPort, SerialPort
 from drivers.serial_lines.prologix import PrologixLine
-from drivers.serial_lines.prompt_line import PromptLine
+from simulate.rig.high_voltage import HighVoltageSupply
+from simulate.rig.in_process import InProcessPort
+from simulate.rig.iseg import IsegSupply
+from simulate.rig.prologix import PrologixAdapter
 from simulate.rig.pseudo_terminal import PseudoTerminal
 
 ANSWER_S = 0.15
@@ -207,6 +212,48 @@ def test_nothing_of_another_thread_follows_the_first_order_of_the_safe_action(ki
     assert b"HVOF" in port.sent[-1]
 
 
+class ListenedPort(InProcessPort):
+    """A port to a virtual instrument that notes what is sent."""
+
+    def __init__(self, instrument) -> None:
+        super().__init__(instrument)
+        self.sent: list[bytes] = []
+
+    def send(self, data: bytes) -> None:
+        self.sent.append(data)
+        super().send(data)
+
+
+@pytest.mark.parametrize(
+    ("module", "virtual", "order"),
+    [
+        (high_voltage, lambda: PrologixAdapter({14: HighVoltageSupply()}), b"++addr 14\nHVOF\n"),
+        (iseg, IsegSupply, b"\r\nG1\r\n"),
+    ],
+)
+def test_a_ramp_ends_where_the_safe_action_takes_over_and_the_output_falls(module, virtual, order):
+    port = ListenedPort(virtual())
+    line = module.MODEL.line(port, 14)
+    supply = module.MODEL.driver(line)
+    supply.identify()
+    supply.prepare(limit_v=900.0)
+    supply.switch_on()
+    ramping, ended = in_a_thread(lambda: supply.raise_to(800.0, rate_v_per_s=100.0))
+    while port.volts() < 60.0:
+        time.sleep(0.01)
+    line.take_over()
+    with line.safing():
+        for command in supply.off_commands:
+            line.order(command)
+        ramping.join(5.0)
+        assert isinstance(ended[0], BenchStopped)
+        assert port.sent[-1] == order
+        assert supply.measured_v() < 120.0
+    line.release()
+    supply.order_off()
+    supply.look()
+
+
 ADAPTER = b"".join(
     f"++{setting}\n".encode()
     for setting in ("savecfg 0", "auto 0", "mode 1", "eoi 1", "eos 2", "read_tmo_ms 200", "addr 14")
@@ -246,6 +293,10 @@ def test_after_reopening_the_adapter_is_set_up_again(adapter, port):
     port.sent.clear()
     assert adapter.ask("VOUT?") == "800"
     assert port.sent == [b"++ver\n", ADAPTER, b"++addr\n", b"VOUT?\n++read eoi\n"]
+    adapter.reopen()
+    port.sent.clear()
+    adapter.write("VSET 50")
+    assert port.sent == [ADAPTER, b"VSET 50\n"]
 
 
 @pytest.fixture

@@ -23,7 +23,7 @@ def somewhere_else(tmp_path):
         yield instruments.port("thermometer")
 
 
-def test_a_real_thermometer_is_read_meters_a_virtual_tube(somewhere_else, tmp_path, monkeypatch):
+def test_a_real_thermometer_is_read_next_to_a_virtual_tube(somewhere_else, tmp_path, monkeypatch):
     monkeypatch.setattr(aravis_library, "is_available", lambda: False)  # the camera has no part in this
     told: list[str] = []
     wires = Wires(thermometer="ctc100", thermometer_port=somewhere_else)

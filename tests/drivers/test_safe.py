@@ -3,9 +3,7 @@
 import pytest
 
 from drivers.bench.safe_state import make_safe
-from drivers.instruments.delay_generator import DelayGenerator
-from drivers.instruments.high_voltage import HighVoltage
-from drivers.serial_lines.line_factory import gate_line, supply_line
+from drivers.instruments import delay_generator, high_voltage
 from simulate.rig.faults import Faults
 from simulate.rig.in_process import InProcessInstruments
 
@@ -17,10 +15,11 @@ def virtual():
 
 @pytest.fixture
 def drivers(virtual):
-    gate, supply = gate_line(virtual.gate_port), supply_line(virtual.supply_port, address=14)
+    gate = delay_generator.MODEL.line(virtual.gate_port, 0)
+    supply = high_voltage.MODEL.line(virtual.supply_port, 14)
     gate.write("DLAY 3,2,1e-3;LAMP 1,4;TSRC 0")
     supply.write("VSET 600;HVON")
-    return {"gate": DelayGenerator(gate), "supply": HighVoltage(supply)}
+    return {"gate": delay_generator.MODEL.driver(gate), "supply": high_voltage.MODEL.driver(supply)}
 
 
 @pytest.fixture

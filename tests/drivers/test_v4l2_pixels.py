@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.cameras.aravis.packed_pixels import PACKINGS
-from drivers.cameras.v4l2 import requests, structures
+from drivers.cameras.aravis.capture import PACKINGS
+from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage
 from drivers.cameras.v4l2.structures import code_of, four_letters
 from labdata.capture import PIXEL_BITS
@@ -41,7 +41,7 @@ KERNEL = {
     "S_INPUT": (4, 0xC0045627),
     "ENUM_FRAMESIZES": (44, 0xC02C564A),
 }
-ASKED = {one.name: one for one in vars(requests).values() if isinstance(one, requests.Request)}
+ASKED = {one.name: one for one in vars(structures).values() if isinstance(one, structures.Request)}
 
 
 def picture(letters: str, rows: int, columns: int, row_bytes: int, **more) -> BufferImage:

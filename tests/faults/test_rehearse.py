@@ -17,6 +17,7 @@ from labdata.wires import Wires
 from simulate.rig.fault_script import FaultScript, Strike
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")
+FRAMES = 200  # long enough for a fault that strikes as they begin
 GARBAGE = Strike(instrument="high_voltage", kind="garbage", at_step="flat", for_s=4.0)
 
 
@@ -27,7 +28,7 @@ def plan(tmp_path):
     asked = Conditions(mcp_v=100.0, gate_ns=1.6e7)
     steps = (
         Step(label="dark", kind="dark", frames=3, conditions=asked),
-        Step(label="flat", kind="flat", frames=3, conditions=replace(asked, illuminance_lux=1e-5)),
+        Step(label="flat", kind="flat", frames=FRAMES, conditions=replace(asked, illuminance_lux=1e-5)),
     )
     wires = Wires(bench="in-process")
     return Plan(name="night", sensor=str(tmp_path / "small.toml"), wires=wires, overrides=(FAST,), steps=steps)
@@ -48,10 +49,18 @@ def test_a_script_breaks_a_run_off_and_the_resumed_run_completes_it(plan, tmp_pa
     session = take(plan, folder, resume=True, progress=progress, tell=told.append, rehearse=script)
     assert [(entry.label, entry.finished, len(entry.read())) for entry in session.stacks] == [
         ("dark", True, 3),
-        ("flat", True, 3),
+        ("flat", True, FRAMES),
     ]
     struck = [each["event"] for each in read_events(tmp_path / "s.bench" / "rehearsal.jsonl")]
     assert struck.count("fault strikes") == 1
+
+
+def test_a_door_that_opens_in_mid_stack_breaks_a_run_off(plan, tmp_path):
+    dark, flat = plan.steps
+    at_gain = replace(plan, steps=(dark, replace(flat, conditions=replace(flat.conditions, mcp_v=650.0))))
+    door = Strike(instrument="surroundings", kind="room light", value=1.0, at_step="flat", for_s=4.0)
+    with pytest.raises(BadInput, match=r"of its pixels full|pixels may be saturated"):
+        take(at_gain, tmp_path / "s", resume=False, progress=quiet, tell=quiet, rehearse=FaultScript(fault=(door,)))
 
 
 def test_no_real_bench_and_no_instrument_that_is_not_there_is_struck(plan, tmp_path):

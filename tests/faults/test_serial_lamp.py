@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from drivers.bench.client import BenchClient
 from drivers.bench.setup import open_bench
+from drivers.bench.tube_bench import TubeBench
 from drivers.errors import BenchError
 from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
@@ -49,7 +51,7 @@ CLIENT = """
 """
 
 
-def bench_at(folder: Path, log: Path) -> Bench:
+def bench_at(folder: Path, log: Path) -> BenchClient | TubeBench:
     wires = Wires(
         gate_port=f"{folder}/delay_generator",
         supply_port=f"{folder}/high_voltage",

@@ -14,14 +14,13 @@ from typing import Any
 from drivers.errors import BenchError
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.dg535 import Dg535
-from drivers.instruments.filter_wheel import FilterWheel
+from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.high_voltage import HighVoltage
-from drivers.instruments.iseg import Iseg, legacy_number
+from drivers.instruments.iseg import Iseg, IsegLine, legacy_number
 from drivers.instruments.light_source import KNOWN, LightSource
-from drivers.serial_lines.iseg_line import IsegLine
+from drivers.instruments.voltage_limits import Supply
 from drivers.serial_lines.line import LONGEST_ANSWER, FramedLine
 from drivers.serial_lines.prologix import PrologixLine
-from drivers.serial_lines.prompt_line import PromptLine
 from labdata.errors import BadInput
 
 ANSWER_S = 0.002
@@ -55,6 +54,10 @@ class NoisyPort:
     def reopen(self) -> None:
         """It was never gone."""
 
+    def fileno(self) -> int:
+        """No descriptor."""
+        return -1
+
     def close(self) -> None:
         """Nothing to let go of."""
 
@@ -80,19 +83,33 @@ def _prompt(port: NoisyPort) -> PromptLine:
     return _in_step(PromptLine(port, name="instrument", answer_s=ANSWER_S))
 
 
+def _after_shut(gate: DelayGenerator) -> DelayGenerator:
+    gate._kept = {"TSRC?": ("trigger source", "5"), "LOFF? 1": ("idle level", "+0.00")}
+    gate._external_hz = 60.0
+    return gate
+
+
+def _at_800_v(supply: Supply) -> Supply:
+    supply.is_on, supply._reached_v = True, 800.0
+    return supply
+
+
 PARSERS: dict[str, Callable[[NoisyPort], object]] = {
     "dg645 identity": lambda port: DelayGenerator(_framed(port)).identify(),
     "dg645 shut": lambda port: DelayGenerator(_framed(port)).shut(),
-    "dg645 width": lambda port: DelayGenerator(_framed(port))._width_ns(),
+    "dg645 width": lambda port: DelayGenerator(_framed(port))._verify_delay("gate width", 3, 2, 1e6),
     "dg645 look": lambda port: DelayGenerator(_framed(port)).look(),
+    "dg645 look after shut": lambda port: _after_shut(DelayGenerator(_framed(port))).look(),
     "dg535 delay": lambda port: Dg535(_bus(port)).identify(),
     "dg535 shut": lambda port: Dg535(_bus(port)).shut(),
     "ps350 prepare": lambda port: HighVoltage(_bus(port)).prepare(limit_v=900.0),
     "ps350 status": lambda port: HighVoltage(_bus(port)).check_on(),
+    "ps350 look": lambda port: _at_800_v(HighVoltage(_bus(port))).look(),
     "ps350 volts": lambda port: HighVoltage(_bus(port)).measured_v(),
     "prologix address": lambda port: PrologixLine(port, name="instrument", address=14, answer_s=ANSWER_S).ask("VOUT?"),
     "iseg identity": lambda port: Iseg(_echo(port)).identify(),
     "iseg state": lambda port: Iseg(_echo(port)).check_on(),
+    "iseg look": lambda port: _at_800_v(Iseg(_echo(port))).look(),
     "iseg volts": lambda port: Iseg(_echo(port)).measured_v(),
     "iseg number": lambda port: legacy_number(port.receive(0.0).decode("ascii", "replace")),
     "wheel identity": lambda port: FilterWheel(_prompt(port)).identify(),

@@ -42,6 +42,14 @@ def vivid(
         yield camera
 
 
+@contextmanager
+def slow() -> Iterator[V4l2Camera]:
+    """The virtual camera at one frame a second."""
+    with vivid() as camera:
+        camera.configure(CameraSettings(frame_rate_hz=1.0))
+        yield camera
+
+
 def is_checkered(frame: Frame) -> bool:
     """Squares of 16 px, black and white by turns, and nothing else."""
     squares = np.indices(frame.pixels.shape) // 16
@@ -57,6 +65,7 @@ class TestWebcam(CameraLaws):
     def laws(self, lost_percent: int) -> Bench:
         return Bench(
             open=lambda: vivid(**{DROPPED.replace(" ", "_"): lost_percent}),
+            quiet=slow,
             is_whole=is_checkered,
             frames=60 if lost_percent else 20,
             loses=True,  # an emulated machine that is held up drops frames of its own
@@ -85,7 +94,9 @@ class TestWebcam(CameraLaws):
 class TestComposite(CameraLaws):
     @pytest.fixture
     def laws(self) -> Bench:
-        return Bench(open=lambda: vivid(COMPOSITE, video_lines=525), is_whole=is_checkered, frames=10, loses=True)
+        return Bench(
+            open=lambda: vivid(COMPOSITE, video_lines=525), quiet=slow, is_whole=is_checkered, frames=10, loses=True
+        )
 
 
 def test_the_device_is_listed_with_what_it_offers() -> None:

@@ -18,7 +18,7 @@ def findings() -> Iterator[Finding]:
 
 def aravis_cameras() -> Iterator[Finding]:
     """Yield the cameras that answer Aravis, or why there can be none."""
-    from drivers.cameras.aravis.camera import list_cameras
+    from drivers.cameras.aravis.connection import list_cameras
     from drivers.errors import BenchError
 
     try:

@@ -1,47 +1,16 @@
 """A GigE Vision or USB3 Vision camera through Aravis: settings read back, and frames that are whole or counted lost."""
 
-import queue
-import threading
-import time
+import ctypes
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import TracebackType
-from typing import Self, TypeVar, cast
+from typing import Self
 
-from drivers.cameras.aravis import gige_control
-from drivers.cameras.aravis.capture import SUSPICION_S, AravisCapture
-from drivers.cameras.aravis.library import PACKET_SOCKET_DISABLED, Aravis, aravis
-from drivers.cameras.aravis.settings import AravisSettings
+from drivers.cameras.aravis.capture import PIXELS, AravisCapture
+from drivers.cameras.aravis.connection import HEARTBEAT_S, Connection, only_camera
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
-
-T = TypeVar("T")
-
-UNANSWERED = 5  # questions on the control port, 0.1 s each, before a camera is taken for dead
-HEARTBEAT_S = 3.0  # a camera stays locked this long after its client died
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraFound:
-    """A camera that answered."""
-
-    identifier: str
-    address: str
-    model: str
-    serial: str
-
-
-def list_cameras() -> tuple[CameraFound, ...]:
-    """Ask every interface which cameras are there."""
-    library = aravis()
-    library.plain("arv_update_device_list")
-    names = ("arv_get_device_id", "arv_get_device_address", "arv_get_device_model", "arv_get_device_serial_nbr")
-    rows = [
-        [(library.plain(name, index) or b"").decode(errors="replace") for name in names]
-        for index in range(library.plain("arv_get_n_devices"))
-    ]
-    return tuple(CameraFound(identifier=a, address=b, model=c, serial=d) for a, b, c, d in rows)
 
 
 class AravisCamera:
@@ -60,7 +29,7 @@ class AravisCamera:
         Longest wait for a camera that another program holds, s. One whose client died frees itself after its
         heartbeat time.
     say
-        Told, in a sentence, why opening takes long.
+        Called with a sentence if opening takes long.
 
     Raises
     ------
@@ -79,44 +48,31 @@ class AravisCamera:
     ) -> None:
         self._name, self._silence_s, self._control_s, self._say = name, silence_s, control_s, say
         self._resend = resend
-        self._camera: int | None = None
-        self._address: str | None = None
-        self._dead = False
-        self._unanswered = 0
-        self._act: threading.Thread | None = None
-
-    @property
-    def is_dead(self) -> bool:
-        """Whether the camera was found dead."""
-        return self._dead
-
-    @property
-    def is_gige(self) -> bool:
-        """Whether frames come over a network."""
-        return self._address is not None
+        self._open: Connection | None = None
 
     @property
     def identifier(self) -> str:
         """The camera's Aravis identifier."""
         return self._name or "camera"
 
+    @property
+    def connection(self) -> Connection:
+        """The open camera."""
+        if self._open is None:
+            raise CameraError(f"camera {self.identifier} must be opened with a with block before it is used")
+        return self._open
+
     def __enter__(self) -> Self:
-        self._library: Aravis = aravis()
-        self._name = self._name or _only_camera()
-        self._camera = camera = self._take_control(self._name)
-        if self._library.plain("arv_camera_is_gv_device", camera):
-            self._address = self._library.address(self._library.plain("arv_camera_get_device", camera))
-            self._library.plain("arv_camera_gv_set_stream_options", camera, PACKET_SOCKET_DISABLED)
-        # A client that was killed left its camera sending, to an address that nobody hears any more.
-        self._library.call("arv_camera_stop_acquisition", camera)
+        self._name = self._name or only_camera()
+        self._open = Connection(self._name, control_s=self._control_s, say=self._say)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        camera, self._camera = self._camera, None
-        if camera is not None:
-            self.release(camera)
+        connection, self._open = self._open, None
+        if connection is not None:
+            connection.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set what is not None and return every setting as read back.
@@ -128,126 +84,144 @@ class AravisCamera:
         CameraError
             If the camera refuses, or reads back something else than was asked.
         """
-        self.require_alive()
-        features = self._features
+        features = AravisSettings(self.connection)
 
         def applied() -> CameraSettings:
             features.apply(settings)
             return features.read()
 
-        return self.while_alive(applied)
+        self.connection.require_alive()
+        return self.connection.while_alive(applied)
 
-    def capture(self, *, frames: int, discard: int = 0) -> AravisCapture:
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> AravisCapture:
         """Return a capture of `frames` whole frames after `discard` whole ones that are thrown away."""
-        if frames < 1 or discard < 0:
-            raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
-        self.require_alive()
-        settings = self.while_alive(self._features.read)
+        self.connection.require_alive()
+        settings = self.connection.while_alive(AravisSettings(self.connection).read, while_waiting)
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
         return AravisCapture(
-            self._library,
-            self._open,
+            self.connection,
             settings=settings,
-            frames=frames,
-            discard=discard,
             patience_s=self._silence_s + 4 * period_s + (settings.exposure_s or 0.0),
             resend=self._resend,
-            owner=self,
+            frames=frames,
+            discard=discard,
+            while_waiting=while_waiting,
         )
 
-    def require_alive(self) -> None:
-        """Raise a `CameraError` if the camera's control port is closed, or has not answered several times in a row."""
-        if self._camera is None:
-            raise CameraError(f"camera {self.identifier} must be opened with a with block before it is used")
-        if self._dead:
-            raise self.died("has gone")
-        if self._address is None:
+
+class AravisSettings:
+    """The settings of one open camera, each set as asked and read back."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._library, self._camera, self._identifier = connection.library, connection.camera, connection.identifier
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Set what is not None; a value that the camera does not allow is a BadInput."""
+        if settings.pixel_format is not None:
+            self._set_pixel_format(settings.pixel_format)
+        self._set_region(settings)
+        if settings.trigger is not None:
+            self._set_trigger(settings.trigger)
+        self._require_no_fields(settings)
+        self._set_number("frame_rate", "frame rate", "Hz", settings.frame_rate_hz)
+        self._set_number("exposure_time", "exposure", "us", settings.exposure_s and settings.exposure_s * 1e6)
+        self._set_number("gain", "gain", "dB", settings.gain_db)
+
+    def read(self) -> CameraSettings:
+        """Return every setting as the camera reads it back."""
+        first_column, first_row, columns, rows = self._region()
+        exposure_us, gain, rate = (self._number(name) for name in ("exposure_time", "gain", "frame_rate"))
+        return CameraSettings(
+            rows=rows,
+            columns=columns,
+            first_row=first_row,
+            first_column=first_column,
+            pixel_format=self._pixel_format(),
+            exposure_s=exposure_us and exposure_us * 1e-6,
+            gain_db=gain,
+            frame_rate_hz=rate,
+            trigger=self._trigger(),
+        )
+
+    def _set_pixel_format(self, name: str) -> None:
+        if name not in PIXELS:
+            raise BadInput(f"a pixel format must be one of {', '.join(PIXELS)}, got {name!r}")
+        self._library.call("arv_camera_set_pixel_format_from_string", self._camera, name.encode())
+
+    def _set_region(self, settings: CameraSettings) -> None:
+        """Set place and size of the picture; what is None stays."""
+        asked = (settings.first_column, settings.first_row, settings.columns, settings.rows)
+        if all(part is None for part in asked):
             return
-        answer = gige_control.ask(self._address)
-        if answer == "refused":
-            raise self.died("has gone: nothing listens on its control port")
-        self._unanswered = self._unanswered + 1 if answer == "silent" else 0
-        if self._unanswered >= UNANSWERED:
-            raise self.died(f"no longer answers: it left {self._unanswered} questions in a row without reply")
+        column, row, columns, rows = (
+            now if part is None else part for part, now in zip(asked, self._region(), strict=True)
+        )
+        most_columns, most_rows = self._library.pair("arv_camera_get_sensor_size", self._camera, ctypes.c_int)
+        if row + rows > most_rows or column + columns > most_columns:
+            raise BadInput(
+                f"a picture must fit into the sensor's {most_rows} rows and {most_columns} columns, "
+                f"got {rows} rows from row {row} and {columns} columns from column {column}"
+            )
+        self._library.call("arv_camera_set_region", self._camera, column, row, columns, rows)
+        if (is_now := self._region()) != (column, row, columns, rows):
+            raise CameraError(
+                f"camera {self._identifier} must take the region asked (column, row, columns, rows), "
+                f"{(column, row, columns, rows)}, but reads back {is_now}"
+            )
 
-    def while_alive(self, act: Callable[[], T]) -> T:
-        """Return what an act that speaks to the camera returns, or raise what it raises.
-
-        The library repeats for seconds what is not answered, and the gate must not stay open for as long: where the
-        camera is found dead meanwhile, that is raised and the act left to end by itself.
-        """
-        done: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
-
-        def tried() -> None:
-            try:
-                done.put((act(), None))
-            except BaseException as error:  # whoever waits raises it
-                done.put((None, error))
-
-        self._act = threading.Thread(target=tried, daemon=True)
-        self._act.start()
-        while True:
-            try:
-                result, error = done.get(timeout=SUSPICION_S)
-            except queue.Empty:
-                self.require_alive()
-                continue
-            if error is not None:
-                raise error
-            return cast(T, result)
-
-    def died(self, how: str) -> CameraError:
-        """Mark the camera as dead, so that nothing waits for it any more, and return the error to raise."""
-        self._dead = True
-        return CameraError(f"camera {self.identifier} {how}")
-
-    def _take_control(self, name: str) -> int:
-        until_s = time.monotonic() + self._control_s
-        while True:
-            camera = self._opened(name)
-            if not self._library.plain("arv_camera_is_gv_device", camera) or self._library.plain(
-                "arv_gv_device_is_controller", self._library.plain("arv_camera_get_device", camera)
-            ):
-                return camera
-            self._library.release(camera)
-            if time.monotonic() > until_s:
-                raise CameraError(f"camera {name} is held by another program, waited {self._control_s:g} s for it")
-            self._say(f"camera {name} is locked by another client; waiting for its heartbeat to run out")
-
-    def _opened(self, name: str) -> int:
-        try:
-            return self._library.call("arv_camera_new", name.encode())
-        except CameraError as error:
-            there = ", ".join(camera.identifier for camera in list_cameras()) or "none"
-            raise CameraError(f"camera {name} cannot be opened ({error}); cameras found: {there}") from None
-
-    @property
-    def _features(self) -> AravisSettings:
-        return AravisSettings(self._library, self._open, self.identifier)
-
-    @property
-    def _open(self) -> int:
-        if self._camera is None:
-            raise CameraError(f"camera {self.identifier} must be opened with a with block before it is used")
-        return self._camera
-
-    def release(self, thing: int) -> None:
-        """Give up a camera or a stream; a dead camera's in the background."""
-        if self._dead:
-            # Letting go of a dead camera repeats its farewell for seconds; the gate must not wait for that.
-            threading.Thread(target=self._release_last, args=(thing, self._act), daemon=True).start()
+    def _set_trigger(self, source: str) -> None:
+        """Let frames follow one another freely ("off"), or have each triggered by a source."""
+        if source == "off":
+            self._library.call("arv_camera_clear_triggers", self._camera)
         else:
-            self._release_last(thing, self._act)
+            self._library.call("arv_camera_set_trigger", self._camera, source.encode())
+        if (is_now := self._trigger()) != source:
+            raise CameraError(
+                f"camera {self._identifier} must take the trigger asked, {source!r}, but reads back {is_now!r}"
+            )
 
-    def _release_last(self, thing: int, act: threading.Thread | None) -> None:
-        """Give up a thing once the last act, which may still use it, has ended."""
-        if act is not None:
-            act.join()
-        self._library.release(thing)
+    def _require_no_fields(self, settings: CameraSettings) -> None:
+        if settings.field_order not in (None, "progressive"):
+            raise BadInput(
+                f"the field order of camera {self._identifier} cannot be set, GenICam has none, "
+                f"got {settings.field_order!r}"
+            )
 
+    def _set_number(self, feature: str, word: str, unit: str, value: float | None) -> None:
+        if value is None:
+            return
+        low, high = self._library.pair(f"arv_camera_get_{feature}_bounds", self._camera)
+        if not low <= value <= high:
+            raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
+        self._library.call(f"arv_camera_set_{feature}", self._camera, value)
+        is_value = self._library.call(f"arv_camera_get_{feature}", self._camera)
+        # Exposures step by a microsecond, raw gains by one.
+        if not math.isclose(is_value, value, rel_tol=0.01, abs_tol=1.0):
+            raise CameraError(
+                f"camera {self._identifier} must take the {word} asked, {value:g} {unit}, but reads back {is_value:g}"
+            )
 
-def _only_camera() -> str:
-    found = [camera.identifier for camera in list_cameras()]
-    if len(found) != 1:
-        raise CameraError(f"a camera must be named unless there is exactly one, found {', '.join(found) or 'none'}")
-    return found[0]
+    def _number(self, feature: str) -> float | None:
+        if not self._library.call(f"arv_camera_is_{feature}_available", self._camera):
+            return None
+        return self._library.call(f"arv_camera_get_{feature}", self._camera)
+
+    def _region(self) -> tuple[int, int, int, int]:
+        """Return first column, first row, columns and rows."""
+        values = [ctypes.c_int() for _ in range(4)]
+        self._library.call("arv_camera_get_region", self._camera, *map(ctypes.byref, values))
+        column, row, columns, rows = (value.value for value in values)
+        return column, row, columns, rows
+
+    def _trigger(self) -> str | None:
+        """Return what triggers each frame; "off" where they follow one another freely, None where it cannot be told."""
+        if not self._library.call("arv_camera_is_feature_available", self._camera, b"TriggerMode"):
+            return None
+        if self._library.call("arv_camera_get_string", self._camera, b"TriggerMode") != b"On":
+            return "off"
+        return self._library.call("arv_camera_get_trigger_source", self._camera).decode()
+
+    def _pixel_format(self) -> str:
+        return self._library.call("arv_camera_get_pixel_format_as_string", self._camera).decode()

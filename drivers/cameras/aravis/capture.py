@@ -1,21 +1,87 @@
-"""A running capture of an Aravis camera: buffers become frames that are whole, or are counted lost."""
+"""A running capture of an Aravis camera: buffers become frames that are whole, or are counted lost.
+
+Sources of the packed pixel formats: GenICam Pixel Format Naming Convention 2.4, section 6.2 (Mono10p, Mono12p: lower
+bits first, without gaps); GigE Vision 1.2, section 26.1 (Mono10Packed, Mono12Packed: two pixels in three bytes, the
+lower bits of both in the middle one).
+"""
 
 import ctypes
 import math
 import time
-from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Any, Protocol, Self
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cameras.aravis.gige_control import BlockNumbers
-from drivers.cameras.aravis.library import BUFFER_FAULTS, BUFFER_SUCCESS, Aravis
-from drivers.cameras.aravis.packed_pixels import PACKINGS
-from drivers.cameras.frame_assembly import FrameAssembler, IncompleteFrame
+from drivers.cameras.aravis.connection import SUSPICION_S, Connection
+from drivers.cameras.aravis.library import BUFFER_FAULTS, BUFFER_SUCCESS
+from drivers.cameras.frame_assembly import POLL_S, FrameCapture, IncompleteFrame, RunningNumbers
 from drivers.interface import CameraError
-from labdata.capture import CameraSettings, Frame, LostFrames
+from labdata.capture import CameraSettings, Frame
+
+_Bytes = NDArray[np.uint16]
+
+
+def _mono10p(byte: _Bytes) -> tuple[_Bytes, ...]:
+    return (
+        byte[0] | (byte[1] & 0x03) << 8,
+        byte[1] >> 2 | (byte[2] & 0x0F) << 6,
+        byte[2] >> 4 | (byte[3] & 0x3F) << 4,
+        byte[3] >> 6 | byte[4] << 2,
+    )
+
+
+def _mono12p(byte: _Bytes) -> tuple[_Bytes, ...]:
+    return byte[0] | (byte[1] & 0x0F) << 8, byte[1] >> 4 | byte[2] << 4
+
+
+def _mono10_packed(byte: _Bytes) -> tuple[_Bytes, ...]:
+    return byte[0] << 2 | byte[1] & 0x03, byte[2] << 2 | byte[1] >> 4 & 0x03
+
+
+def _mono12_packed(byte: _Bytes) -> tuple[_Bytes, ...]:
+    return byte[0] << 4 | byte[1] & 0x0F, byte[2] << 4 | byte[1] >> 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Packing:
+    """How pixels share bytes.
+
+    Parameters
+    ----------
+    pixels, bytes
+        Pixels of one group, and the bytes that they share.
+    split
+        Takes the bytes of all groups, shape (byte, group), and returns the pixels, one array each.
+    """
+
+    pixels: int
+    bytes: int
+    split: Callable[[_Bytes], tuple[_Bytes, ...]]
+
+    def size_bytes(self, pixels: int) -> int:
+        """Bytes that so many pixels take."""
+        return -(-pixels * self.bytes // self.pixels)
+
+    def unpacked(self, packed: NDArray[np.uint8], pixels: int) -> NDArray[np.uint16]:
+        """Return the first `pixels` pixels of packed bytes, shape (pixel,), DN."""
+        groups = -(-pixels // self.pixels)
+        whole = np.zeros(groups * self.bytes, np.uint8)
+        there = packed[: self.size_bytes(pixels)]
+        whole[: len(there)] = there
+        byte = whole.reshape(groups, self.bytes).T.astype(np.uint16)
+        return np.stack(self.split(byte), axis=1).reshape(-1)[:pixels]
+
+
+PACKINGS = {
+    "Mono10p": Packing(pixels=4, bytes=5, split=_mono10p),
+    "Mono12p": Packing(pixels=2, bytes=3, split=_mono12p),
+    "Mono10Packed": Packing(pixels=2, bytes=3, split=_mono10_packed),
+    "Mono12Packed": Packing(pixels=2, bytes=3, split=_mono12_packed),
+}
+
 
 UNPACKED = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
 PIXELS = (*UNPACKED, *PACKINGS)
@@ -25,128 +91,87 @@ MOST_BUFFER_BYTES = 256 << 20
 # A sender or receiver that a busy machine holds up for a tenth of a second (the default) would lose its frame.
 LATE_PACKET_S = 0.4
 LATE_READER_S = 2.0  # so long a busy machine may keep a reader from its frames
-_POLL_S = 0.05
-SUSPICION_S = 0.2
-"""Silence after which a camera is asked whether it is there, s."""
+BLOCK_NUMBERS = 65535  # of GigE Vision's 16 bits, 1..65535
 
 
-class Owner(Protocol):
-    """The camera that a capture belongs to."""
-
-    @property
-    def identifier(self) -> str: ...
-
-    @property
-    def is_dead(self) -> bool: ...
-
-    @property
-    def is_gige(self) -> bool: ...
-
-    def require_alive(self) -> None: ...
-
-    def while_alive(self, act: Callable[[], None]) -> None: ...
-
-    def died(self, how: str) -> CameraError: ...
-
-    def release(self, thing: int) -> None: ...
-
-
-class AravisCapture:
+class AravisCapture(FrameCapture):
     """A capture that runs within its `with` block; iterate it for whole frames.
 
     Parameters
     ----------
-    library
-        The Aravis library.
-    camera
-        Handle of the open camera.
+    connection
+        The open camera.
     settings
         Settings in force.
-    frames
-        Whole frames to hand out.
-    discard
-        Whole frames to throw away first: those that may have been exposed under earlier conditions.
     patience_s
         Longest wait for a frame, s.
     resend
         Whether packets that did not come are asked for again (GigE Vision).
-    owner
-        The camera's driver.
+    frames, discard, while_waiting
+        As in `FrameCapture`.
     """
 
     def __init__(
         self,
-        library: Aravis,
-        camera: int,
+        connection: Connection,
         *,
         settings: CameraSettings,
-        frames: int,
-        discard: int,
         patience_s: float,
         resend: bool,
-        owner: Owner,
+        frames: int,
+        discard: int,
+        while_waiting: Callable[[], None],
     ) -> None:
+        super().__init__(frames=frames, discard=discard, while_waiting=while_waiting, identifier=connection.identifier)
         if settings.pixel_format not in PIXELS:
             raise CameraError(
-                f"the pixel format of camera {owner.identifier} must be one of {', '.join(PIXELS)}, "
+                f"the pixel format of camera {connection.identifier} must be one of {', '.join(PIXELS)}, "
                 f"got {settings.pixel_format}"
             )
-        self._library, self._camera, self._owner = library, camera, owner
+        self._connection, self._library = connection, connection.library
         self._patience_s, self._resend = patience_s, resend
         self._format, self._frame_rate_hz = settings.pixel_format, settings.frame_rate_hz
         self._shape = (settings.rows or 0, settings.columns or 0)
         self._stream: int | None = None
-        self._numbers = BlockNumbers()
-        self._whole = FrameAssembler(wanted=frames, discard=discard, identifier=owner.identifier)
+        self._numbers = RunningNumbers(BLOCK_NUMBERS)
         self.lost_packets = 0
         """Packets that did not come in time, once the capture has ended (GigE Vision)."""
         self.resent_packets = 0
         """Packets that came because they were asked for again."""
 
-    @property
-    def lost_frames(self) -> int:
-        """Frames numbered by the camera since the first whole one and not whole."""
-        return self._whole.lost
-
-    @property
-    def losses(self) -> tuple[LostFrames, ...]:
-        """The same frames with their numbers and why they are not whole."""
-        return self._whole.losses
-
-    def __enter__(self) -> Self:
-        self._owner.while_alive(self._start)
-        return self
-
     def _start(self) -> None:
+        self._connection.while_alive(self._start_stream, self._while_waiting)
+
+    def _stop(self) -> None:
+        if self._connection.is_dead:
+            self._connection.begin(self._stop_stream)
+        else:
+            self._connection.while_alive(self._stop_stream, self._while_waiting)
+
+    def _start_stream(self) -> None:
         # A stream of its own, on a port of its own: no frame sent before can arrive in it.
-        self._stream = stream = self._library.call("arv_camera_create_stream", self._camera, None, None)
-        if self._owner.is_gige:
+        self._stream = stream = self._library.call("arv_camera_create_stream", self._connection.camera, None, None)
+        if self._connection.address is not None:
             self._library.fix_socket_buffer(stream, SOCKET_BUFFER_BYTES)
             self._library.wait_for_packets(stream, LATE_PACKET_S)
             self._library.ask_for_lost_packets(stream, self._resend)
-        payload = self._library.call("arv_camera_get_payload", self._camera)
+        payload = self._library.call("arv_camera_get_payload", self._connection.camera)
         for _ in range(self._buffers(payload)):
             self._give_back(self._library.plain("arv_buffer_new", payload, None))
-        self._library.call("arv_camera_start_acquisition", self._camera)
+        self._library.call("arv_camera_start_acquisition", self._connection.camera)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def _stop_stream(self) -> None:
         stream, self._stream = self._stream, None
         try:
-            if not self._owner.is_dead:
-                self._library.call("arv_camera_stop_acquisition", self._camera)
+            if not self._connection.is_dead:
+                self._library.call("arv_camera_stop_acquisition", self._connection.camera)
         finally:
             if stream is not None:
-                if self._owner.is_gige:
+                if self._connection.address is not None:
                     self.resent_packets, self.lost_packets = self._library.packets(stream)
-                self._owner.release(stream)
+                self._library.release(stream)
 
-    def __iter__(self) -> Iterator[Frame]:
-        """Hand out whole frames; a camera that falls silent or sends only broken ones is a `CameraError`."""
-        return self._whole.of(self._frame)
-
-    def _frame(self) -> Frame | IncompleteFrame:
+    def _next_frame(self) -> Frame | IncompleteFrame:
         """Copy the next frame out of its buffer and give the buffer back."""
         buffer = self._next_buffer()
         plain = self._library.plain
@@ -173,17 +198,19 @@ class AravisCapture:
         return max(LEAST_BUFFERS, min(LEAST_BUFFERS + waiting, MOST_BUFFER_BYTES // max(1, payload)))
 
     def _next_buffer(self) -> int:
-        """Wait for a buffer; the camera's death is noticed by its closed port, else by its silence."""
+        """Wait for a buffer; a dead camera is noticed by its closed port, else because no frame comes."""
         began_s = time.monotonic()
         while True:
-            buffer = self._library.plain("arv_stream_timeout_pop_buffer", self._stream, int(_POLL_S * 1e6))
+            buffer = self._library.plain("arv_stream_timeout_pop_buffer", self._stream, int(POLL_S * 1e6))
             if buffer:
                 return buffer
+            self._while_waiting()
             silent_s = time.monotonic() - began_s
             if silent_s > SUSPICION_S:
-                self._owner.require_alive()
+                self._connection.require_alive()
+                self._while_waiting()
             if silent_s > self._patience_s:
-                raise self._owner.died(f"has sent no frame for {silent_s:.1f} s")
+                raise self._connection.died(f"has sent no frame for {silent_s:.1f} s")
 
     def _give_back(self, buffer: int) -> None:
         self._library.plain("arv_stream_push_buffer", self._stream, buffer)

@@ -1,18 +1,18 @@
 """A camera or capture card of Linux (V4L2): settings read back, and frames that are whole or counted lost."""
 
+import math
 from collections.abc import Callable
+from fractions import Fraction
 from types import TracebackType
 from typing import Literal, Self
 
-from drivers.cameras.v4l2 import requests
+from drivers.cameras.v4l2 import controls, fields, structures
 from drivers.cameras.v4l2.capture import V4l2Capture
-from drivers.cameras.v4l2.controls import Control, list_controls, read_control, write_control
+from drivers.cameras.v4l2.controls import Control
 from drivers.cameras.v4l2.device import Device, KernelDevice, query_device
-from drivers.cameras.v4l2.fields import ALTERNATE, STANDARDS
-from drivers.cameras.v4l2.listing import capture_capability
-from drivers.cameras.v4l2.pixels import picture_of
-from drivers.cameras.v4l2.settings import V4l2Settings
-from drivers.cameras.v4l2.structures import words
+from drivers.cameras.v4l2.listing import capture_capability, format_codes, list_sizes
+from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage, picture_of
+from drivers.cameras.v4l2.structures import CAPTURE, Format, StreamParameters, words
 from drivers.interface import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
@@ -22,6 +22,9 @@ BEGINS = 3.0
 
 LONGEST_WAIT_S = 600.0
 """Longest wait for a frame beyond the silence allowed, whatever period and exposure a driver tells, s."""
+
+FULL_RANGE = 1
+_FINEST_PERIOD = 100_000
 
 
 class V4l2Camera:
@@ -76,9 +79,9 @@ class V4l2Camera:
             if self._input is not None:
                 self._choose(device, self._input)
             if self._video_lines is not None:
-                standard = requests.SET_STANDARD.structure(STANDARDS[self._video_lines])
+                standard = structures.SET_STANDARD.structure(fields.STANDARDS[self._video_lines])
                 rule = f"camera {self.identifier} must take video of {self._video_lines} lines"
-                query_device(device, requests.SET_STANDARD, standard, rule)
+                query_device(device, structures.SET_STANDARD, standard, rule)
         except BaseException:
             self._close()
             raise
@@ -105,20 +108,20 @@ class V4l2Camera:
 
     def controls(self) -> tuple[Control, ...]:
         """Return the controls that the camera offers."""
-        return list_controls(self._open)
+        return controls.list_controls(self._open)
 
     def control(self, name: str) -> int:
         """Return the value of a control, by its name."""
-        return read_control(self._open, self._named(name))
+        return controls.read_control(self._open, self._named(name))
 
     def set_control(self, name: str, value: int) -> int | None:
         """Set a control by its name and return what it reads back; None for a button."""
-        return write_control(self._open, self._named(name), value)
+        return controls.write_control(self._open, self._named(name), value)
 
-    def capture(self, *, frames: int, discard: int = 0) -> V4l2Capture:
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> V4l2Capture:
         """Return a capture of `frames` whole frames after `discard` whole ones that are thrown away."""
-        if frames < 1 or discard < 0:
-            raise BadInput(f"a capture must take at least 1 frame and discard 0 or more, got {frames} and {discard}")
         own = V4l2Settings(self._open, self.identifier)
         settings, form = own.read(), own.form()
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
@@ -126,11 +129,12 @@ class V4l2Camera:
             self._open,
             picture=picture_of(form),
             standard=own.standard(),
-            alternate=form.of.pix.field == ALTERNATE,
-            frames=frames,
-            discard=discard,
+            alternate=form.of.pix.field == fields.ALTERNATE,
             patience_s=self._silence_s + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
             start_s=BEGINS * self._silence_s,
+            frames=frames,
+            discard=discard,
+            while_waiting=while_waiting,
             identifier=self.identifier,
         )
 
@@ -142,9 +146,9 @@ class V4l2Camera:
 
     def _choose(self, device: Device, number: int) -> None:
         rule = f"camera {self.identifier} must have the input {number}"
-        query_device(device, requests.SET_INPUT, requests.SET_INPUT.structure(number), rule)
-        is_now = requests.GET_INPUT.structure()
-        query_device(device, requests.GET_INPUT, is_now, f"camera {self.identifier} must tell its input")
+        query_device(device, structures.SET_INPUT, structures.SET_INPUT.structure(number), rule)
+        is_now = structures.GET_INPUT.structure()
+        query_device(device, structures.GET_INPUT, is_now, f"camera {self.identifier} must report its input")
         if is_now.value != number:
             raise CameraError(f"camera {self.identifier} must take the input asked, {number}, got {is_now.value}")
 
@@ -158,3 +162,204 @@ class V4l2Camera:
         device, self._device = self._device, None
         if device is not None:
             device.close()
+
+
+class V4l2Settings:
+    """The settings of one open device, each set as asked and read back."""
+
+    def __init__(self, device: Device, identifier: str) -> None:
+        self._device, self._identifier = device, identifier
+
+    def apply(self, settings: CameraSettings) -> None:
+        """Set what is not None; a value that the camera does not allow is a BadInput."""
+        if settings.first_row or settings.first_column:
+            raise BadInput(
+                f"a picture of camera {self._identifier} must begin at row 0 and column 0, "
+                f"got {settings.first_row} and {settings.first_column}"
+            )
+        if settings.trigger not in (None, "off"):
+            raise BadInput(f"camera {self._identifier} must run freely, V4L2 has no trigger, got {settings.trigger!r}")
+        self._set_format(settings)
+        if settings.frame_rate_hz is not None:
+            self._set_frame_rate(settings.frame_rate_hz)
+        if settings.exposure_s is not None:
+            self._set_exposure(settings.exposure_s)
+        if settings.gain_db is not None:
+            self._set_gain(settings.gain_db)
+
+    def read(self) -> CameraSettings:
+        """Return every setting as the camera reads it back."""
+        form = self.form()
+        picture = picture_of(form)
+        exposure, gain = (self._value(one) for one in (controls.EXPOSURE, controls.GAIN))
+        return CameraSettings(
+            rows=fields.rows_of(picture.rows, form.of.pix.field),
+            columns=picture.columns,
+            first_row=0,
+            first_column=0,
+            pixel_format=picture.layout.name,
+            exposure_s=exposure * controls.EXPOSURE_UNIT_S if exposure else None,
+            gain_db=None if gain is None else float(gain),
+            frame_rate_hz=self._frame_rate_hz(),
+            trigger="off",
+            field_order=fields.field_order(form.of.pix.field, self.standard()),
+            notes=self._notes(form, picture),
+        )
+
+    def form(self) -> Format:
+        """Return the format in force."""
+        form = Format(type=CAPTURE)
+        query_device(
+            self._device, structures.GET_FORMAT, form, f"camera {self._identifier} must tell its picture format"
+        )
+        return form
+
+    def standard(self) -> int:
+        """Return the video standards of the input, as the kernel's bits; 0 where it has none."""
+        standard = structures.GET_STANDARD.structure()
+        try:
+            self._device.ask(structures.GET_STANDARD, standard)
+        except OSError:
+            return 0
+        return standard.value
+
+    def _set_format(self, settings: CameraSettings) -> None:
+        wanted = (settings.rows, settings.columns, settings.pixel_format, settings.field_order)
+        if all(part is None for part in wanted):
+            return
+        before = self.form()
+        form = Format.from_buffer_copy(before)
+        pix = form.of.pix
+        rows, pix.width = settings.rows or fields.rows_of(pix.height, pix.field), settings.columns or pix.width
+        pix.pixelformat = self._code(settings.pixel_format, now=pix.pixelformat)
+        if settings.field_order is not None:
+            pix.field = fields.number_of(settings.field_order)
+        pix.height = rows // fields.rows_of(1, pix.field)
+        # What follows from the others is for the driver to say.
+        pix.bytesperline = pix.sizeimage = 0
+        self._ask_format(form)
+        if complaint := self._complaint(settings, form, code=pix.pixelformat):
+            self._ask_format(before)
+            raise BadInput(complaint)
+
+    def _ask_format(self, form: Format) -> None:
+        query_device(self._device, structures.SET_FORMAT, form, f"camera {self._identifier} must take a picture format")
+
+    def _complaint(self, settings: CameraSettings, given: Format, *, code: int) -> str | None:
+        """Say what the driver made of the format asked, where it is another."""
+        pix = given.of.pix
+        there = fields.rows_of(pix.height, pix.field)
+        rows, columns = settings.rows or there, settings.columns or pix.width
+        if (there, pix.width) != (rows, columns):
+            sizes = list_sizes(self._device, code)
+            offered = ", ".join(f"{one}x{other}" for one, other in sizes) or "others"
+            return (
+                f"a picture of camera {self._identifier} must have rows and columns that it offers ({offered}), "
+                f"got {rows}x{columns}, which it makes {there}x{pix.width}"
+            )
+        if settings.field_order is not None:
+            order = fields.field_order(pix.field, self.standard())
+            if order != settings.field_order:
+                return (
+                    f"camera {self._identifier} must take the field order asked, {settings.field_order!r}, "
+                    f"but reads back {order!r}"
+                )
+        if settings.pixel_format is not None and pix.pixelformat not in self._codes(settings.pixel_format):
+            return f"camera {self._identifier} must take the pixel format asked, {settings.pixel_format}, it does not"
+        return None
+
+    def _code(self, name: str | None, *, now: int) -> int:
+        """Return the kernel's number of a pixel format; grey of 8 bits is taken from the luma of video if need be."""
+        if name is None:
+            return now
+        codes = self._codes(name)
+        if not codes:
+            names = dict.fromkeys(LAYOUTS[one].name for one in format_codes(self._device) if one in LAYOUTS)
+            offered = ", ".join(names) or "none"
+            raise BadInput(f"a pixel format of camera {self._identifier} must be one of {offered}, got {name!r}")
+        return codes[0]
+
+    def _codes(self, name: str) -> list[int]:
+        offered = format_codes(self._device)
+        fitting = [code for code, layout in LAYOUTS.items() if layout.name == name]
+        if name == "Mono8":
+            fitting += [code for code, layout in LAYOUTS.items() if layout.is_video]
+        return [code for code in fitting if code in offered]
+
+    def _set_frame_rate(self, frame_rate_hz: float) -> None:
+        before = self._parameters()
+        period = Fraction(1 / frame_rate_hz).limit_denominator(_FINEST_PERIOD)
+        parameters = StreamParameters(type=CAPTURE)
+        parameters.of.capture.numerator, parameters.of.capture.denominator = period.numerator, period.denominator
+        self._ask_parameters(parameters)
+        is_now = self._frame_rate_hz()
+        if is_now is None or not math.isclose(is_now, frame_rate_hz, rel_tol=0.01):
+            if before is not None:
+                self._ask_parameters(before)
+            raise BadInput(
+                f"camera {self._identifier} must take the frame rate asked, {frame_rate_hz:g} Hz, "
+                f"but reads back {'none' if is_now is None else f'{is_now:g}'}"
+            )
+
+    def _ask_parameters(self, parameters: StreamParameters) -> None:
+        rule = f"camera {self._identifier} must take a frame rate"
+        query_device(self._device, structures.SET_PARAMETERS, parameters, rule)
+
+    def _parameters(self) -> StreamParameters | None:
+        parameters = StreamParameters(type=CAPTURE)
+        try:
+            self._device.ask(structures.GET_PARAMETERS, parameters)
+        except OSError:
+            return None
+        return parameters
+
+    def _frame_rate_hz(self) -> float | None:
+        parameters = self._parameters()
+        if parameters is None or not (parameters.of.capture.numerator and parameters.of.capture.denominator):
+            return None
+        return parameters.of.capture.denominator / parameters.of.capture.numerator
+
+    def _set_exposure(self, exposure_s: float) -> None:
+        control = self._control(controls.EXPOSURE, "exposure")
+        low, high = (end * controls.EXPOSURE_UNIT_S for end in (control.minimum, control.maximum))
+        self._require_within("exposure", "s", exposure_s, low, high)
+        self._switch(controls.EXPOSURE_MODE, controls.MANUAL_EXPOSURE)
+        units = round(exposure_s / controls.EXPOSURE_UNIT_S)
+        controls.write_control(self._device, self._control(controls.EXPOSURE, "exposure"), units)
+
+    def _set_gain(self, gain: float) -> None:
+        control = self._control(controls.GAIN, "gain")
+        self._require_within("gain", "of its own steps", gain, control.minimum, control.maximum)
+        self._switch(controls.AUTOMATIC_GAIN, 0)
+        controls.write_control(self._device, self._control(controls.GAIN, "gain"), round(gain))
+
+    def _require_within(self, word: str, unit: str, value: float, low: float, high: float) -> None:
+        # Before anything automatic is switched off: what is refused leaves the camera as it was.
+        if not low <= value <= high:
+            raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
+
+    def _switch(self, identifier: int, value: int) -> None:
+        """Set a mode, where the camera has it; what was automatic rules the control that is set next."""
+        mode = controls.find_control(self._device, identifier)
+        if mode is not None and not mode.is_read_only:
+            controls.write_control(self._device, mode, value)
+
+    def _control(self, identifier: int, word: str) -> Control:
+        control = controls.find_control(self._device, identifier)
+        if control is None:
+            raise BadInput(f"camera {self._identifier} must have a control for the {word} to set it, it has none")
+        return control
+
+    def _value(self, identifier: int) -> int | None:
+        control = controls.find_control(self._device, identifier)
+        return None if control is None else controls.read_control(self._device, control)
+
+    def _notes(self, form: Format, picture: BufferImage) -> tuple[str, ...]:
+        notes = []
+        if picture.layout.is_video and form.of.pix.quantization != FULL_RANGE:
+            notes.append(f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN")
+        if self._value(controls.AUTOMATIC_GAIN):
+            notes.append("the camera's automatic gain is on")
+        if self._value(controls.EXPOSURE_MODE) not in (None, controls.MANUAL_EXPOSURE):
+            notes.append("the camera's automatic exposure is on")
+        return tuple(notes)

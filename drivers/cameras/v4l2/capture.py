@@ -2,32 +2,38 @@
 
 import errno
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import Any, TypeVar
 
 from numpy.typing import NDArray
 
-from drivers.cameras.frame_assembly import FrameAssembler, IncompleteFrame
-from drivers.cameras.v4l2 import requests
+from drivers.cameras.frame_assembly import POLL_S, FrameCapture, IncompleteFrame, RunningNumbers
+from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.device import Device, Mapped, query_device
-from drivers.cameras.v4l2.field_pairs import Field, FieldPairs
-from drivers.cameras.v4l2.fields import BOTTOM, TOP, field_order, older_field
+from drivers.cameras.v4l2.fields import BOTTOM, TOP, Field, FieldPairs, field_order, older_field
 from drivers.cameras.v4l2.pixels import BufferImage
-from drivers.cameras.v4l2.structures import BUFFER_FAULTY, CAPTURE, MEMORY_MAPPED, Buffer, BufferRequest
+from drivers.cameras.v4l2.structures import (
+    BUFFER_FAULTY,
+    CAPTURE,
+    MEMORY_MAPPED,
+    Buffer,
+    BufferRequest,
+    Request,
+)
 from drivers.interface import CameraError
-from labdata.capture import Frame, LostFrames
+from labdata.capture import Frame
 from labdata.errors import BadInput
 
 BUFFERS = 8
 MOST_BUFFERS = 32  # VIDEO_MAX_FRAME
 MOST_BYTES = 1 << 30
+SEQUENCE_NUMBERS = 1 << 32
 
 T = TypeVar("T")
 
 
-class V4l2Capture:
+class V4l2Capture(FrameCapture):
     """A capture that runs within its `with` block; iterate it for whole frames.
 
     Parameters
@@ -40,16 +46,12 @@ class V4l2Capture:
         Video standards of the input, as the kernel's bits.
     alternate
         Whether a picture is one field, and its frame's other one comes in a buffer of its own.
-    frames
-        Whole frames to hand out.
-    discard
-        Whole frames to throw away first: those that may have been exposed under earlier conditions.
     patience_s
         Longest wait for a frame, s.
     start_s
         What the first frame may take besides, s.
-    identifier
-        The camera's name, for sentences.
+    frames, discard, while_waiting, identifier
+        As in `FrameCapture`.
     """
 
     def __init__(
@@ -59,54 +61,38 @@ class V4l2Capture:
         picture: BufferImage,
         standard: int,
         alternate: bool,
-        frames: int,
-        discard: int,
         patience_s: float,
         start_s: float,
+        frames: int,
+        discard: int,
+        while_waiting: Callable[[], None],
         identifier: str,
     ) -> None:
+        super().__init__(frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier)
         self._device, self._picture, self._standard = device, picture, standard
-        self._alternate = alternate
-        self._patience_s, self._start_s, self._identifier = patience_s, start_s, identifier
+        self._patience_s, self._start_s = patience_s, start_s
         self._memory: list[Mapped] = []
-        self._numbers = RunningNumbers()
-        self._whole = FrameAssembler(wanted=frames, discard=discard, identifier=identifier)
+        self._numbers = RunningNumbers(SEQUENCE_NUMBERS)
+        self._pairs = FieldPairs(older_field(standard), lambda: self._taken(self._as_field)) if alternate else None
 
-    @property
-    def lost_frames(self) -> int:
-        """Frames numbered by the driver since the first whole one and not whole."""
-        return self._whole.lost
+    def _start(self) -> None:
+        for index in range(self._request_buffers()):
+            self._memory.append(self._mapped(index))
+            self._query(structures.QUEUE_BUFFER, _buffer(index), f"must take its buffer {index}")
+        self._query(structures.START, structures.START.structure(CAPTURE), "must start")
 
-    @property
-    def losses(self) -> tuple[LostFrames, ...]:
-        """The same frames with their numbers and why they are not whole."""
-        return self._whole.losses
+    def _stop(self) -> None:
+        """Stop the camera and give its buffers back; a device that is gone has nothing left to stop."""
+        with suppress(OSError):
+            self._device.ask(structures.STOP, structures.STOP.structure(CAPTURE))
+        for memory in self._memory:
+            memory.close()
+        self._memory.clear()
+        with suppress(OSError):
+            self._device.ask(structures.REQUEST_BUFFERS, BufferRequest(type=CAPTURE, memory=MEMORY_MAPPED))
 
-    def __enter__(self) -> Self:
-        try:
-            for index in range(self._request_buffers()):
-                self._memory.append(self._mapped(index))
-                self._queue(index)
-            rule = f"camera {self._identifier} must start"
-            query_device(self._device, requests.START, requests.START.structure(CAPTURE), rule)
-        except BaseException:
-            self._stop()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop()
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Hand out whole frames; a camera that falls silent, goes or sends only broken ones is a `CameraError`."""
-        if self._alternate:
-            return self._whole.of(FieldPairs(older_field(self._standard), self._field).frame)
-        return self._whole.of(lambda: self._taken(self._as_frame))
-
-    def _field(self) -> Field | IncompleteFrame:
-        return self._taken(self._as_field)
+    def _next_frame(self) -> Frame | IncompleteFrame:
+        return self._taken(self._as_frame) if self._pairs is None else self._pairs.frame()
 
     def _as_frame(self, buffer: Buffer, pixels: NDArray, number: int) -> Frame:
         order = field_order(buffer.field, self._standard)
@@ -147,30 +133,30 @@ class V4l2Capture:
         patience_s = self._patience_s + self._start_s
         until_s = time.monotonic() + patience_s
         while True:
-            buffer = Buffer(type=CAPTURE, memory=MEMORY_MAPPED)
+            buffer = _buffer()
             try:
-                self._device.ask(requests.TAKE_BUFFER, buffer)
+                self._device.ask(structures.TAKE_BUFFER, buffer)
                 self._start_s = 0.0
                 return buffer
             except OSError as error:
                 if error.errno not in (errno.EAGAIN, errno.EINTR):
                     raise self._gone(error) from None
             left_s = until_s - time.monotonic()
-            if left_s <= 0 or not self._device.wait(left_s):
+            if left_s <= 0:
                 raise CameraError(f"camera {self._identifier} has sent no frame for {patience_s:.1f} s")
+            self._device.wait(min(left_s, POLL_S))
+            self._while_waiting()
 
     def _request_buffers(self) -> int:
         wanted = BufferRequest(count=BUFFERS, type=CAPTURE, memory=MEMORY_MAPPED)
-        query_device(self._device, requests.REQUEST_BUFFERS, wanted, f"camera {self._identifier} must lend buffers")
+        self._query(structures.REQUEST_BUFFERS, wanted, "must lend buffers")
         if not 2 <= wanted.count <= MOST_BUFFERS:
             raise CameraError(f"camera {self._identifier} must lend 2 to {MOST_BUFFERS} buffers, got {wanted.count}")
         return wanted.count
 
     def _mapped(self, index: int) -> Mapped:
-        buffer = Buffer(index=index, type=CAPTURE, memory=MEMORY_MAPPED)
-        query_device(
-            self._device, requests.QUERY_BUFFER, buffer, f"camera {self._identifier} must show its buffer {index}"
-        )
+        buffer = _buffer(index)
+        self._query(structures.QUERY_BUFFER, buffer, f"must show its buffer {index}")
         if not self._picture.size_bytes <= buffer.length <= MOST_BYTES:
             raise CameraError(
                 f"a buffer of camera {self._identifier} must hold a picture of {self._picture.size_bytes} bytes, "
@@ -181,53 +167,24 @@ class V4l2Capture:
         except (OSError, ValueError) as error:
             raise CameraError(f"a buffer of camera {self._identifier} must be mapped, got: {error}") from None
 
-    def _queue(self, index: int) -> None:
-        buffer = Buffer(index=index, type=CAPTURE, memory=MEMORY_MAPPED)
-        query_device(
-            self._device, requests.QUEUE_BUFFER, buffer, f"camera {self._identifier} must take its buffer {index}"
-        )
+    def _query(self, request: Request, structure: Any, rule: str) -> None:
+        query_device(self._device, request, structure, f"camera {self._identifier} {rule}")
 
     def _give_back(self, index: int) -> None:
         """Give a buffer back to a camera that runs; one that does not take it does not run any more."""
         try:
-            self._device.ask(requests.QUEUE_BUFFER, Buffer(index=index, type=CAPTURE, memory=MEMORY_MAPPED))
+            self._device.ask(structures.QUEUE_BUFFER, _buffer(index))
         except OSError as error:
             raise self._gone(error) from None
 
     def _gone(self, error: OSError) -> CameraError:
         return CameraError(f"camera {self._identifier} has gone or failed ({error.strerror})")
 
-    def _stop(self) -> None:
-        """Stop the camera and give its buffers back; a device that is gone has nothing left to stop."""
-        with suppress(OSError):
-            self._device.ask(requests.STOP, requests.STOP.structure(CAPTURE))
-        for memory in self._memory:
-            memory.close()
-        self._memory.clear()
-        with suppress(OSError):
-            self._device.ask(requests.REQUEST_BUFFERS, BufferRequest(type=CAPTURE, memory=MEMORY_MAPPED))
+
+def _buffer(index: int = 0) -> Buffer:
+    return Buffer(index=index, type=CAPTURE, memory=MEMORY_MAPPED)
 
 
 def _time_s(buffer: Buffer) -> float:
-    """When the kernel stamped a buffer, s of its clock."""
+    """Return when the kernel stamped a buffer, s of its clock."""
     return buffer.timestamp.seconds + buffer.timestamp.microseconds * 1e-6
-
-
-class RunningNumbers:
-    """Running numbers from the driver's 32-bit sequence, which starts again at 0."""
-
-    _CYCLE = 1 << 32
-
-    def __init__(self) -> None:
-        self._sequence: int | None = None
-        self._number = 0
-
-    def running(self, sequence: int) -> int:
-        """Return the running number of a sequence number; the first keeps its own, a step back counts as one."""
-        if self._sequence is None:
-            self._number = sequence
-        else:
-            step = (sequence - self._sequence) % self._CYCLE
-            self._number += step - self._CYCLE if step > self._CYCLE // 2 else step
-        self._sequence = sequence
-        return self._number

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from drivers.cameras.v4l2 import requests, structures
+from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.device import MOST_LISTED, Device, is_gone
 from drivers.interface import CameraError
 from labdata.errors import BadInput
@@ -56,7 +56,7 @@ def list_controls(device: Device) -> tuple[Control, ...]:
     for _ in range(MOST_LISTED):
         query = structures.ControlQuery(id=last | structures.NEXT_CONTROL)
         try:
-            device.ask(requests.QUERY_CONTROL, query)
+            device.ask(structures.QUERY_CONTROL, query)
         except OSError as error:
             _raise_if_gone(error)
             return tuple(found)
@@ -72,7 +72,7 @@ def find_control(device: Device, identifier: int) -> Control | None:
     """Return one control by the kernel's number of it; None where the device has none."""
     query = structures.ControlQuery(id=identifier)
     try:
-        device.ask(requests.QUERY_CONTROL, query)
+        device.ask(structures.QUERY_CONTROL, query)
     except OSError as error:
         _raise_if_gone(error)
         return None
@@ -85,7 +85,7 @@ def read_control(device: Device, control: Control) -> int:
     """Return a control's value."""
     value = structures.ControlValue(id=control.identifier)
     try:
-        device.ask(requests.GET_CONTROL, value)
+        device.ask(structures.GET_CONTROL, value)
     except OSError as error:
         _raise_if_gone(error)
         raise CameraError(f"the control {control.name!r} must tell its value, got: {error.strerror}") from None
@@ -107,7 +107,7 @@ def write_control(device: Device, control: Control, value: int) -> int | None:
     if control.kind not in ("button", "bitmask") and not control.minimum <= value <= control.maximum:
         raise BadInput(f"{control.name!r} must lie in {control.minimum}..{control.maximum}, got {value}")
     try:
-        device.ask(requests.SET_CONTROL, structures.ControlValue(id=control.identifier, value=value))
+        device.ask(structures.SET_CONTROL, structures.ControlValue(id=control.identifier, value=value))
     except OSError as error:
         _raise_if_gone(error)
         raise CameraError(f"the control {control.name!r} must take {value}, got: {error.strerror}") from None
@@ -142,7 +142,7 @@ def _choices(device: Device, query: structures.ControlQuery, *, numbers: bool) -
     for index in range(first, min(query.maximum, first + _MOST_CHOICES) + 1):
         entry = structures.MenuQuery(id=query.id, index=index)
         try:
-            device.ask(requests.QUERY_MENU, entry)
+            device.ask(structures.QUERY_MENU, entry)
         except OSError as error:
             _raise_if_gone(error)
             continue

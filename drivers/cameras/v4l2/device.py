@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cameras.v4l2.requests import Request
+from drivers.cameras.v4l2.structures import Request
 from drivers.interface import CameraError
 
 MOST_LISTED = 256
@@ -133,11 +133,6 @@ def query_device(device: Device, request: Request, structure: Any, rule: str) ->
         device.ask(request, structure)
     except OSError as error:
         raise CameraError(f"{rule}, got: {error.strerror or error}") from None
-
-
-def copied(structure: Any) -> Any:
-    """Return a copy of one of the kernel's structures."""
-    return type(structure).from_buffer_copy(structure)
 
 
 def is_gone(error: OSError) -> bool:

@@ -3,7 +3,7 @@
 import glob
 from dataclasses import dataclass
 
-from drivers.cameras.v4l2 import requests, structures
+from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.controls import Control, list_controls
 from drivers.cameras.v4l2.device import Device, KernelDevice, listed
 from drivers.cameras.v4l2.pixels import LAYOUTS
@@ -94,7 +94,7 @@ def describe(device: Device, path: str) -> VideoDevice:
         bus=words(capability.bus_info),
         inputs=tuple(
             OfferedInput(number=one.index, name=words(one.name), standards=one.std)
-            for one in listed(device, requests.LIST_INPUTS)
+            for one in listed(device, structures.LIST_INPUTS)
         ),
         formats=list_formats(device),
         controls=list_controls(device),
@@ -105,7 +105,7 @@ def capture_capability(device: Device, path: str) -> structures.Capability:
     """Return what a device says of itself, if it captures video into mapped memory."""
     capability = structures.Capability()
     try:
-        device.ask(requests.CAPABILITIES, capability)
+        device.ask(structures.CAPABILITIES, capability)
     except OSError as error:
         raise CameraError(f"{path} must be a video device, got: {error.strerror}") from None
     own = capability.capabilities & structures.HAS_OWN_CAPABILITIES
@@ -124,19 +124,19 @@ def list_formats(device: Device) -> tuple[OfferedFormat, ...]:
             name=LAYOUTS[one.pixelformat].name if one.pixelformat in LAYOUTS else None,
             sizes=list_sizes(device, one.pixelformat),
         )
-        for one in listed(device, requests.LIST_FORMATS, type=CAPTURE)
+        for one in listed(device, structures.LIST_FORMATS, type=CAPTURE)
     )
 
 
 def format_codes(device: Device) -> tuple[int, ...]:
     """Return the kernel's numbers of the pixel formats that a device offers on its present input."""
-    return tuple(one.pixelformat for one in listed(device, requests.LIST_FORMATS, type=CAPTURE))
+    return tuple(one.pixelformat for one in listed(device, structures.LIST_FORMATS, type=CAPTURE))
 
 
 def list_sizes(device: Device, code: int) -> tuple[tuple[int, int], ...]:
     """Return rows and columns of the pictures that a format comes in; none where every size within bounds does."""
     sizes = []
-    for one in listed(device, requests.LIST_SIZES, pixel_format=code):
+    for one in listed(device, structures.LIST_SIZES, pixel_format=code):
         if one.type != _DISCRETE:
             return ()
         sizes.append((one.sizes[1], one.sizes[0]))

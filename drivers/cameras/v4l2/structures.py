@@ -1,10 +1,11 @@
-"""What V4L2 and a program hand each other: the kernel's structures, byte for byte, of a 64-bit Linux.
+"""What V4L2 can be asked: the kernel's structures, byte for byte, of a 64-bit Linux, and the numbers of the requests.
 
 Names, order and sizes are those of the kernel's `linux/videodev2.h` (Linux Media userspace API, part I).
 """
 
 import ctypes
 from ctypes import c_char, c_int32, c_int64, c_uint8, c_uint32, c_uint64
+from dataclasses import dataclass
 
 CAPTURE = 1  # V4L2_BUF_TYPE_VIDEO_CAPTURE
 MEMORY_MAPPED = 1  # V4L2_MEMORY_MMAP
@@ -206,6 +207,57 @@ class Input(ctypes.Structure):
         ("capabilities", c_uint32),
         ("reserved", c_uint32 * 3),
     )
+
+
+_READ, _WRITE, _BOTH = 2, 1, 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """One kind of ioctl.
+
+    Parameters
+    ----------
+    name
+        Its name in the kernel, without VIDIOC_.
+    code
+        Its number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h).
+    structure
+        What goes along and comes back.
+    """
+
+    name: str
+    code: int
+    structure: type
+
+
+def _request(name: str, number: int, structure: type, direction: int = _BOTH) -> Request:
+    code = direction << 30 | ctypes.sizeof(structure) << 16 | ord("V") << 8 | number
+    return Request(name=name, code=code, structure=structure)
+
+
+CAPABILITIES = _request("QUERYCAP", 0, Capability, _READ)
+LIST_FORMATS = _request("ENUM_FMT", 2, FormatDescription)
+GET_FORMAT = _request("G_FMT", 4, Format)
+SET_FORMAT = _request("S_FMT", 5, Format)
+REQUEST_BUFFERS = _request("REQBUFS", 8, BufferRequest)
+QUERY_BUFFER = _request("QUERYBUF", 9, Buffer)
+QUEUE_BUFFER = _request("QBUF", 15, Buffer)
+TAKE_BUFFER = _request("DQBUF", 17, Buffer)
+START = _request("STREAMON", 18, ctypes.c_int, _WRITE)
+STOP = _request("STREAMOFF", 19, ctypes.c_int, _WRITE)
+GET_PARAMETERS = _request("G_PARM", 21, StreamParameters)
+SET_PARAMETERS = _request("S_PARM", 22, StreamParameters)
+GET_STANDARD = _request("G_STD", 23, ctypes.c_uint64, _READ)
+SET_STANDARD = _request("S_STD", 24, ctypes.c_uint64, _WRITE)
+LIST_INPUTS = _request("ENUMINPUT", 26, Input)
+GET_CONTROL = _request("G_CTRL", 27, ControlValue)
+SET_CONTROL = _request("S_CTRL", 28, ControlValue)
+QUERY_CONTROL = _request("QUERYCTRL", 36, ControlQuery)
+QUERY_MENU = _request("QUERYMENU", 37, MenuQuery)
+GET_INPUT = _request("G_INPUT", 38, ctypes.c_int, _READ)
+SET_INPUT = _request("S_INPUT", 39, ctypes.c_int)
+LIST_SIZES = _request("ENUM_FRAMESIZES", 74, FrameSize)
 
 
 def words(text: bytes) -> str:

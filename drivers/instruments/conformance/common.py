@@ -4,7 +4,7 @@ import contextlib
 import time
 from typing import Any
 
-from drivers.errors import BenchError, InstrumentDisconnected, InstrumentTimeout
+from drivers.errors import BenchError, BenchStopped, InstrumentDisconnected, InstrumentTimeout
 from drivers.instruments.conformance.conformance_pair import ConformancePair, Rule, must_raise
 from drivers.serial_lines.port import ANSWER_S
 
@@ -64,13 +64,29 @@ def an_answer_left_due_is_not_taken_by_who_opens_the_line_next(pair: Conformance
 
 
 def a_pulled_plug_is_told_and_put_back(pair: ConformancePair) -> None:
-    """A pulled plug is InstrumentDisconnected; with the plug back in, a new line works."""
+    """A pulled plug is InstrumentDisconnected; with the plug back in, the line works once reopened, and a new one."""
     driver = pair.driver()
     identity = driver.identify()
     pair.suffer("unplugged")
     must_raise(InstrumentDisconnected, lambda: _probe(pair, driver))
+    must_raise(InstrumentDisconnected, driver.line.reopen)
     pair.heal()
+    driver.line.reopen()
+    assert driver.identify() == identity
     assert pair.driver().identify() == identity
+
+
+def a_line_that_was_taken_over_obeys_the_safe_action_alone(pair: ConformancePair) -> None:
+    """A line that the safe action has taken over obeys it alone, until it is released."""
+    driver = pair.driver()
+    identity = driver.identify()
+    driver.line.take_over()
+    must_raise(BenchStopped, driver.identify)
+    with driver.line.safing():
+        assert driver.identify() == identity
+    must_raise(BenchStopped, driver.identify)
+    driver.line.release()
+    assert driver.identify() == identity
 
 
 def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair) -> None:
@@ -96,6 +112,7 @@ COMMON: tuple[Rule, ...] = (
     a_late_answer_is_not_taken_for_the_next,
     an_answer_left_due_is_not_taken_by_who_opens_the_line_next,
     a_pulled_plug_is_told_and_put_back,
+    a_line_that_was_taken_over_obeys_the_safe_action_alone,
     a_loss_of_power_leaves_it_at_rest,
 )
 

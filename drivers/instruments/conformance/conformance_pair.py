@@ -6,8 +6,8 @@ from typing import Any, Protocol
 
 from drivers.instruments.models import InstrumentModel
 
-WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip")
-"""What a pair can be made to suffer; a late answer comes 0.6 s after its time."""
+WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip", "panel")
+"""What a pair can be made to suffer; a late answer comes 0.6 s after its time, "panel" changes a setting by hand."""
 
 
 class ConformancePair(Protocol):
@@ -26,8 +26,12 @@ class ConformancePair(Protocol):
         """What the instrument puts out now, beside its line: gate_open, gate_ns, mcp_v, position, current_a, ..."""
         ...
 
-    def suffer(self, wrong: str) -> None:
-        """Begin one of `WRONGS`, all others ended."""
+    def suffer(self, wrong: str, setting: str = "") -> None:
+        """Begin one of `WRONGS`, all others ended.
+
+        "panel" needs a setting: of a gate "source", "idle level", "width" or "busy" (every second trigger is lost), of
+        a supply "voltage" or "on".
+        """
         ...
 
     def heal(self) -> None:

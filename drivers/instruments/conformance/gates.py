@@ -1,6 +1,9 @@
 """What every gate must do: open as read back, refuse what it cannot, and shut, heard or not."""
 
+import time
+
 from drivers.bench.safe_state import make_safe
+from drivers.errors import InstrumentRejected
 from drivers.instruments.conformance.conformance_pair import (
     ConformancePair,
     Rule,
@@ -12,6 +15,7 @@ from drivers.instruments.conformance.conformance_pair import (
 from labdata.errors import BadInput
 
 _RATE_HZ, _WIDTH_NS = 60.0, 1e6
+_TWO_TRIGGERS_S = 0.1
 
 
 def the_gate_opens_as_read_back_and_shuts(pair: ConformancePair) -> None:
@@ -59,9 +63,43 @@ def making_safe_shuts_a_gate_that_cannot_answer(pair: ConformancePair) -> None:
     pair.heal()
 
 
+def a_setting_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
+    """A source, idle level or width changed at the panel is reported at the next look, with the gate open or shut."""
+    driver = identify_driver(pair)
+    driver.look()
+    for setting in ("source", "idle level", "width"):
+        driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ)
+        driver.look()
+        driver.look()
+        pair.suffer("panel", setting)
+        must_raise(InstrumentRejected, driver.look)
+        driver.shut()
+    for setting in ("source", "idle level"):
+        driver.look()
+        pair.suffer("panel", setting)
+        must_raise(InstrumentRejected, driver.look)
+        driver.shut()
+
+
+def lost_triggers_are_reported(pair: ConformancePair) -> None:
+    """Triggers of an external source that come while the gate is busy are reported at the next look."""
+    driver = identify_driver(pair)
+    driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ, sync="line-locked")
+    time.sleep(_TWO_TRIGGERS_S)
+    driver.look()
+    pair.suffer("panel", "busy")
+    time.sleep(_TWO_TRIGGERS_S)
+    must_raise(InstrumentRejected, driver.look)
+    driver.open(width_ns=_WIDTH_NS, rate_hz=_RATE_HZ, sync="line-locked")
+    driver.look()
+    driver.shut()
+
+
 GATE_RULES: tuple[Rule, ...] = (
     the_gate_opens_as_read_back_and_shuts,
     an_impossible_pulse_is_refused_untouched,
     making_safe_shuts_the_gate,
     making_safe_shuts_a_gate_that_cannot_answer,
+    a_setting_changed_at_the_panel_is_reported,
+    lost_triggers_are_reported,
 )

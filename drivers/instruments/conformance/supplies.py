@@ -98,6 +98,33 @@ def making_safe_takes_the_voltage_of_a_mute_supply_off(pair: ConformancePair) ->
     pair.heal()
 
 
+def a_voltage_changed_at_the_panel_is_reported(pair: ConformancePair) -> None:
+    """A voltage that somebody changes at the panel is reported at the next look after the output has moved."""
+    driver = _ready(pair)
+    driver.switch_on()
+    driver.look()
+    driver.raise_to(300.0, rate_v_per_s=1e6)
+    driver.look()
+    pair.suffer("panel", "voltage")
+    wait_for(lambda: pair.outputs()["mcp_v"] > 310.0)
+    must_raise(InstrumentRejected, driver.look)
+    driver.off()
+    driver.look()
+
+
+def a_supply_switched_on_at_the_panel_is_reported(pair: ConformancePair) -> None:
+    """A supply that is off and that somebody switches on at the panel is reported; one that nobody set is not."""
+    pair.suffer("panel", "on")
+    wait_for(lambda: pair.outputs()["mcp_v"] > 90.0)
+    identify_driver(pair).look()
+    driver = _ready(pair)
+    driver.look()
+    pair.suffer("panel", "on")
+    wait_for(lambda: pair.outputs()["mcp_v"] > 90.0)
+    must_raise(InstrumentRejected, driver.look)
+    driver.off()
+
+
 SUPPLY_RULES: tuple[Rule, ...] = (
     the_voltage_rises_no_faster_than_asked_and_is_measured,
     the_ramp_is_checked_at_every_step,
@@ -107,6 +134,8 @@ SUPPLY_RULES: tuple[Rule, ...] = (
     a_loss_of_power_while_on_is_told,
     making_safe_takes_the_voltage_off,
     making_safe_takes_the_voltage_of_a_mute_supply_off,
+    a_voltage_changed_at_the_panel_is_reported,
+    a_supply_switched_on_at_the_panel_is_reported,
 )
 
 

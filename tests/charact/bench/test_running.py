@@ -1,7 +1,7 @@
 """The bench at work: a camera is only read, its rate is its own, and the terminal shows what the page shows."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from threading import Event
@@ -33,7 +33,9 @@ class AskedCamera:
         return CameraSettings(pixel_format="Mono12", exposure_s=0.01, gain_db=6.0, frame_rate_hz=30.0)
 
     @contextmanager
-    def capture(self, *, frames: int, discard: int = 0) -> Iterator["AskedCamera"]:
+    def capture(
+        self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
+    ) -> Iterator["AskedCamera"]:
         yield self
 
     def __iter__(self) -> Iterator[Frame]:

@@ -1,76 +1,125 @@
-"""`make fault-campaign`: faults and kills at random moments of running plans; the tally is printed and kept."""
+"""`make fault-campaign`: each fault strikes running plans at random moments; what became of each makes a docs page."""
 
 import argparse
 import json
 import os
+import re
 import sys
 import tempfile
+import time
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from labdata.sensors import save_sensor
-from tests.faults.campaign.plan import small_plan
+from labdata.errors import BadInput
+from tests.faults.campaign.kinds import KINDS, draw_fault
+from tests.faults.campaign.page import Row, page
 from tests.faults.campaign.rig import CampaignRig
-from tests.faults.campaign.sessions import campaign, order, warm_up
-from tests.faults.campaign.tally import table
-from tests.faults.campaign.trial import Outcome
+from tests.faults.campaign.trial import Outcome, resume, try_fault, warm_up
 
-TALLY = "## Tally"
+EARLIEST_S = -0.5
+STRIKES_A_SESSION = 5
+MOST_MISSED = 3
+
+Tell = Callable[[Outcome], object]
 
 
 def main() -> int:
-    """Run a campaign and print its tally; exit code 1 if a promise was broken."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--faults", type=int, default=200)
-    parser.add_argument("--kills", type=int, default=100)
+    """Run a campaign and print its page; exit code 1 if a promise was broken."""
+    parser = argparse.ArgumentParser(prog="python -m tests.faults.campaign", description=__doc__)
+    parser.add_argument("--strikes", type=int, default=5, help="of each kind")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=120.0, help="begin no session after this time")
-    parser.add_argument("--keep", type=Path, help="file for the tally, Markdown")
-    parser.add_argument("--trials", type=Path, help="file for every trial, one JSON object a line")
+    parser.add_argument("--minutes", type=float, default=60.0, help="begin no further kind after this time")
+    parser.add_argument("--kinds", default="", help="only kinds in which this regular expression is found")
+    parser.add_argument("--keep", type=Path, help="page for the result, Markdown")
+    parser.add_argument("--trials", type=Path, help="file for every strike, one JSON object a line")
     asked = parser.parse_args()
+    kinds = [kind for kind in KINDS if re.search(asked.kinds, kind)]
+    if not kinds:
+        raise BadInput(f"kinds must be found in one of {', '.join(KINDS)}, got {asked.kinds!r}")
     rng, loads = np.random.default_rng(asked.seed), [os.getloadavg()[0]]
 
-    def tell(outcome: Outcome, after_s: float) -> None:
+    def tell(outcome: Outcome) -> None:
         loads.append(os.getloadavg()[0])
-        _tell(outcome, after_s, loads[-1], asked.trials)
+        line = json.dumps({"load": loads[-1], **asdict(outcome)})
+        print(line, flush=True)
+        if asked.trials is not None:
+            with asked.trials.open("a") as file:
+                file.write(line + "\n")
 
+    began_s = time.monotonic()
     with tempfile.TemporaryDirectory() as name, CampaignRig(Path(name), asked.seed) as rig:
-        save_sensor(rig.sensor, Path(name) / "sensor.toml")
-        plan = small_plan(Path(name) / "sensor.toml", asked.seed)
-        warm_up(rig, plan, Path(name) / "warm")
-        kinds = order(asked.faults, asked.kills, rng)
-        outcomes, completed, failed = campaign(
-            rig, plan, Path(name) / "struck", kinds, rng, minutes=asked.minutes, tell=tell
-        )
-    text = (
-        f"{table(outcomes)}\n\nSeed {asked.seed}: {len(outcomes)} trials; {completed} of {completed + failed} sessions "
-        "were completed by the run that was left undisturbed. "
-        f"The machine: {os.cpu_count()} cores, {min(loads):.1f} to {max(loads):.1f} processes at work or waiting for "
-        f"one, {np.median(loads):.1f} in the median.\n"
+        warm_up(rig, Path(name) / "warm")
+        rows = []
+        for kind in kinds:
+            if time.monotonic() > began_s + 60.0 * asked.minutes:
+                print(f"not struck for want of time: {', '.join(kinds[len(rows) :])}", flush=True)
+                break
+            rows.append(strike(rig, Path(name), kind, asked.strikes, rng, tell=tell))
+    text = page(
+        rows,
+        f"Seed {asked.seed}, {asked.strikes} strikes of each kind, {(time.monotonic() - began_s) / 60.0:.0f} min. "
+        f"The machine: {os.cpu_count()} cores, {np.median(loads):.1f} processes at work or waiting for one in the "
+        f"median, {max(loads):.1f} at most.",
     )
     print(text)
-    for outcome in outcomes:
-        for sentence in outcome.broken:
-            print(f"BROKEN {outcome.kind}: {sentence}")
+    for row in rows:
+        for sentence in row.broken:
+            print(f"BROKEN {row.kind}: {sentence}")
     if asked.keep:
-        _keep_tally(asked.keep, text)
-    return 1 if failed or any(outcome.broken for outcome in outcomes) else 0
+        asked.keep.write_text(text)
+    return 1 if len(rows) < len(kinds) or any(row.broken for row in rows) else 0
 
 
-def _keep_tally(page: Path, text: str) -> None:
-    """Put the tally under its heading; what stands before it is kept."""
-    before = page.read_text().split(TALLY)[0] if page.exists() else ""
-    page.write_text(f"{before}{TALLY}\n\n{text}")
+def strike(
+    rig: CampaignRig,
+    folder: Path,
+    kind: str,
+    strikes: int,
+    rng: np.random.Generator,
+    *,
+    tell: Tell = lambda outcome: None,
+) -> Row:
+    """Strike sessions with faults of one kind, and resume each session undisturbed, which must complete it.
 
+    The first strike falls at any moment, the opening included, the others with the tube in the state for the fault.
 
-def _tell(outcome: Outcome, after_s: float, load: float, trials: Path | None) -> None:
-    line = json.dumps({"after_s": round(after_s, 3), "load": load, **asdict(outcome)})
-    print(line, flush=True)
-    if trials is not None:
-        with trials.open("a") as file:
-            file.write(line + "\n")
+    Parameters
+    ----------
+    rig
+        The bench.
+    folder
+        Where the sessions go.
+    kind, strikes
+        Kind of the fault, and how often it strikes.
+    rng
+        Draws the moments and the strength of the faults.
+    tell
+        Called after every strike.
+    """
+    outcomes: list[Outcome] = []
+    resumed: list[list[str]] = []
+    while len(outcomes) < strikes:
+        session = folder / f"{re.sub('[^a-z0-9]+', '-', kind.lower())}-{len(resumed)}"
+        fault = draw_fault(kind, rng)
+        plan = fault.plan(rig.plan())
+        for _ in range(min(STRIKES_A_SESSION, strikes - len(outcomes))):
+            earliest_s = EARLIEST_S if not outcomes and fault.latest_s and not fault.prompts else 0.0
+            after_s = float(rng.uniform(earliest_s, fault.latest_s))
+            outcome = try_fault(rig, plan, session, kind, fault, after_s=after_s)
+            if outcome is None:
+                break  # complete before it struck
+            outcomes.append(outcome)
+            tell(outcome)
+            if outcome.endured:
+                break
+            fault = draw_fault(kind, rng)
+        resumed.append(resume(rig, plan, session))
+        if len(resumed) > len(outcomes) + MOST_MISSED:
+            raise RuntimeError(f"{kind} must strike runs, got {len(resumed)} that ended before: {resumed[-1]}")
+    return Row(kind=kind, outcomes=tuple(outcomes), resumed=tuple(map(tuple, resumed)))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,19 @@
 """The bench of the campaign: a small virtual camera and instruments on real wires, which outlive every client."""
 
+import fcntl
+import os
 import time
-from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Self
 
+from labdata.conditions import Conditions
 from labdata.event_log import read_events
-from labdata.sensors import load_sensor
+from labdata.limits import Override
+from labdata.plan import Plan, Step
+from labdata.sensors import load_sensor, save_sensor
 from labdata.wires import Wires
 from simulate.rig.bench import VirtualBench
 from simulate.rig.camera_process import CameraProcess
@@ -17,8 +22,59 @@ from simulate.rig.operator import VirtualOperator
 from simulate.rig.outputs import Outputs
 from simulate.rig.truth_folder import Truth
 
+GATE, SUPPLY = INSTRUMENTS = ("delay_generator", "high_voltage")
 FREE_S = 20.0
-DANGEROUS_V = 15.0  # the watchdog follows the voltage down to 10 V
+DANGEROUS_V = 15.0  # the server follows the voltage down to 10 V
+FRAMES = 20
+GATE_NS = 1.6e7
+LUX = 1e-5
+FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life")
+
+
+class StoppablePipe:
+    """A pipe that is read as it fills, or, stopped, is full and takes no more.
+
+    Parameters
+    ----------
+    reader, writer
+        Its two ends; the writer is another process's.
+    """
+
+    def __init__(self, reader: int, writer: int) -> None:
+        self._reader, self.writer = reader, writer
+        # A description of its own: the other process must block where the pipe is full.
+        self._filler = os.open(f"/proc/self/fd/{writer}", os.O_WRONLY | os.O_NONBLOCK)
+        os.set_blocking(reader, False)
+        self._stopped = False
+
+    def read(self) -> bytes:
+        """Return what came since; nothing while it is stopped."""
+        data = b""
+        with suppress(BlockingIOError):
+            while not self._stopped and (part := os.read(self._reader, 65536)):
+                data += part
+        return data
+
+    def stop(self) -> None:
+        """Fill it, with empty lines, and read no more."""
+        self._stopped = True
+        for size in (4096, 1):
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(self._filler, b"\n" * size)
+
+    def go_on(self) -> None:
+        """Read it again."""
+        self._stopped = False
+
+    def close_writer(self) -> None:
+        """Let go of the end that is another process's."""
+        os.close(self.writer)
+
+    def close(self) -> None:
+        """Let go of what is left."""
+        os.close(self._reader)
+        os.close(self._filler)
 
 
 class CampaignRig:
@@ -39,14 +95,18 @@ class CampaignRig:
     def __init__(self, folder: Path, seed: int, *, rows: int = 61, columns: int = 84, time_scale: float = 20.0) -> None:
         sensor = load_sensor("pulnix-ag5745ef3")
         self.sensor = replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns))
-        self.folder, self.watchdog_log = folder, folder / "watchdog.jsonl"
+        self.folder, self.ledger = folder, folder / "dose.jsonl"
+        self._seed, self._told = seed, folder / "server.jsonl"
         self._bench = VirtualBench(folder / "bench", self.sensor, seed, time_scale=time_scale)
         self._camera: CameraProcess | None = None
+        self._log_pipe: StoppablePipe | None = None
+        self._locked: IO[bytes] | None = None
 
     def __enter__(self) -> Self:
+        save_sensor(self.sensor, self.folder / "sensor.toml")
         self._bench.__enter__()
         self._camera = self._bench.camera
-        self.watchdog_log.touch()
+        self._told.touch()
         return self
 
     def __exit__(
@@ -55,6 +115,16 @@ class CampaignRig:
         if self._camera is not self._bench.camera and self._camera is not None:
             self._camera.__exit__(kind, error, trace)
         self._bench.__exit__(kind, error, trace)
+
+    def plan(self) -> Plan:
+        """Return the plan of the campaign: a dark and a flat at two gains, each two thirds of a second of frames."""
+        asked = Conditions(mcp_v=650.0, gate_ns=GATE_NS)
+        steps = (
+            Step(label="dark", kind="dark", frames=FRAMES, conditions=asked),
+            Step(label="flat", kind="flat", frames=FRAMES, conditions=replace(asked, mcp_v=720.0, illuminance_lux=LUX)),
+        )
+        sensor = str(self.folder / "sensor.toml")
+        return Plan(name="campaign", sensor=sensor, seed=self._seed, overrides=(FAST,), steps=steps)
 
     @property
     def wires(self) -> Wires:
@@ -75,6 +145,67 @@ class CampaignRig:
     def outputs(self) -> Outputs:
         """What reaches the tube now."""
         return self._bench.outputs()
+
+    # The log of the bench server, and the ledger of the tube
+
+    @property
+    def log(self) -> Path:
+        """File that the next client names as the log of its bench server."""
+        return self._told if self._log_pipe is None else self.folder / "log.pipe"
+
+    def begin_log_pipe(self) -> None:
+        """Put a pipe in place of the log; what comes through it is kept where the log was."""
+        if self._log_pipe is None:
+            path = self.folder / "log.pipe"
+            os.mkfifo(path)
+            self._log_pipe = StoppablePipe(os.open(path, os.O_RDONLY | os.O_NONBLOCK), os.open(path, os.O_WRONLY))
+
+    def end_log_pipe(self) -> None:
+        """Put the file back."""
+        if self._log_pipe is not None:
+            self.read_log()
+            self._log_pipe.close_writer()
+            self._log_pipe.close()
+            self._log_pipe = None
+            (self.folder / "log.pipe").unlink()
+
+    def read_log(self) -> None:
+        """Keep what came through the pipe."""
+        if self._log_pipe is not None and (data := self._log_pipe.read()):
+            with self._told.open("ab") as log:
+                log.write(data)
+
+    def block_log(self, blocked: bool) -> None:
+        """Have the log take no more lines, or take them again."""
+        if self._log_pipe is not None:
+            self._log_pipe.stop() if blocked else self._log_pipe.go_on()
+
+    def lock_ledger(self, locked: bool) -> None:
+        """Hold the lock of the tube's dose ledger, as another program that hangs would, or let go of it."""
+        if locked:
+            self._locked = self.ledger.open("ab")
+            fcntl.lockf(self._locked, fcntl.LOCK_EX)
+        elif self._locked is not None:
+            self._locked.close()
+            self._locked = None
+
+    def server(self) -> int | None:
+        """Process number of the bench server that runs now."""
+        self.read_log()
+        starts = [each["pid"] for each in read_events(self._told) if each["event"] == "start"]
+        return starts[-1] if starts and _runs(starts[-1]) else None
+
+    def await_free(self) -> bool:
+        """Wait until the server of the last client has ended; one that does not is killed, and False returned."""
+        until_s = time.monotonic() + FREE_S
+        while (pid := self.server()) is not None:
+            if time.monotonic() > until_s:
+                os.kill(pid, 9)
+                return False
+            time.sleep(0.02)
+        return True
+
+    # Breaking and healing
 
     def provoke(self, instrument: str, faults: Faults) -> None:
         """Give an instrument its faults."""
@@ -106,8 +237,10 @@ class CampaignRig:
 
     def heal(self) -> None:
         """Take all faults away."""
-        for instrument in ("delay_generator", "high_voltage", "camera"):
+        for instrument in (*INSTRUMENTS, "camera", "surroundings"):
             self.provoke(instrument, Faults())
+        self.block_log(False)
+        self.lock_ledger(False)
 
     def switch_off_what_is_on(self) -> None:
         """Do what a person does after a fault that left an instrument deaf with its output on: off and on again.
@@ -115,8 +248,8 @@ class CampaignRig:
         Wait until the tube is at rest: what is left of a voltage would pass for one that is on.
         """
         for instrument, is_on in (
-            ("delay_generator", self.outputs().gate_open),
-            ("high_voltage", self.outputs().mcp_v > DANGEROUS_V),
+            (GATE, self.outputs().gate_open),
+            (SUPPLY, self.outputs().mcp_v > DANGEROUS_V),
         ):
             if is_on:
                 self.unplug(instrument)
@@ -126,38 +259,6 @@ class CampaignRig:
             if time.monotonic() > until_s:
                 raise TimeoutError(f"the tube must come to rest within {FREE_S:g} s, got {self.outputs()}")
             time.sleep(0.02)
-
-    def await_free(self) -> None:
-        """Wait until the watchdog of the last client has ended: it holds the ports until the voltage is down."""
-        until_s = time.monotonic() + FREE_S
-        while (pid := self.watchdog()) is not None:
-            if time.monotonic() > until_s:
-                raise TimeoutError(f"the watchdog {pid} must end within {FREE_S:g} s of its client")
-            time.sleep(0.02)
-
-    def watchdog(self) -> int | None:
-        """Process number of the watchdog that runs now."""
-        starts = [each["pid"] for each in read_events(self.watchdog_log) if each["event"] == "start"]
-        return starts[-1] if starts and _runs(starts[-1]) else None
-
-    def ordered_off_s(self, since_s: float) -> float | None:
-        """Seconds from a monotonic time until the high voltage was ordered off; None if it was not.
-
-        A run that was at its end then had ordered it before: 0.
-        """
-        told = list(read_events(self.watchdog_log))
-        began_s = max((each["monotonic_s"] for each in told if _begins(each, since_s)), default=since_s)
-        orders = (
-            max(0.0, each["monotonic_s"] - since_s)
-            for each in told
-            if each["event"].startswith("high voltage: HVOF") and each["ok"] and each["monotonic_s"] >= began_s
-        )
-        return next(orders, None)
-
-
-def _begins(event: Mapping[str, Any], before_s: float) -> bool:
-    """Whether a watchdog began to guard, before a monotonic time."""
-    return event["event"] == "start" and event["monotonic_s"] <= before_s
 
 
 def _runs(pid: int) -> bool:

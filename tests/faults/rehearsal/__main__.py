@@ -22,7 +22,6 @@ from drivers.acquisition.acquire import LOG
 from labdata.event_log import read_events
 from labdata.measurement import Result
 from labdata.plan import Plan
-from labdata.sensors import save_sensor
 from labdata.session import Session, open_session
 from tests.faults.campaign.rig import CampaignRig
 from tests.faults.rehearsal.judged import allowed, beside, by_quantity, missing
@@ -47,7 +46,6 @@ def main() -> int:
     asked.folder.mkdir(parents=True, exist_ok=True)
     folder, diary = asked.folder.resolve(), Diary(path=asked.folder / "diary.jsonl")
     with CampaignRig(folder, asked.seed, rows=ROWS, columns=COLUMNS, time_scale=FASTER) as rig:
-        save_sensor(rig.sensor, folder / "sensor.toml")
         plan = night_plan(folder / "sensor.toml", voltages=asked.voltages, lights=asked.lights, seed=asked.seed)
         if not any(run["end"] == "complete" for run in diary.told("run")):
             rehearse(rig, plan, folder / "night", diary, asked.seed)

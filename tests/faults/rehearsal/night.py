@@ -12,7 +12,7 @@ from labdata.event_log import EventLog, read_events
 from labdata.limits import Override
 from labdata.plan import Plan, Step
 from tests.faults.campaign.client import Client
-from tests.faults.campaign.kinds import KILL, KINDS, draw_fault
+from tests.faults.campaign.kinds import draw_fault
 from tests.faults.campaign.rig import CampaignRig
 
 FASTER = 10.0
@@ -21,6 +21,25 @@ FULL_LUX, AT_V, GAIN_EXPONENT = 6e-4, 700.0, 10.5
 DIMMEST_SHARE = 0.03
 FRAMES = 12
 GATE_NS = 1.6e7
+KINDS = (
+    "garbage",
+    "half lines",
+    "silence",
+    "no answers",
+    "late answers",
+    "trip of the supply",
+    "power of an instrument gone",
+    "power of an instrument off and on",
+    "packet loss",
+    "camera stalls",
+    "camera gone",
+    "clocks jump",
+    "client stopped",
+    "server killed",
+    "client killed",
+)
+"""Faults that strike the night in turn."""
+
 STRIKES_EVERY_S = (15.0, 60.0)
 DRAWING_S = 60.0  # the simulator may be compiled first
 MOST_RUNS = 400
@@ -74,7 +93,6 @@ class Diary:
 
 def rehearse(rig: CampaignRig, plan: Plan, session: Path, diary: Diary, seed: int) -> None:
     """Run the plan, strike, repair and resume until it is complete; a night that was broken off goes on."""
-    kinds = (*KINDS, KILL)
     log = EventLog(diary.path)
     progress = [_finished(session)]
     while len(progress) < MOST_RUNS:
@@ -84,12 +102,14 @@ def rehearse(rig: CampaignRig, plan: Plan, session: Path, diary: Diary, seed: in
         rig.heal()
         client = Client(rig, plan, session, silence_s=DRAWING_S)
         while client.wait(float(rng.uniform(*STRIKES_EVERY_S))) is None:
-            fault = draw_fault(kinds[len(diary.told("fault")) % len(kinds)], rng)
-            log("fault", kind=fault.kind)
+            kind = KINDS[len(diary.told("fault")) % len(KINDS)]
+            fault = draw_fault(kind, rng)
+            log("fault", kind=kind)
             fault.strike(rig, client)
-            client.wait(fault.hold_s)
+            client.wait(fault.lasts_s)
             fault.heal(rig, client)
             fault.repair(rig)
+        client.close()
         rig.await_free()
         rig.switch_off_what_is_on()
         end = "complete" if client.exit_code() == 0 else _end_of(session)

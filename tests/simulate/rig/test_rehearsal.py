@@ -83,7 +83,11 @@ def test_leaving_heals_and_a_resumed_run_goes_on_with_what_has_not_struck(tmp_pa
     [
         ({"instrument": "camera", "kind": "garbage"}, "a camera must suffer one of packet loss"),
         ({"instrument": "high_voltage", "kind": "clock jump", "value": 1.0}, "a camera must suffer one of packet loss"),
-        ({"instrument": "delay_generator", "kind": "trip"}, "a trip must be of high_voltage or light_source"),
+        ({"instrument": "delay_generator", "kind": "trip"}, "must be of high_voltage or light_source, got trip of"),
+        ({"instrument": "high_voltage", "kind": "no triggers"}, "must be of delay_generator, got no triggers of"),
+        ({"instrument": "surroundings", "kind": "silence"}, "the surroundings must suffer room light"),
+        ({"instrument": "delay_generator", "kind": "front panel"}, "panel must hold commands for a front panel"),
+        ({"instrument": "surroundings", "kind": "room light"}, "value must be given for late answers"),
         ({"instrument": "high_voltage", "kind": "late answers"}, "value must be given for late answers"),
         ({"instrument": "camera", "kind": "packet loss", "value": 1.5}, "must lie between 0 and 1, got 1.5"),
         ({"instrument": "high_voltage", "kind": "sabotage"}, "sabotage"),
