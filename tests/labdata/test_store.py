@@ -244,6 +244,26 @@ def test_a_full_disk_is_a_sentence_and_the_frames_so_far_are_kept(tmp_path, monk
     assert store.read(tmp_path / "a.zarr").data[:, 0, 0].tolist() == [1, 3]
 
 
+def test_lines_that_the_disk_did_not_take_whole_leave_nothing_behind(tmp_path, monkeypatch):
+    array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
+    array.append(frame(1), 0, 0)
+    fsync = os.fsync
+
+    def full(descriptor):
+        if os.readlink(f"/proc/self/fd/{descriptor}").endswith("journal.jsonl"):
+            raise OSError(28, "No space left on device")
+        fsync(descriptor)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(BadInput, match="after 1 frames"):
+            array.extend([Frame(pixels=frame(n), number=n, time_s=n) for n in (2, 3)])
+    array.append(frame(4), 4, 4)
+    array.close()
+    read = store.read(tmp_path / "a.zarr")
+    assert (read.frame_number.tolist(), read.lost_frames, read.notes) == ([0, 4], 0, ())
+
+
 def test_a_frame_that_changed_on_the_disk_is_refused(tmp_path):
     array = ArrayWriter(tmp_path / "a.zarr", SHAPE, np.uint8)
     for n in range(3):
