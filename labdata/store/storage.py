@@ -159,7 +159,7 @@ class Storage:
                 return self._give_up()
 
     def _give_up(self) -> None:
-        """End the writing: the thread may hang for ever, and if it does not, it records what waits as lost."""
+        """Take nothing more: the thread may hang for ever, and if it does not, it still writes what waits."""
         frames = sum(job.frame is not None for job in (*self._in_hand, *self._jobs))
         self.failure = self.failure or BadInput(
             f"the disk must take every frame, got no progress for {STALLED_S:g} s: {frames} frames of "
@@ -172,8 +172,6 @@ class Storage:
         while jobs := self._next():
             try:
                 self._do(jobs)
-                if self.failure is not None and self._jobs:
-                    self._fail(self.failure, [])
             except Exception as error:  # whatever it is, it is raised where frames are put
                 self._fail(error, jobs)
             with self._turn:

@@ -196,15 +196,11 @@ def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_count
             stack.put(frame)
         began_s = time.monotonic()
     assert time.monotonic() - began_s < 3.0
-    # The disk comes back before the process ends: each frame is there or has its number and reason.
+    # The disk comes back before the process ends: what waited is written after all.
     disk.go_on.set()
     storage._thread.join(5.0)
     assert not storage._thread.is_alive()
-    entry = open_session(writer.folder).stack("flat")
-    there = entry.read().frame_number.tolist()
-    assert there[:3] == [1, 2, 3]
-    assert there + [n for loss in entry.losses for n in range(loss.first, loss.last + 1)] == list(range(1, 9))
-    assert all("no progress" in loss.reason for loss in entry.losses)
+    assert open_session(writer.folder).stack("flat").read().frame_number.tolist() == list(range(1, 9))
 
 
 def test_waiting_for_a_frozen_disk_ends_and_what_comes_after_it_is_refused(writer, monkeypatch):
