@@ -24,7 +24,7 @@ LONGEST_PAUSE_S = 1.0
 class ReplayCamera:
     """A recorded session in place of a camera; use it in a `with` block.
 
-    What was recorded cannot be set: a setting asked must be the recorded one. Frames come as fast as they were
+    What was recorded cannot be set: a setting requested must be the recorded one. Frames come as fast as they were
     recorded.
 
     Parameters
@@ -36,7 +36,7 @@ class ReplayCamera:
     speed
         How much faster than recorded frames come, dimensionless; None: without waiting.
     say
-        Told, in a sentence, what the recording lacks.
+        Called with a sentence for what the recording lacks.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class ReplayCamera:
         Raises
         ------
         BadInput
-            If another setting is asked than was recorded.
+            If another setting is requested than was recorded.
         """
         recorded = self._settings(self._next(), open_stack(self._next()))
         for item in fields(settings):

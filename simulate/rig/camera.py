@@ -219,7 +219,7 @@ def _opened_lock(path: Path) -> IO[bytes]:
     rule = "the lock of the virtual camera must be a regular file of this user alone"
     remedy = f"{path}: remove it, or set TMPDIR to a folder of your own"
     try:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise BadInput(f"{rule}, got {error.strerror!r}, {remedy}") from None
     there = os.fstat(descriptor)

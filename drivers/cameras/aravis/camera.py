@@ -21,7 +21,7 @@ class AravisCamera:
     name
         Its Aravis identifier, such as "Aravis-Fake-GV01", or its IP address; None: the only camera there is.
     resend
-        Whether packets that did not come are asked for again (GigE Vision).
+        Whether packets that did not come are requested again (GigE Vision).
     silence_s
         Longest time without a frame before the camera is taken for dead, s; the exposure and four frame periods come
         on top.
@@ -82,7 +82,7 @@ class AravisCamera:
         BadInput
             If a value lies outside what the camera allows.
         CameraError
-            If the camera refuses, or reads back something else than was asked.
+            If the camera refuses, or reads back another value than requested.
         """
         features = AravisSettings(self.connection)
 
@@ -112,7 +112,7 @@ class AravisCamera:
 
 
 class AravisSettings:
-    """The settings of one open camera, each set as asked and read back."""
+    """The settings of one open camera, each set and read back."""
 
     def __init__(self, connection: Connection) -> None:
         self._library, self._camera, self._identifier = connection.library, connection.camera, connection.identifier
@@ -216,7 +216,7 @@ class AravisSettings:
         return column, row, columns, rows
 
     def _trigger(self) -> str | None:
-        """Return what triggers each frame; "off" where they follow one another freely, None where it cannot be told."""
+        """Return what triggers each frame; "off" where they follow one another freely, None if unknown."""
         if not self._library.call("arv_camera_is_feature_available", self._camera, b"TriggerMode"):
             return None
         if self._library.call("arv_camera_get_string", self._camera, b"TriggerMode") != b"On":

@@ -106,7 +106,7 @@ class AravisCapture(FrameCapture):
     patience_s
         Longest wait for a frame, s.
     resend
-        Whether packets that did not come are asked for again (GigE Vision).
+        Whether packets that did not come are requested again (GigE Vision).
     frames, discard, while_waiting
         As in `FrameCapture`.
     """
@@ -137,7 +137,7 @@ class AravisCapture(FrameCapture):
         self.lost_packets = 0
         """Packets that did not come in time, once the capture has ended (GigE Vision)."""
         self.resent_packets = 0
-        """Packets that came because they were asked for again."""
+        """Packets that came because they were requested again."""
 
     def _start(self) -> None:
         self._connection.while_alive(self._start_stream, self._while_waiting)

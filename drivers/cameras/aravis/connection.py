@@ -1,7 +1,7 @@
 """One open camera: its handle, and whether it still answers.
 
 The Aravis library repeats an unanswered command for seconds, and the gate must not stay open for as long. Acts that
-speak to the camera therefore run in a thread, and a GigE Vision camera is asked on its control port meanwhile.
+speak to the camera therefore run in a thread, and the control port of a GigE Vision camera is queried meanwhile.
 """
 
 import queue
@@ -23,7 +23,7 @@ CONTROL_PORT = 3956
 CONTROL_S = 0.08  # longest wait for an answer on the control port
 UNANSWERED = 6  # questions in a row before a camera is taken for dead
 SUSPICION_S = 0.2
-"""Time without a frame or an answer after which a camera is asked whether it is there, s."""
+"""Time without a frame or an answer after which the control port of a camera is queried, s."""
 HEARTBEAT_S = 3.0  # a camera stays locked this long after its client died
 # GVCP discovery command: key, acknowledge required, command 0x0002, no payload, request number.
 _DISCOVERY = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 0x7FFF)

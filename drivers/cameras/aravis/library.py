@@ -46,25 +46,11 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "arv_gv_device_is_controller": (c_bool, (c_void_p,), False),
     "arv_gv_device_get_device_address": (c_void_p, (c_void_p,), False),
     "arv_camera_gv_set_stream_options": (None, (c_void_p, c_int), False),
-    "arv_camera_get_vendor_name": (c_char_p, (c_void_p,), True),
-    "arv_camera_get_model_name": (c_char_p, (c_void_p,), True),
     "arv_camera_set_region": (None, (c_void_p, c_int, c_int, c_int, c_int), True),
     "arv_camera_get_region": (None, (c_void_p, *[POINTER(c_int)] * 4), True),
     "arv_camera_get_sensor_size": (None, (c_void_p, *[POINTER(c_int)] * 2), True),
     "arv_camera_set_pixel_format_from_string": (None, (c_void_p, c_char_p), True),
     "arv_camera_get_pixel_format_as_string": (c_char_p, (c_void_p,), True),
-    "arv_camera_is_exposure_time_available": (c_bool, (c_void_p,), True),
-    "arv_camera_get_exposure_time_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
-    "arv_camera_set_exposure_time": (None, (c_void_p, c_double), True),
-    "arv_camera_get_exposure_time": (c_double, (c_void_p,), True),
-    "arv_camera_is_gain_available": (c_bool, (c_void_p,), True),
-    "arv_camera_get_gain_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
-    "arv_camera_set_gain": (None, (c_void_p, c_double), True),
-    "arv_camera_get_gain": (c_double, (c_void_p,), True),
-    "arv_camera_is_frame_rate_available": (c_bool, (c_void_p,), True),
-    "arv_camera_get_frame_rate_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
-    "arv_camera_set_frame_rate": (None, (c_void_p, c_double), True),
-    "arv_camera_get_frame_rate": (c_double, (c_void_p,), True),
     "arv_camera_set_trigger": (None, (c_void_p, c_char_p), True),
     "arv_camera_clear_triggers": (None, (c_void_p,), True),
     "arv_camera_get_trigger_source": (c_char_p, (c_void_p,), True),
@@ -85,6 +71,13 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "arv_stream_push_buffer": (None, (c_void_p, c_void_p), False),
     "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64), False),
 }
+for _feature in ("exposure_time", "gain", "frame_rate"):
+    _FUNCTIONS |= {
+        f"arv_camera_is_{_feature}_available": (c_bool, (c_void_p,), True),
+        f"arv_camera_get_{_feature}_bounds": (None, (c_void_p, *[POINTER(c_double)] * 2), True),
+        f"arv_camera_set_{_feature}": (None, (c_void_p, c_double), True),
+        f"arv_camera_get_{_feature}": (c_double, (c_void_p,), True),
+    }
 
 
 class Aravis:

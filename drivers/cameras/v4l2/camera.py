@@ -6,11 +6,10 @@ from fractions import Fraction
 from types import TracebackType
 from typing import Literal, Self
 
-from drivers.cameras.v4l2 import controls, fields, structures
+from drivers.cameras.v4l2 import fields, listing, structures
 from drivers.cameras.v4l2.capture import V4l2Capture
-from drivers.cameras.v4l2.controls import Control
-from drivers.cameras.v4l2.device import Device, KernelDevice, query_device
-from drivers.cameras.v4l2.listing import capture_capability, format_codes, list_sizes
+from drivers.cameras.v4l2.device import Device, offers, query_device
+from drivers.cameras.v4l2.listing import Control, capture_capability, format_codes, list_sizes
 from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage, picture_of
 from drivers.cameras.v4l2.structures import CAPTURE, Format, StreamParameters, words
 from drivers.interface import CameraError
@@ -18,10 +17,10 @@ from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
 BEGINS = 3.0
-"""Silence allowed before the first frame, besides, over that between frames."""
+"""Additional time without a frame allowed before the first one, as a multiple of that between frames."""
 
 LONGEST_WAIT_S = 600.0
-"""Longest wait for a frame beyond the silence allowed, whatever period and exposure a driver tells, s."""
+"""Longest wait for a frame beyond `silence_s`, whatever period and exposure a driver reports, s."""
 
 FULL_RANGE = 1
 _FINEST_PERIOD = 100_000
@@ -60,7 +59,7 @@ class V4l2Camera:
         input_number: int | None = None,
         video_lines: Literal[525, 625] | None = None,
         silence_s: float = 0.5,
-        open_device: Callable[[str], Device] = KernelDevice,
+        open_device: Callable[[str], Device] = Device,
     ) -> None:
         self._path, self._input, self._silence_s = path, input_number, silence_s
         self._video_lines, self._open_device = video_lines, open_device
@@ -100,7 +99,7 @@ class V4l2Camera:
         BadInput
             If a value lies outside what the camera offers.
         CameraError
-            If the camera refuses, or reads back something else than was asked.
+            If the camera refuses, or reads back another value than requested.
         """
         own = V4l2Settings(self._open, self.identifier)
         own.apply(settings)
@@ -108,15 +107,15 @@ class V4l2Camera:
 
     def controls(self) -> tuple[Control, ...]:
         """Return the controls that the camera offers."""
-        return controls.list_controls(self._open)
+        return listing.list_controls(self._open)
 
     def control(self, name: str) -> int:
         """Return the value of a control, by its name."""
-        return controls.read_control(self._open, self._named(name))
+        return listing.read_control(self._open, self._named(name))
 
     def set_control(self, name: str, value: int) -> int | None:
         """Set a control by its name and return what it reads back; None for a button."""
-        return controls.write_control(self._open, self._named(name), value)
+        return listing.write_control(self._open, self._named(name), value)
 
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
@@ -127,9 +126,8 @@ class V4l2Camera:
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
         return V4l2Capture(
             self._open,
-            picture=picture_of(form),
+            form=form,
             standard=own.standard(),
-            alternate=form.of.pix.field == fields.ALTERNATE,
             patience_s=self._silence_s + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
             start_s=BEGINS * self._silence_s,
             frames=frames,
@@ -165,7 +163,7 @@ class V4l2Camera:
 
 
 class V4l2Settings:
-    """The settings of one open device, each set as asked and read back."""
+    """The settings of one open device, each set and read back."""
 
     def __init__(self, device: Device, identifier: str) -> None:
         self._device, self._identifier = device, identifier
@@ -191,14 +189,14 @@ class V4l2Settings:
         """Return every setting as the camera reads it back."""
         form = self.form()
         picture = picture_of(form)
-        exposure, gain = (self._value(one) for one in (controls.EXPOSURE, controls.GAIN))
+        exposure, gain = (self._value(one) for one in (listing.EXPOSURE, listing.GAIN))
         return CameraSettings(
             rows=fields.rows_of(picture.rows, form.of.pix.field),
             columns=picture.columns,
             first_row=0,
             first_column=0,
             pixel_format=picture.layout.name,
-            exposure_s=exposure * controls.EXPOSURE_UNIT_S if exposure else None,
+            exposure_s=exposure * listing.EXPOSURE_UNIT_S if exposure else None,
             gain_db=None if gain is None else float(gain),
             frame_rate_hz=self._frame_rate_hz(),
             trigger="off",
@@ -217,11 +215,7 @@ class V4l2Settings:
     def standard(self) -> int:
         """Return the video standards of the input, as the kernel's bits; 0 where it has none."""
         standard = structures.GET_STANDARD.structure()
-        try:
-            self._device.ask(structures.GET_STANDARD, standard)
-        except OSError:
-            return 0
-        return standard.value
+        return standard.value if offers(self._device, structures.GET_STANDARD, standard) else 0
 
     def _set_format(self, settings: CameraSettings) -> None:
         wanted = (settings.rows, settings.columns, settings.pixel_format, settings.field_order)
@@ -233,7 +227,7 @@ class V4l2Settings:
         rows, pix.width = settings.rows or fields.rows_of(pix.height, pix.field), settings.columns or pix.width
         pix.pixelformat = self._code(settings.pixel_format, now=pix.pixelformat)
         if settings.field_order is not None:
-            pix.field = fields.number_of(settings.field_order)
+            pix.field = fields.NUMBERS[settings.field_order]
         pix.height = rows // fields.rows_of(1, pix.field)
         # What follows from the others is for the driver to say.
         pix.bytesperline = pix.sizeimage = 0
@@ -246,7 +240,7 @@ class V4l2Settings:
         query_device(self._device, structures.SET_FORMAT, form, f"camera {self._identifier} must take a picture format")
 
     def _complaint(self, settings: CameraSettings, given: Format, *, code: int) -> str | None:
-        """Say what the driver made of the format asked, where it is another."""
+        """Return what differs between the format in force and the one requested; None if nothing does."""
         pix = given.of.pix
         there = fields.rows_of(pix.height, pix.field)
         rows, columns = settings.rows or there, settings.columns or pix.width
@@ -307,11 +301,7 @@ class V4l2Settings:
 
     def _parameters(self) -> StreamParameters | None:
         parameters = StreamParameters(type=CAPTURE)
-        try:
-            self._device.ask(structures.GET_PARAMETERS, parameters)
-        except OSError:
-            return None
-        return parameters
+        return parameters if offers(self._device, structures.GET_PARAMETERS, parameters) else None
 
     def _frame_rate_hz(self) -> float | None:
         parameters = self._parameters()
@@ -320,18 +310,18 @@ class V4l2Settings:
         return parameters.of.capture.denominator / parameters.of.capture.numerator
 
     def _set_exposure(self, exposure_s: float) -> None:
-        control = self._control(controls.EXPOSURE, "exposure")
-        low, high = (end * controls.EXPOSURE_UNIT_S for end in (control.minimum, control.maximum))
+        control = self._control(listing.EXPOSURE, "exposure")
+        low, high = (end * listing.EXPOSURE_UNIT_S for end in (control.minimum, control.maximum))
         self._require_within("exposure", "s", exposure_s, low, high)
-        self._switch(controls.EXPOSURE_MODE, controls.MANUAL_EXPOSURE)
-        units = round(exposure_s / controls.EXPOSURE_UNIT_S)
-        controls.write_control(self._device, self._control(controls.EXPOSURE, "exposure"), units)
+        self._switch(listing.EXPOSURE_MODE, listing.MANUAL_EXPOSURE)
+        units = round(exposure_s / listing.EXPOSURE_UNIT_S)
+        listing.write_control(self._device, self._control(listing.EXPOSURE, "exposure"), units)
 
     def _set_gain(self, gain: float) -> None:
-        control = self._control(controls.GAIN, "gain")
+        control = self._control(listing.GAIN, "gain")
         self._require_within("gain", "of its own steps", gain, control.minimum, control.maximum)
-        self._switch(controls.AUTOMATIC_GAIN, 0)
-        controls.write_control(self._device, self._control(controls.GAIN, "gain"), round(gain))
+        self._switch(listing.AUTOMATIC_GAIN, 0)
+        listing.write_control(self._device, self._control(listing.GAIN, "gain"), round(gain))
 
     def _require_within(self, word: str, unit: str, value: float, low: float, high: float) -> None:
         # Before anything automatic is switched off: what is refused leaves the camera as it was.
@@ -340,26 +330,26 @@ class V4l2Settings:
 
     def _switch(self, identifier: int, value: int) -> None:
         """Set a mode, where the camera has it; what was automatic rules the control that is set next."""
-        mode = controls.find_control(self._device, identifier)
+        mode = listing.find_control(self._device, identifier)
         if mode is not None and not mode.is_read_only:
-            controls.write_control(self._device, mode, value)
+            listing.write_control(self._device, mode, value)
 
     def _control(self, identifier: int, word: str) -> Control:
-        control = controls.find_control(self._device, identifier)
+        control = listing.find_control(self._device, identifier)
         if control is None:
             raise BadInput(f"camera {self._identifier} must have a control for the {word} to set it, it has none")
         return control
 
     def _value(self, identifier: int) -> int | None:
-        control = controls.find_control(self._device, identifier)
-        return None if control is None else controls.read_control(self._device, control)
+        control = listing.find_control(self._device, identifier)
+        return None if control is None else listing.read_control(self._device, control)
 
     def _notes(self, form: Format, picture: BufferImage) -> tuple[str, ...]:
         notes = []
         if picture.layout.is_video and form.of.pix.quantization != FULL_RANGE:
             notes.append(f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN")
-        if self._value(controls.AUTOMATIC_GAIN):
+        if self._value(listing.AUTOMATIC_GAIN):
             notes.append("the camera's automatic gain is on")
-        if self._value(controls.EXPOSURE_MODE) not in (None, controls.MANUAL_EXPOSURE):
+        if self._value(listing.EXPOSURE_MODE) not in (None, listing.MANUAL_EXPOSURE):
             notes.append("the camera's automatic exposure is on")
         return tuple(notes)

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from drivers.cameras.frame_assembly import POLL_S, FrameCapture, IncompleteFrame, RunningNumbers
 from drivers.cameras.v4l2 import structures
-from drivers.cameras.v4l2.device import Device, Mapped, query_device
-from drivers.cameras.v4l2.fields import BOTTOM, TOP, Field, FieldPairs, field_order, older_field
-from drivers.cameras.v4l2.pixels import BufferImage
+from drivers.cameras.v4l2.device import Device, MappedBuffer, query_device
+from drivers.cameras.v4l2.fields import ALTERNATE, BOTTOM, TOP, Field, FieldPairs, field_order, older_field
+from drivers.cameras.v4l2.pixels import picture_of
 from drivers.cameras.v4l2.structures import (
     BUFFER_FAULTY,
     CAPTURE,
     MEMORY_MAPPED,
     Buffer,
     BufferRequest,
+    Format,
     Request,
 )
 from drivers.interface import CameraError
@@ -40,16 +41,14 @@ class V4l2Capture(FrameCapture):
     ----------
     device
         The open device.
-    picture
-        How a picture lies in a buffer.
+    form
+        Format of the pictures.
     standard
         Video standards of the input, as the kernel's bits.
-    alternate
-        Whether a picture is one field, and its frame's other one comes in a buffer of its own.
     patience_s
         Longest wait for a frame, s.
     start_s
-        What the first frame may take besides, s.
+        Additional wait allowed for the first frame, s.
     frames, discard, while_waiting, identifier
         As in `FrameCapture`.
     """
@@ -58,9 +57,8 @@ class V4l2Capture(FrameCapture):
         self,
         device: Device,
         *,
-        picture: BufferImage,
+        form: Format,
         standard: int,
-        alternate: bool,
         patience_s: float,
         start_s: float,
         frames: int,
@@ -69,11 +67,12 @@ class V4l2Capture(FrameCapture):
         identifier: str,
     ) -> None:
         super().__init__(frames=frames, discard=discard, while_waiting=while_waiting, identifier=identifier)
-        self._device, self._picture, self._standard = device, picture, standard
+        self._device, self._picture, self._standard = device, picture_of(form), standard
         self._patience_s, self._start_s = patience_s, start_s
-        self._memory: list[Mapped] = []
+        self._memory: list[MappedBuffer] = []
         self._numbers = RunningNumbers(SEQUENCE_NUMBERS)
-        self._pairs = FieldPairs(older_field(standard), lambda: self._taken(self._as_field)) if alternate else None
+        apart = form.of.pix.field == ALTERNATE
+        self._pairs = FieldPairs(older_field(standard), lambda: self._taken(self._as_field)) if apart else None
 
     def _start(self) -> None:
         for index in range(self._request_buffers()):
@@ -154,7 +153,7 @@ class V4l2Capture(FrameCapture):
             raise CameraError(f"camera {self._identifier} must lend 2 to {MOST_BUFFERS} buffers, got {wanted.count}")
         return wanted.count
 
-    def _mapped(self, index: int) -> Mapped:
+    def _mapped(self, index: int) -> MappedBuffer:
         buffer = _buffer(index)
         self._query(structures.QUERY_BUFFER, buffer, f"must show its buffer {index}")
         if not self._picture.size_bytes <= buffer.length <= MOST_BYTES:

@@ -1,4 +1,4 @@
-"""The boundary to the kernel: one open video device, of which five things can be asked."""
+"""The boundary to the kernel: one open video device and its mapped buffers."""
 
 import errno
 import fcntl
@@ -7,7 +7,7 @@ import os
 import select
 import struct
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,39 +20,7 @@ MOST_LISTED = 256
 _GONE = {errno.ENODEV, errno.ENXIO, errno.EBADF}
 
 
-class Mapped(Protocol):
-    """Memory that the device fills."""
-
-    def copy(self, size_bytes: int) -> NDArray[np.uint8]:
-        """Return a copy of its first bytes."""
-        ...
-
-    def close(self) -> None:
-        """Give it back."""
-        ...
-
-
-class Device(Protocol):
-    """An open device."""
-
-    def ask(self, request: Request, structure: Any) -> None:
-        """Hand a structure to the kernel and have it filled in; a refusal is an OSError."""
-        ...
-
-    def map(self, length_bytes: int, offset: int) -> Mapped:
-        """Map one of the device's buffers."""
-        ...
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait until a buffer is filled or the device has something to say; False if nothing came in time."""
-        ...
-
-    def close(self) -> None:
-        """Close it."""
-        ...
-
-
-class KernelDevice:
+class Device:
     """A video device of this machine, opened so that no request waits."""
 
     def __init__(self, path: str) -> None:
@@ -67,9 +35,9 @@ class KernelDevice:
         """Hand a structure to the kernel and have it filled in; a refusal is an OSError."""
         fcntl.ioctl(self._file, request.code, structure, True)
 
-    def map(self, length_bytes: int, offset: int) -> "KernelMemory":
+    def map(self, length_bytes: int, offset: int) -> "MappedBuffer":
         """Map one of the device's buffers."""
-        return KernelMemory(mmap.mmap(self._file, length_bytes, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset))
+        return MappedBuffer(mmap.mmap(self._file, length_bytes, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset))
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until a buffer is filled or the device has something to say; False if nothing came in time."""
@@ -82,7 +50,7 @@ class KernelDevice:
         os.close(self._file)
 
 
-class KernelMemory:
+class MappedBuffer:
     """One mapped buffer."""
 
     def __init__(self, memory: mmap.mmap) -> None:
@@ -117,14 +85,21 @@ def listed(device: Device, request: Request, **known: int) -> Iterator[Any]:
     """
     for index in range(MOST_LISTED):
         structure = request.structure(index=index, **known)
-        try:
-            device.ask(request, structure)
-        except OSError as error:
-            if error.errno in _GONE:
-                raise CameraError(f"the video device has gone ({error.strerror})") from None
+        if not offers(device, request, structure):
             return
         yield structure
     raise CameraError(f"a list of the video device must end, {request.name} gave {MOST_LISTED} entries")
+
+
+def offers(device: Device, request: Request, structure: Any) -> bool:
+    """Ask the device, and return whether it answers; one that is gone is a `CameraError`."""
+    try:
+        device.ask(request, structure)
+    except OSError as error:
+        if error.errno in _GONE:
+            raise CameraError(f"the video device has gone ({error.strerror})") from None
+        return False
+    return True
 
 
 def query_device(device: Device, request: Request, structure: Any, rule: str) -> None:
@@ -133,8 +108,3 @@ def query_device(device: Device, request: Request, structure: Any, rule: str) ->
         device.ask(request, structure)
     except OSError as error:
         raise CameraError(f"{rule}, got: {error.strerror or error}") from None
-
-
-def is_gone(error: OSError) -> bool:
-    """Whether a refusal means that the device is there no more."""
-    return error.errno in _GONE

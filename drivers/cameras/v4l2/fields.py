@@ -34,13 +34,8 @@ _ORDERS: dict[int, FieldOrder] = {
     INTERLACED_TOP_FIRST: "top first",
     INTERLACED_BOTTOM_FIRST: "bottom first",
 }
-_ASKED: dict[FieldOrder, int] = {
-    "progressive": PROGRESSIVE,
-    "top first": INTERLACED_TOP_FIRST,
-    "bottom first": INTERLACED_BOTTOM_FIRST,
-    "top only": TOP,
-    "bottom only": BOTTOM,
-}
+NUMBERS = {order: number for number, order in _ORDERS.items()}
+"""The kernel's number of each field order; of two, the one whose rows stand where they belong."""
 
 
 def field_order(field: int, standard: int) -> FieldOrder:
@@ -73,11 +68,6 @@ def older_field(standard: int) -> int:
 def rows_of(height: int, field: int) -> int:
     """Return the rows of a frame whose format has a height, px: that of one field only where fields come apart."""
     return 2 * height if field == ALTERNATE else height
-
-
-def number_of(order: FieldOrder) -> int:
-    """Return the kernel's number of a field order."""
-    return _ASKED[order]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,15 +121,15 @@ class FieldPairs:
             self._kept = second
             return IncompleteFrame(number=first.number, fault="its younger field did not come")
         return Frame(
-            pixels=self._woven(first, second),
+            pixels=weave(first.pixels, second.pixels, first_row=int(self._older == BOTTOM)),
             number=first.number,
             time_s=first.time_s,
             field_order="top first" if self._older == TOP else "bottom first",
         )
 
-    def _woven(self, first: Field, second: Field) -> NDArray:
-        rows, columns = first.pixels.shape
-        woven = np.empty((2 * rows, columns), first.pixels.dtype)
-        for field in (first, second):
-            woven[1 if field.parity == BOTTOM else 0 :: 2] = field.pixels
-        return woven
+
+def weave(first: NDArray, second: NDArray, *, first_row: int) -> NDArray:
+    """Return the frame of two fields, shape (row, col) each, the first of which begins at row 0 or 1."""
+    frame = np.empty((2 * len(first), *first.shape[1:]), first.dtype)
+    frame[first_row::2], frame[1 - first_row :: 2] = first, second
+    return frame

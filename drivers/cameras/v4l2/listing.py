@@ -1,16 +1,139 @@
-"""Which video devices there are, and what each offers: inputs, pixel formats and picture sizes."""
+"""Which video devices there are, and what each offers: inputs, pixel formats, picture sizes and controls."""
 
 import glob
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 from drivers.cameras.v4l2 import structures
-from drivers.cameras.v4l2.controls import Control, list_controls
-from drivers.cameras.v4l2.device import Device, KernelDevice, listed
+from drivers.cameras.v4l2.device import MOST_LISTED, Device, listed, offers, query_device
 from drivers.cameras.v4l2.pixels import LAYOUTS
 from drivers.cameras.v4l2.structures import CAPTURE, four_letters, words
 from drivers.interface import CameraError
+from labdata.errors import BadInput
 
+GAIN, AUTOMATIC_GAIN = 0x00980913, 0x00980912
+EXPOSURE, EXPOSURE_MODE = 0x009A0902, 0x009A0901
+EXPOSURE_UNIT_S = 1e-4
+MANUAL_EXPOSURE = 1
+
+Kind = Literal["integer", "boolean", "menu", "button", "integer menu", "bitmask"]
+_KINDS: dict[int, Kind] = {1: "integer", 2: "boolean", 3: "menu", 4: "button", 8: "bitmask", 9: "integer menu"}
+_MOST_CHOICES = 64
 _DISCRETE = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Control:
+    """One control.
+
+    Parameters
+    ----------
+    identifier
+        The kernel's number of it.
+    name
+        What the driver calls it.
+    kind
+        What its values mean.
+    minimum, maximum, step, default
+        Its values, in its own unit.
+    is_read_only
+        Whether it can only be read; one that is inactive cannot be set either, as long as another control rules it.
+    choices
+        Names of a menu's values.
+    """
+
+    identifier: int
+    name: str
+    kind: Kind
+    minimum: int
+    maximum: int
+    step: int
+    default: int
+    is_read_only: bool
+    choices: dict[int, str] = field(default_factory=dict)
+
+
+def list_controls(device: Device) -> tuple[Control, ...]:
+    """Return the controls that a device offers; those of kinds that hold more than a number are left out."""
+    found: list[Control] = []
+    last = 0
+    for _ in range(MOST_LISTED):
+        query = structures.ControlQuery(id=last | structures.NEXT_CONTROL)
+        if not offers(device, structures.QUERY_CONTROL, query):
+            return tuple(found)
+        if query.id <= last:
+            raise CameraError(f"controls must come in the order of their numbers, got {query.id:#x} after {last:#x}")
+        last = query.id
+        if query.type in _KINDS and not query.flags & structures.CONTROL_DISABLED:
+            found.append(_control(device, query))
+    raise CameraError(f"the list of controls must end, got {MOST_LISTED} entries")
+
+
+def find_control(device: Device, identifier: int) -> Control | None:
+    """Return one control by the kernel's number of it; None where the device has none."""
+    query = structures.ControlQuery(id=identifier)
+    if not offers(device, structures.QUERY_CONTROL, query) or query.id != identifier or query.type not in _KINDS:
+        return None
+    return None if query.flags & structures.CONTROL_DISABLED else _control(device, query)
+
+
+def read_control(device: Device, control: Control) -> int:
+    """Return a control's value."""
+    value = structures.ControlValue(id=control.identifier)
+    query_device(device, structures.GET_CONTROL, value, f"the control {control.name!r} must report its value")
+    return value.value
+
+
+def write_control(device: Device, control: Control, value: int) -> int | None:
+    """Set a control and return what it reads back; None for a button, which has no value.
+
+    Raises
+    ------
+    BadInput
+        If the value lies outside what the control offers, or it can only be read.
+    CameraError
+        If the device refuses, or reads back something else by more than the control's step.
+    """
+    if control.is_read_only:
+        raise BadInput(f"the control {control.name!r} must be one that can be set, this one can only be read")
+    if control.kind not in ("button", "bitmask") and not control.minimum <= value <= control.maximum:
+        raise BadInput(f"{control.name!r} must lie in {control.minimum}..{control.maximum}, got {value}")
+    setting = structures.ControlValue(id=control.identifier, value=value)
+    query_device(device, structures.SET_CONTROL, setting, f"the control {control.name!r} must take {value}")
+    if control.kind == "button":
+        return None
+    is_now = read_control(device, control)
+    if abs(is_now - value) > max(0, control.step - 1):
+        raise CameraError(f"the control {control.name!r} must take the value asked, {value}, but reads back {is_now}")
+    return is_now
+
+
+def _control(device: Device, query: structures.ControlQuery) -> Control:
+    kind = _KINDS[query.type]
+    is_menu = kind in ("menu", "integer menu")
+    return Control(
+        identifier=query.id,
+        name=words(query.name),
+        kind=kind,
+        minimum=query.minimum,
+        maximum=query.maximum,
+        step=query.step,
+        default=query.default_value,
+        is_read_only=bool(query.flags & (structures.CONTROL_READ_ONLY | structures.CONTROL_INACTIVE)),
+        choices=_choices(device, query, numbers=kind == "integer menu") if is_menu else {},
+    )
+
+
+def _choices(device: Device, query: structures.ControlQuery, *, numbers: bool) -> dict[int, str]:
+    """Return the names of a menu's values; values that the driver leaves out are not there."""
+    choices = {}
+    first = max(0, query.minimum)
+    for index in range(first, min(query.maximum, first + _MOST_CHOICES) + 1):
+        entry = structures.MenuQuery(id=query.id, index=index)
+        if offers(device, structures.QUERY_MENU, entry):
+            raw = bytes(entry)[8:40]
+            choices[index] = str(int.from_bytes(raw[:8], "little", signed=True)) if numbers else words(raw)
+    return choices
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,8 +142,6 @@ class OfferedFormat:
 
     Parameters
     ----------
-    code
-        The kernel's number of it.
     letters
         Its four letters.
     name
@@ -29,7 +150,6 @@ class OfferedFormat:
         Rows and columns of the pictures that it comes in; empty where every size within bounds is offered.
     """
 
-    code: int
     letters: str
     name: str | None
     sizes: tuple[tuple[int, int], ...]
@@ -37,11 +157,10 @@ class OfferedFormat:
 
 @dataclass(frozen=True, kw_only=True)
 class OfferedInput:
-    """An input of a capture card: its number, its name, and the video standards that it takes, as the kernel's bits."""
+    """An input of a capture card: its number and its name."""
 
     number: int
     name: str
-    standards: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +173,7 @@ class VideoDevice:
         Its file, such as "/dev/video0".
     card, driver, bus
         What it is, which driver of the kernel serves it, and where it is plugged in.
-    inputs, formats, controls
+    inputs, formats
         What it offers.
     """
 
@@ -64,7 +183,6 @@ class VideoDevice:
     bus: str
     inputs: tuple[OfferedInput, ...]
     formats: tuple[OfferedFormat, ...]
-    controls: tuple[Control, ...]
 
 
 def list_devices() -> tuple[VideoDevice, ...]:
@@ -72,7 +190,7 @@ def list_devices() -> tuple[VideoDevice, ...]:
     found = []
     for path in sorted(glob.glob("/dev/video*")):
         try:
-            device = KernelDevice(path)
+            device = Device(path)
         except CameraError:
             continue
         try:
@@ -93,11 +211,9 @@ def describe(device: Device, path: str) -> VideoDevice:
         driver=words(capability.driver),
         bus=words(capability.bus_info),
         inputs=tuple(
-            OfferedInput(number=one.index, name=words(one.name), standards=one.std)
-            for one in listed(device, structures.LIST_INPUTS)
+            OfferedInput(number=one.index, name=words(one.name)) for one in listed(device, structures.LIST_INPUTS)
         ),
         formats=list_formats(device),
-        controls=list_controls(device),
     )
 
 
@@ -119,7 +235,6 @@ def list_formats(device: Device) -> tuple[OfferedFormat, ...]:
     """Return the pixel formats that a device offers on its present input."""
     return tuple(
         OfferedFormat(
-            code=one.pixelformat,
             letters=four_letters(one.pixelformat),
             name=LAYOUTS[one.pixelformat].name if one.pixelformat in LAYOUTS else None,
             sizes=list_sizes(device, one.pixelformat),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cameras.v4l2.fields import FIRST_ROW
+from drivers.cameras.v4l2.fields import FIRST_ROW, weave
 from drivers.cameras.v4l2.structures import BIG_ENDIAN, Format, code_of, four_letters
 from labdata.errors import BadInput
 
@@ -122,15 +122,10 @@ class BufferImage:
         there = data[: plane.size]
         plane.reshape(-1)[: len(there)] = there
         values = plane[:, : layout.row_bytes(self.columns)].copy().view(kind)[:, layout.first :: layout.step]
-        return self._woven(values.astype(kind.newbyteorder("="), copy=True))
-
-    def _woven(self, rows: NDArray) -> NDArray:
-        """Put the rows of two fields that stand one after the other where they belong."""
+        rows = values.astype(kind.newbyteorder("="), copy=True)
         if self.first_field is None:
             return rows
-        woven, half = np.empty_like(rows), self.rows // 2
-        woven[self.first_field :: 2], woven[1 - self.first_field :: 2] = rows[:half], rows[half:]
-        return woven
+        return weave(rows[: self.rows // 2], rows[self.rows // 2 :], first_row=self.first_field)
 
 
 def picture_of(form: Format) -> BufferImage:

@@ -1,4 +1,4 @@
-"""What V4L2 can be asked: the kernel's structures, byte for byte, of a 64-bit Linux, and the numbers of the requests.
+"""The requests of V4L2: the kernel's structures, byte for byte, of a 64-bit Linux, and the numbers of the requests.
 
 Names, order and sizes are those of the kernel's `linux/videodev2.h` (Linux Media userspace API, part I).
 """
@@ -24,6 +24,11 @@ STANDARDS_525 = 0x0000F900
 """V4L2_STD_525_60: NTSC in its kinds, and PAL of 525 lines (M, 60)."""
 
 
+def _u32(*names: str) -> tuple[tuple[str, type], ...]:
+    """Return fields of 32 bits without a sign."""
+    return tuple((name, c_uint32) for name in names)
+
+
 class Capability(ctypes.Structure):
     """VIDIOC_QUERYCAP."""
 
@@ -31,9 +36,7 @@ class Capability(ctypes.Structure):
         ("driver", c_char * 16),
         ("card", c_char * 32),
         ("bus_info", c_char * 32),
-        ("version", c_uint32),
-        ("capabilities", c_uint32),
-        ("device_caps", c_uint32),
+        *_u32("version", "capabilities", "device_caps"),
         ("reserved", c_uint32 * 3),
     )
 
@@ -42,12 +45,9 @@ class FormatDescription(ctypes.Structure):
     """VIDIOC_ENUM_FMT."""
 
     _fields_ = (
-        ("index", c_uint32),
-        ("type", c_uint32),
-        ("flags", c_uint32),
+        *_u32("index", "type", "flags"),
         ("description", c_char * 32),
-        ("pixelformat", c_uint32),
-        ("mbus_code", c_uint32),
+        *_u32("pixelformat", "mbus_code"),
         ("reserved", c_uint32 * 3),
     )
 
@@ -58,31 +58,15 @@ class FrameSize(ctypes.Structure):
     Stepwise: least width, most width, step of width, least height, most height, step of height.
     """
 
-    _fields_ = (
-        ("index", c_uint32),
-        ("pixel_format", c_uint32),
-        ("type", c_uint32),
-        ("sizes", c_uint32 * 6),
-        ("reserved", c_uint32 * 2),
-    )
+    _fields_ = (*_u32("index", "pixel_format", "type"), ("sizes", c_uint32 * 6), ("reserved", c_uint32 * 2))
 
 
 class PixelFormat(ctypes.Structure):
     """The picture in memory."""
 
     _fields_ = (
-        ("width", c_uint32),
-        ("height", c_uint32),
-        ("pixelformat", c_uint32),
-        ("field", c_uint32),
-        ("bytesperline", c_uint32),
-        ("sizeimage", c_uint32),
-        ("colorspace", c_uint32),
-        ("priv", c_uint32),
-        ("flags", c_uint32),
-        ("ycbcr_enc", c_uint32),
-        ("quantization", c_uint32),
-        ("xfer_func", c_uint32),
+        *_u32("width", "height", "pixelformat", "field", "bytesperline", "sizeimage"),
+        *_u32("colorspace", "priv", "flags", "ycbcr_enc", "quantization", "xfer_func"),
     )
 
 
@@ -100,14 +84,7 @@ class Format(ctypes.Structure):
 class BufferRequest(ctypes.Structure):
     """VIDIOC_REQBUFS."""
 
-    _fields_ = (
-        ("count", c_uint32),
-        ("type", c_uint32),
-        ("memory", c_uint32),
-        ("capabilities", c_uint32),
-        ("flags", c_uint8),
-        ("reserved", c_uint8 * 3),
-    )
+    _fields_ = (*_u32("count", "type", "memory", "capabilities"), ("flags", c_uint8), ("reserved", c_uint8 * 3))
 
 
 class TimeStamp(ctypes.Structure):
@@ -124,18 +101,12 @@ class Buffer(ctypes.Structure):
     """VIDIOC_QUERYBUF, VIDIOC_QBUF, VIDIOC_DQBUF."""
 
     _fields_ = (
-        ("index", c_uint32),
-        ("type", c_uint32),
-        ("bytesused", c_uint32),
-        ("flags", c_uint32),
-        ("field", c_uint32),
+        *_u32("index", "type", "bytesused", "flags", "field"),
         ("timestamp", TimeStamp),
         ("timecode", _TimeCode),
-        ("sequence", c_uint32),
-        ("memory", c_uint32),
+        *_u32("sequence", "memory"),
         ("offset", c_uint64),  # a union of 8 bytes; the offset is its lower half on a little-endian machine
-        ("length", c_uint32),
-        ("reserved2", c_uint32),
+        *_u32("length", "reserved2"),
         ("request_fd", c_int32),
     )
 
@@ -144,13 +115,9 @@ class ControlQuery(ctypes.Structure):
     """VIDIOC_QUERYCTRL."""
 
     _fields_ = (
-        ("id", c_uint32),
-        ("type", c_uint32),
+        *_u32("id", "type"),
         ("name", c_char * 32),
-        ("minimum", c_int32),
-        ("maximum", c_int32),
-        ("step", c_int32),
-        ("default_value", c_int32),
+        *((name, c_int32) for name in ("minimum", "maximum", "step", "default_value")),
         ("flags", c_uint32),
         ("reserved", c_uint32 * 2),
     )
@@ -173,12 +140,7 @@ class CaptureParameters(ctypes.Structure):
     """Frame period as a fraction of a second."""
 
     _fields_ = (
-        ("capability", c_uint32),
-        ("capturemode", c_uint32),
-        ("numerator", c_uint32),
-        ("denominator", c_uint32),
-        ("extendedmode", c_uint32),
-        ("readbuffers", c_uint32),
+        *_u32("capability", "capturemode", "numerator", "denominator", "extendedmode", "readbuffers"),
         ("reserved", c_uint32 * 4),
     )
 
@@ -199,12 +161,9 @@ class Input(ctypes.Structure):
     _fields_ = (
         ("index", c_uint32),
         ("name", c_char * 32),
-        ("type", c_uint32),
-        ("audioset", c_uint32),
-        ("tuner", c_uint32),
+        *_u32("type", "audioset", "tuner"),
         ("std", c_uint64),
-        ("status", c_uint32),
-        ("capabilities", c_uint32),
+        *_u32("status", "capabilities"),
         ("reserved", c_uint32 * 3),
     )
 
