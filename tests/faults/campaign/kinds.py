@@ -406,7 +406,7 @@ KINDS: dict[str, Draw] = {
         for who in ("client", "server")
         for of in ("descriptors", "threads", "memory")
     },
-    "session disk hangs": _blocked(*DISK, since="strike", ends_run=True),
+    "session disk hangs": _blocked(*DISK, since="strike"),
     "session disk hangs, SIGTERM": _blocked(*DISK, ENDED_LATER),
     "session disk hangs, second Ctrl-C": _blocked(*DISK, INTERRUPTED_LATER),
     "session disk hangs, server killed": _blocked(*DISK, _signalled("server", KILL, wait_s=0.8)),

@@ -206,7 +206,7 @@ def _outcome(
     client: Client, session: Path, kind: str, fault: Fault, watch: _Watch, code: int | None, left: tuple[str, ...]
 ) -> Outcome:
     endured, live = code == 0, watch.live
-    timed = live and (not endured or fault.ends_run or fault.one_suffices or fault.since == "progress")
+    timed = live and (not endured or not fault.passes or fault.one_suffices)
     gate_s, voltage_s = (watch.seconds(one) if timed else None for one in (GATE, SUPPLY))
     acknowledged = client.acknowledged()
     found, wrong = frames_found(session, acknowledged)
