@@ -12,6 +12,7 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 from labdata.complaint import sentence
 from labdata.errors import BadInput
+from labdata.regular_file import require_regular
 from labdata.schema import described
 
 T = TypeVar("T")
@@ -45,10 +46,9 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         If the file is missing or is not TOML.
     """
     path = Path(path)
+    require_regular(path)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadInput(f"a file must exist to be read, got {path}") from None
     except OSError as error:
         raise BadInput(f"{path} must be a readable file: {error.strerror}") from None
     except UnicodeDecodeError:

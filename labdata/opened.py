@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.regular_file import require_regular, require_regular_parts
 from labdata.session import StackEntry
 from labdata.store import is_ours, read_journal
 from labdata.store.array_reader import open_array, read_frames
@@ -89,6 +90,7 @@ def open_stack(entry: StackEntry) -> OpenStack:
 def _as_they_are(entry: StackEntry) -> OpenStack:
     """The frames of a stack without its view."""
     from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
+    from labdata.importers.decompression_limit import require_picture
 
     path = entry.paths[0] if isinstance(entry.frames, str) else None
     if path is not None and is_ours(path):
@@ -100,6 +102,7 @@ def _as_they_are(entry: StackEntry) -> OpenStack:
         and names_of_shape(array.shape)[0] in (FRAME, UNNAMED)
         and (array.dtype.kind in "uif" and array.size and array.dtype.isnative)
     ):
+        require_picture(array.shape[1], array.shape[2], entry.label)
         return _opened(entry, array, lambda first, last: np.asarray(array[first:last]))
     stack = entry.read()
     return OpenStack(label=entry.label, shape=stack.shape, dtype=stack.data.dtype, time_s=stack.time_s,
@@ -147,7 +150,9 @@ def _mapped(path: Path):
         if (path / "zarr.json").is_file():
             import zarr
 
+            require_regular_parts(path, "a Zarr array")
             return zarr.open_array(path, mode="r")
+        require_regular(path)
         return np.load(path, mmap_mode="r", allow_pickle=False) if path.suffix.lower() == ".npy" else None
-    except (OSError, ValueError, EOFError):
+    except (OSError, ValueError, EOFError):  # BadInput too: what cannot be mapped is refused where it is read
         return None

@@ -11,6 +11,7 @@ from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
+from labdata.regular_file import require_regular
 from labdata.sensor import Sensor
 from labdata.solid_state import Register, SolidStateCamera
 from labdata.target import Target
@@ -261,8 +262,8 @@ def session_of(folder: Path, form: "SessionForm") -> Session:
     stacks = tuple(_entry(stack, form, folder) for stack in form.stack)
     for entry in stacks:
         for path in entry.paths:
-            if not os.path.exists(path):  # where a name is no path at all, Path.exists would raise
-                raise BadInput(f"the frames of stack {entry.label!r} must exist, got {path}")
+            if not os.path.isdir(path):  # where a name is no path at all, Path.is_dir would raise
+                require_regular(path, f"the frames of stack {entry.label!r}")
     return Session(
         folder=folder,
         name=form.name,

@@ -19,7 +19,7 @@ from labdata.wires import Role, Wires
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
-    from drivers.bench.tube_bench import TubeBench
+    from drivers.bench.local_bench import LocalBench
     from drivers.interface import Camera, Operator
     from drivers.serial_lines.line import InstrumentLine
     from simulate.rig.bench import VirtualBench
@@ -157,7 +157,7 @@ def _bench(
     wires: Wires,
     log: Path,
     lines: "Mapping[Role, InstrumentLine] | None" = None,
-) -> "BenchClient | TubeBench":
+) -> "BenchClient | LocalBench":
     """Return the bench of a plan on wires; `lines`: what stands in for serial ports."""
     from drivers.acquisition.plan_check import field_hz
     from drivers.bench.setup import open_bench
@@ -180,7 +180,7 @@ def _acquired(
     plan: Plan,
     session: Path,
     camera: "AbstractContextManager[Camera]",
-    bench: "BenchClient | TubeBench",
+    bench: "BenchClient | LocalBench",
     operator: "Operator",
     *,
     resume: bool,

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.importers.decompression_limit import require_room
+from labdata.regular_file import require_regular
 
 if TYPE_CHECKING:
     from simulate.radiance.cube import RadianceCube
@@ -103,13 +105,16 @@ def cube_of(path: Path) -> "RadianceCube":
     """Read a radiance cube, an .npz of `wavelength_nm` (band,) and `radiance` (band, row, col), W m-2 sr-1 nm-1."""
     from simulate.radiance.cube import RadianceCube
 
-    if not path.is_file():
-        raise BadInput(f"a radiance cube must exist to be read, got {path}")
+    require_regular(path, "a radiance cube")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as packed:
+            unpacked_bytes = sum(part.file_size for part in packed.zip.infolist())
+            require_room(path, pixels=unpacked_bytes // 8, pixel_bytes=8)
             missing = sorted({"wavelength_nm", "radiance"} - set(packed.files))
             arrays = {} if missing else {name: packed[name] for name in ("wavelength_nm", "radiance")}
-    except (ValueError, TypeError, EOFError, zlib.error, zipfile.BadZipFile):
+    except BadInput:
+        raise
+    except (ValueError, TypeError, AttributeError, EOFError, MemoryError, zlib.error, zipfile.BadZipFile):
         raise BadInput(f"a radiance cube must be a whole .npz file, got {path.name}") from None
     if missing:
         raise BadInput(f"a radiance cube must hold wavelength_nm and radiance, got no {' and no '.join(missing)}")

@@ -1,19 +1,95 @@
-"""The operator of a real bench: a person, asked on the terminal to place targets, and to set the light by hand."""
+"""The operator of a real bench: a person, asked on the terminal to place targets, and to set the light by hand.
 
+The tube may be live while the person takes their time, or while the terminal shows nothing (Ctrl-S): nothing here
+waits for longer than a tenth of a second without calling `while_waiting`.
+"""
+
+import os
+import queue
+import select
 import sys
+import threading
+from collections.abc import Callable
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import Kind
 from labdata.target import Target
 
+POLL_S = 0.1
+"""Longest wait between two calls of `while_waiting`, s."""
 
-class PromptingOperator:
-    """Asks a person and believes the meter that the person reads."""
+
+class _Terminal:
+    """Questions on stderr and answers from stdin, each waited for in short slices."""
+
+    def __init__(self) -> None:
+        self.while_waiting: Callable[[], None] = lambda: None
+        """Called every 0.1 s while a person is waited for; what it raises ends the prompt."""
+        self._typed = b""
+        self._lines: queue.SimpleQueue[str] | None = None
+
+    def _tell(self, text: str) -> None:
+        """Write a text if the terminal takes it now."""
+        descriptor = _descriptor(sys.stderr)
+        if descriptor is None:
+            print(text, end="", file=sys.stderr, flush=True)
+        elif select.select((), (descriptor,), (), 0.0)[1]:
+            os.write(descriptor, text.encode())
+
+    def _answer(self, question: str, purpose: str) -> str:
+        """Write a question and return the line typed; the end of the input is a BadInput."""
+        descriptor = _descriptor(sys.stderr)
+        while descriptor is not None and not select.select((), (descriptor,), (), POLL_S)[1]:
+            self.while_waiting()
+        self._tell(question)
+        descriptor = _descriptor(sys.stdin)
+        line = self._line() if descriptor is None else self._line_of(descriptor)
+        if not line:
+            raise BadInput(f"somebody must answer {purpose}, got the end of the input; run it on a terminal")
+        return line.strip()
+
+    def _line_of(self, descriptor: int) -> str:
+        """Return the next line of an open file; what is typed beyond it stays for the next question."""
+        while b"\n" not in self._typed:
+            if not select.select((descriptor,), (), (), POLL_S)[0]:
+                self.while_waiting()
+                continue
+            try:
+                more = os.read(descriptor, 4096)
+            except OSError:  # of a terminal that was closed
+                more = b""
+            if not more:
+                line, self._typed = self._typed, b""
+                return line.decode(errors="replace")
+            self._typed += more
+        line, _, self._typed = self._typed.partition(b"\n")
+        return (line + b"\n").decode(errors="replace")
+
+    def _line(self) -> str:
+        """Return the next line of an input that is no open file, such as a notebook's, read by a thread."""
+        if self._lines is None:
+            self._lines = lines = queue.SimpleQueue()
+            threading.Thread(target=lambda: lines.put(sys.stdin.readline() if sys.stdin else ""), daemon=True).start()
+        while True:
+            try:
+                line = self._lines.get(timeout=POLL_S)
+            except queue.Empty:
+                self.while_waiting()
+                continue
+            self._lines = None
+            return line
+
+
+class PromptingOperator(_Terminal):
+    """Asks a person to place targets and set the light, and believes the meter that the person reads."""
+
+    is_by_hand = True
+    """Whether a person sets the light."""
 
     def darken(self) -> None:
         """Ask for the light to be blocked, waiting for nobody."""
-        print("Block the light now.", file=sys.stderr)
+        self._tell("Block the light now.\n")
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
@@ -23,19 +99,25 @@ class PromptingOperator:
             self.darken()
             return Conditions(illuminance_lux=0.0)
         behind = "" if filter_density is None else f" behind a filter of density {filter_density:g}"
-        print(f"Place the {_words(kind, target)}; set {illuminance_lux:g} lux{behind}.", file=sys.stderr)
-        print("What does the meter read, in lux? ", end="", file=sys.stderr, flush=True)
-        answer = sys.stdin.readline().strip()
+        answer = self._answer(
+            f"Place the {_words(kind, target)}; set {illuminance_lux:g} lux{behind}.\n"
+            "What does the meter read, in lux? ",
+            "what the meter reads",
+        )
         try:
             return Conditions(illuminance_lux=float(answer), filter_density=filter_density)
         except ValueError:
             raise BadInput(f"the meter's reading must be a number in lux, got {answer!r}") from None
 
 
-class TargetPlacer:
+class TargetPlacer(_Terminal):
     """Asks a person to place targets before a lamp that the bench itself lights and puts out."""
 
+    is_by_hand = False
+    """Whether a person sets the light."""
+
     def __init__(self) -> None:
+        super().__init__()
         self._placed: tuple[Kind, Target] | None = None
 
     def darken(self) -> None:
@@ -46,11 +128,17 @@ class TargetPlacer:
     ) -> Conditions:
         """Ask for a target where another one stands, and wait until it is there; a dark needs none."""
         if kind != "dark" and (kind, target) != self._placed:
-            print(f"Place the {_words(kind, target)}, then press Enter. ", end="", file=sys.stderr, flush=True)
-            if not sys.stdin.readline():
-                raise BadInput(f"somebody must place the {kind} target, got the end of the input")
+            self._answer(f"Place the {_words(kind, target)}, then press Enter. ", f"once the {kind} target is placed")
             self._placed = (kind, target)
         return Conditions(illuminance_lux=0.0)
+
+
+def _descriptor(stream: object) -> int | None:
+    """Return the number of an open file; None of a stream that is none."""
+    try:
+        return stream.fileno()  # pyright: ignore[reportAttributeAccessIssue]
+    except (AttributeError, OSError, ValueError):
+        return None
 
 
 def _words(kind: Kind, target: Target) -> str:

@@ -36,11 +36,7 @@ def safe(
             print("This bench has no serial ports: nothing of it is on between runs.")
             return
 
-        def record(step: str, *, ok: bool = True, error: str = "", **_: object) -> None:
-            if error:
-                say(f"{step}: {error}", events=events)
-
-        report = make_bench_safe(wires, record)
+        report = make_bench_safe(wires, lambda step, **details: None)
         print(f"The tube: {report.last_words()}.")
         for failure in report.failures:
             say(f"charact: {failure}", events=events)

@@ -25,7 +25,7 @@ from labdata.session import open_session
 from labdata.store.storage import Storage, StoredStack
 
 LOOK_S = 0.1
-DISK_S = 1.5
+DISK_S = 1.2
 """Longest time in which the disk may take nothing while frames wait, s: a hot tube is not kept waiting for it."""
 
 CAMERA_S = 15.0

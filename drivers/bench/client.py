@@ -20,7 +20,6 @@ from drivers.bench.guarded_light import GuardedLight
 from drivers.bench.last_bench import remember_bench
 from drivers.bench.safe_state import REOPEN_S, Crew, SafeStateReport, make_safe
 from drivers.bench.setup import BenchSetup
-from drivers.bench.tube_bench import not_safe, raise_unless_whole
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S
@@ -171,7 +170,7 @@ class BenchClient:
 
     def safe(self) -> None:
         """Make the tube safe now; a BenchError where that is not verified. Work may go on if nothing has failed."""
-        raise_unless_whole(self._made_safe())
+        self._made_safe().require_whole()
 
     def safe_at_once(self) -> None:
         """Order the safe state and wait for nothing: for whoever gets a signal while the run may hang."""
@@ -272,7 +271,7 @@ class BenchClient:
             self._take_over("does not answer")
         finally:
             self._hang_up()
-        sentences = [] if self.report is None or self.report.whole else [not_safe(self.report)]
+        sentences = [] if self.report is None or self.report.whole else [self.report.not_whole()]
         sentences += [unwritten] if unwritten else []
         for sentence in sentences:
             if error is None:

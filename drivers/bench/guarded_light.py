@@ -10,27 +10,18 @@ from labdata.target import Target
 if TYPE_CHECKING:
     from drivers.interface import Operator
 
-METER_ZERO = 1e-3
-"""A meter that reads less than this share of the largest light allowed reads its own zero once the light is blocked."""
 
-
-class LightControl(Protocol):
-    """What a bench knows of light, see `TubeBench`."""
+class LightCommands(Protocol):
+    """The commands of a bench that concern light, see `LightControl`."""
 
     def light_unknown(self) -> bool: ...
-
     def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None: ...
-
     def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None: ...
-
     def darken(self) -> None: ...
-
     def shut_gate(self) -> None: ...
-
     def shine(
         self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None
     ) -> Conditions: ...
-
     def check(self) -> None: ...
 
 
@@ -45,7 +36,7 @@ class GuardedLight:
         Asked before each placement, given what the meter reads after it.
     """
 
-    def __init__(self, operator: "Operator", bench: LightControl) -> None:
+    def __init__(self, operator: "Operator", bench: LightCommands) -> None:
         self._operator, self._bench = operator, bench
         self._has_lamp = bench.light_unknown()
         operator.while_waiting = self.while_waiting = bench.check

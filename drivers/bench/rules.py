@@ -187,10 +187,6 @@ RULES = (
 """Every rule that may refuse a command."""
 
 
-def _failed(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
-    return state.fault
-
-
 def _silent(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
     hot = not state.shut or state.mcp_v > 0.0
     if hot and not now_s - state.heard_s <= SILENCE_S:
@@ -219,7 +215,6 @@ def _saturated(state: TubeState, limits: LimitsInForce, now_s: float) -> str | N
 
 
 REACTIONS = (
-    Reaction(name="a failure makes safe", reason=_failed),
     Reaction(name="silence makes safe", reason=_silent),
     Reaction(name="too much current makes safe", reason=_overloaded),
     Reaction(name="too bright a light makes safe", reason=_too_bright),

@@ -5,12 +5,14 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from drivers.errors import BenchError, InstrumentDisconnected
+from drivers.instruments.gate_limits import Gate
+from drivers.instruments.light_source import LightSource
 from drivers.instruments.models import model_of
-from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S
-from drivers.roles import Gate, Instrument, LightSource, Supply
+from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.wires import Reached, Role, Wires
 
 DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
@@ -20,11 +22,13 @@ Record = Callable[..., object]
 """Called as record(step, **details) for each thing that was done; it must not block."""
 
 FOLLOW_S = 0.2
-DEAF_S = 3.0
-"""A supply that answered nothing for this time is no longer asked, s."""
+"""Time between two tries, s."""
 
-REOPEN_S, REOPEN_EVERY_S = 15.0, 0.2
-"""How long a port that is gone is opened anew, and how often, s."""
+DEAF_S = 3.0
+"""An instrument that did not obey for this time is no longer asked, s."""
+
+REOPEN_S = 15.0
+"""How long a port that is gone is opened anew, s."""
 
 BY_HAND = "switch the high-voltage supply off at its front panel, then cover the camera and disconnect the gate unit"
 """What a person does for a tube that could not be made safe."""
@@ -45,7 +49,7 @@ class SafeStateReport:
     light_dark
         Whether every lamp of the bench read back that it is out; a bench without one has none that burns.
     failures
-        One sentence for each step that failed.
+        One sentence for each step that failed on an instrument that was not verified in the end.
     """
 
     gate_shut: bool
@@ -74,6 +78,17 @@ class SafeStateReport:
     def last_words(self) -> str:
         """How the tube was left, and what to do by hand where it may be hot."""
         return self.sentence() if self.whole else f"{self.sentence()}; by hand, now: {BY_HAND}"
+
+    def not_whole(self) -> str:
+        """Return the sentence on a tube that may be hot."""
+        why = f" ({self.failures[0]})" if self.failures else ""
+        rule = "the bench must be left with gate shut, high voltage off and light out"
+        return f"{rule}, got: {self.last_words()}{why}"
+
+    def require_whole(self) -> None:
+        """Raise a BenchError where the tube may be hot."""
+        if not self.whole:
+            raise BenchError(self.not_whole())
 
 
 class Crew:
@@ -142,7 +157,12 @@ def make_safe(
     SafeStateReport
         What was achieved; this function raises nothing, because the next step must be tried all the same.
     """
-    shut, fall, dark = _Shutting(gate, record), _Falling(supply, record), [_Darkening(one, record) for one in lamps]
+    shut = _Task(gate, "delay generator", record, "gate", orders="shut_commands", verify=("shut and read back", "shut"))
+    fall = _Falling(supply, "high-voltage supply", record, "high voltage", orders="off_commands")
+    dark = [
+        _Task(lamp, "light source", record, "light", orders="dark_commands", verify=("out and read back", "darken"))
+        for lamp in lamps
+    ]
     workers = crew or Crew(2 + len(dark))
     workers.run([task.run for task in (shut, fall, *dark)])
     if crew is None:
@@ -151,46 +171,80 @@ def make_safe(
         gate_shut=shut.verified,
         off_ordered=fall.ordered,
         residual_v=fall.residual_v,
-        light_dark=all(one.verified for one in dark),
+        light_dark=all(task.verified for task in dark),
         failures=tuple(dict.fromkeys(failure for task in (shut, fall, *dark) for failure in task.failures)),
     )
 
 
 class _Task:
-    """Steps on one line, each tried whatever became of the one before."""
+    """Orders on one line, each tried whatever became of the one before, until the instrument reads back that it obeyed.
 
-    missing = ""
-    verified = False
+    Parameters
+    ----------
+    instrument
+        The instrument; None: it could not be reached.
+    name
+        What sentences call it.
+    record
+        Called with each step.
+    label
+        Beginning of the name of each step.
+    orders
+        Name of its commands.
+    verify
+        Name of the last step, and of the method that does it.
+    """
 
-    def __init__(self, instrument: Any, record: Record) -> None:
-        self._instrument: Instrument | None = instrument
-        self._record = record
-        self._disconnected = False
+    def __init__(
+        self,
+        instrument: Any,
+        name: str,
+        record: Record,
+        label: str,
+        *,
+        orders: str,
+        verify: tuple[str, str] = ("", ""),
+    ) -> None:
+        self._instrument, self._name, self._record, self._label = instrument, name, record, label
+        self._orders, self._verify, self._disconnected = orders, verify, False
+        self.ordered = self.verified = False
         self.failures: list[str] = []
 
     def run(self) -> None:
-        """Do the steps; again when the port was gone and is back."""
+        """Do the steps until they are verified, or nothing is to be hoped for; a port that is gone is opened anew."""
         if self._instrument is None:
-            self.failures.append(f"the {self.missing} could not be reached")
+            self.failures.append(f"the {self._name} could not be reached")
             return
-        give_up_s = time.monotonic() + REOPEN_S
+        began_s = time.monotonic()
         with self._instrument.line.safing():
-            self.act()
-            while self._disconnected and time.monotonic() < give_up_s:
-                time.sleep(REOPEN_EVERY_S)
-                try:
-                    self._instrument.line.reopen()
-                except BenchError:
-                    continue
-                self._record(f"{self.missing}: port opened anew", ok=True)
-                self._disconnected = False
-                self.failures.clear()
-                self.act()
+            while not self.secured() and time.monotonic() < began_s + self.patience_s:
+                time.sleep(FOLLOW_S)
+                if self._disconnected:
+                    self._reopen()
+        if self.verified:
+            self.failures.clear()
 
-    def act(self) -> None:
-        raise NotImplementedError
+    @property
+    def patience_s(self) -> float:
+        """Time after which nothing is to be hoped for, s."""
+        return REOPEN_S if self._disconnected else DEAF_S
+
+    def secured(self) -> bool:
+        """Send every order and verify; return whether that is done."""
+        self.order()
+        step, method = self._verify
+        self.verified = self.attempt(step, getattr(self._instrument, method))[0]
+        return self.verified
+
+    def order(self) -> None:
+        """Send every order, whatever becomes of the one before."""
+        send, commands = self._instrument.line.order, getattr(self._instrument, self._orders)
+        sent = [self.attempt(command, partial(send, command))[0] for command in commands]
+        self.ordered = self.ordered or all(sent)
 
     def attempt(self, step: str, action: Callable[[], object]) -> tuple[bool, object]:
+        """Do a step and record it; return whether it succeeded, and its result."""
+        step = f"{self._label}: {step}"
         try:
             result = action()
         except Exception as error:  # the next step must be tried whatever this one did
@@ -201,62 +255,34 @@ class _Task:
         self._record(step, ok=True, **({"result": result} if result is not None else {}))
         return True, result
 
-
-class _Shutting(_Task):
-    """The gate's part."""
-
-    missing = "delay generator"
-
-    def act(self) -> None:
-        gate: Any = self._instrument
-        for command in gate.shut_commands:
-            self.attempt(f"gate: {command}", lambda command=command: gate.line.order(command))
-        self.verified = self.attempt("gate: shut and read back", gate.shut)[0]
-
-
-class _Darkening(_Task):
-    """A lamp's part."""
-
-    missing = "light source"
-
-    def act(self) -> None:
-        lamp: Any = self._instrument
-        for command in lamp.dark_commands:
-            self.attempt(f"light: {command}", lambda command=command: lamp.line.order(command))
-        self.verified = self.attempt("light: out and read back", lamp.darken)[0]
+    def _reopen(self) -> None:
+        try:
+            self._instrument.line.reopen()
+        except BenchError:
+            return
+        self._record(f"{self._label}: port opened anew", ok=True)
+        self._disconnected = self.ordered = False
+        self.failures.clear()
 
 
 class _Falling(_Task):
-    """The supply's part."""
+    """Takes the high voltage off and follows its decay; the order is repeated while the supply does not answer."""
 
-    missing = "high-voltage supply"
-    ordered = False
     residual_v: float | None = None
+    _answers = False
 
-    def act(self) -> None:
-        supply: Any = self._instrument
-        deadline_s = time.monotonic() + FALL_S
-        went_out = self._order(supply)
-        give_up_s = time.monotonic() + DEAF_S
-        while time.monotonic() < min(deadline_s, give_up_s) and not self._disconnected:
-            answered, reading = self.attempt(f"high voltage: {supply.reading}", supply.measured_v)
-            if answered and isinstance(reading, float):
-                self.residual_v = reading
-                give_up_s = deadline_s
-                if reading <= DISCHARGED_V:
-                    return
-            if not (answered and went_out):
-                went_out = self._order(supply)
-            time.sleep(FOLLOW_S)
+    @property
+    def patience_s(self) -> float:
+        return FALL_S if self._answers else super().patience_s
 
-    def _order(self, supply: Any) -> bool:
-        """Send every order, whatever becomes of the one before; return whether all went out."""
-        sent = [
-            self.attempt(f"high voltage: {command}", lambda command=command: supply.line.order(command))[0]
-            for command in supply.off_commands
-        ]
-        self.ordered = self.ordered or all(sent)
-        return all(sent)
+    def secured(self) -> bool:
+        if not (self._answers and self.ordered):
+            self.order()
+        self._answers, reading = self.attempt(self._instrument.reading, self._instrument.measured_v)
+        if isinstance(reading, float):
+            self.residual_v = reading
+        self.verified = self._answers and self.residual_v is not None and self.residual_v <= DISCHARGED_V
+        return self.verified
 
 
 def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
@@ -297,7 +323,7 @@ def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
         if found or report is None:
             report = secure()
         else:
-            time.sleep(REOPEN_EVERY_S)
+            time.sleep(FOLLOW_S)
     missing = tuple(failures[role] for role in there if role not in drivers)
     for driver in drivers.values():
         driver.line.close()

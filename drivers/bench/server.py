@@ -21,9 +21,10 @@ from typing import Any
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
 from drivers.bench.last_bench import with_present_ports
+from drivers.bench.light_control import Station
 from drivers.bench.safe_state import DANGEROUS, Record
 from drivers.bench.setup import BenchSetup
-from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, Station, TubeBench, stations_on
+from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.serial_lines.line import InstrumentLine

@@ -15,7 +15,7 @@ from labdata.wires import PORT_KEYS, Role, Wires
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
-    from drivers.bench.tube_bench import TubeBench
+    from drivers.bench.local_bench import LocalBench
     from drivers.serial_lines.line import InstrumentLine
 
 FIELD_RATE_HZ = 60.0 / 1.001
@@ -75,7 +75,7 @@ def open_bench(
     gating: Gating | None = None,
     dose: DoseLedger | None = None,
     session: str = "",
-) -> "BenchClient | TubeBench":
+) -> "BenchClient | LocalBench":
     """Return a bench, to be used in a `with` block.
 
     Entering shuts the gate and switches the high voltage off before anything else; so does leaving, by an exception
@@ -116,6 +116,6 @@ def open_bench(
         from drivers.bench.client import BenchClient
 
         return BenchClient(setup)
-    from drivers.bench.tube_bench import TubeBench
+    from drivers.bench.local_bench import LocalBench
 
-    return TubeBench.in_this_process(setup, lines)
+    return LocalBench(setup, lines)

@@ -6,21 +6,18 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from types import TracebackType
 from typing import Any
 
 from drivers.bench.auxiliary_meters import AuxiliaryMeters, Reading
-from drivers.bench.calibrated_lamp import CalibratedLampControl
 from drivers.bench.dose_meter import DoseMeter
-from drivers.bench.guarded_light import METER_ZERO, GuardedLight
 from drivers.bench.interlock import Interlock
+from drivers.bench.light_control import METER_ZERO, LightControl, Station
 from drivers.bench.safe_state import DANGEROUS, Crew, Record, SafeStateReport, make_safe
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import (
     Command,
     DarkSeen,
     Failed,
-    FilterMoved,
     FrameSeen,
     GainRead,
     GateRead,
@@ -30,17 +27,13 @@ from drivers.bench.state import (
     OpenGate,
     RaiseGain,
     SafeOrdered,
-    SetLight,
 )
 from drivers.errors import BenchError, BenchStopped
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V
-from drivers.interface import FrameLevels, Operator
+from drivers.interface import FrameLevels
 from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
-from labdata.event_log import EventLog
-from labdata.target import Target
 from labdata.wires import Role, Wires
 
 METER_AGREES = 1.25
@@ -75,15 +68,6 @@ class NotDark(BenchError):
     """
 
 
-class Station:
-    """One instrument: its line, its driver, and the lock of whoever runs a procedure on it."""
-
-    def __init__(self, line: InstrumentLine, driver: Any) -> None:
-        self.line, self.driver = line, driver
-        self.procedure = threading.RLock()
-        self.watched = False
-
-
 def stations_on(lines: Mapping[Role, InstrumentLine], wires: Wires) -> dict[Role, Station]:
     """Return the instruments of a bench on their lines, those without a line left out."""
     return {
@@ -93,7 +77,7 @@ def stations_on(lines: Mapping[Role, InstrumentLine], wires: Wires) -> dict[Role
     }
 
 
-class TubeBench:
+class TubeBench(LightControl):
     """Gate and gain of the tube, between `with` and the end of its block.
 
     Nothing reaches gate, supply or light but through its interlock, whose rules stand in `drivers.bench.rules`. One
@@ -133,46 +117,14 @@ class TubeBench:
             setup.gating.rate_hz(setup.field_hz),
             setup.gating.most_hz(setup.field_hz),
         )
-        self._lamp: CalibratedLampControl | None = None
-        self._alone = self._is_safe = False
-        self._log: EventLog | None = None
-        self._looked_s = 0.0
+        self._is_safe = False
         self.fault: BenchError | None = None
         """What failed since the bench was opened; nothing makes the tube hotter before it is opened anew."""
         self.report: SafeStateReport | None = None
         """How the tube was left by the last safe action."""
 
-    @classmethod
-    def in_this_process(cls, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> "TubeBench":
-        """Return a bench without a server: whoever gives orders looks after the instruments as well, by `check`."""
-        log, stations = EventLog(setup.log), stations_on(lines, setup.wires)
-        bench = cls(setup, stations, record=log, on_failure=lambda error: bench.make_safe(str(error)))
-        bench._alone, bench._log = True, log
-        return bench
-
-    wires_left_out = (
-        "serial lines: the instruments answer inside this process",
-        "bench server: no other process makes the tube safe",
-    )
-    """What is not on real wires here, one phrase each."""
-
-    def __enter__(self) -> "TubeBench":
-        try:
-            self.open()
-        except BaseException as error:
-            self._leave(error)
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._leave(error)
-
     def open(self) -> None:
         """Shut the gate and switch the high voltage off, identify every instrument, and read what is left."""
-        if self._alone:
-            self.heard()
         gate, supply = self._gate.driver, self._supply.driver
         with self._using("gate", "supply", "light-source", "filter-wheel"):
             gate.identify()
@@ -182,7 +134,7 @@ class TubeBench:
             self._gate.watched = self._supply.watched = True
             self.shut_gate()
             self._read_gain(supply.measured_v())
-            self._lamp = self._prepared_lamp()
+            self._prepare_lamp()
         drivers: dict[Role, Any] = {role: station.driver for role, station in self.stations.items()}
         self._meters = AuxiliaryMeters(drivers, self._setup.meters)
         self._meters.prepare()
@@ -264,15 +216,10 @@ class TubeBench:
         self.check()
         self.interlock.permit(move)
         if isinstance(move, LowerGain):
-            return self._read_gain(supply.lower_to(volts, check=self._check_ramp))
+            return self._read_gain(supply.lower_to(volts, check=self.check))
         if not supply.is_on:
             supply.switch_on()
-        return self._read_gain(supply.raise_to(volts, rate_v_per_s=move.rate_v_per_s, check=self._check_ramp))
-
-    def _check_ramp(self) -> None:
-        """Look after the bench along a ramp, and for a trip of the supply, at which nobody else looks meanwhile."""
-        self.check()
-        self._supply.driver.check_on()
+        return self._read_gain(supply.raise_to(volts, rate_v_per_s=move.rate_v_per_s, check=self.check))
 
     def _open_gate(self, width_ns: float) -> float:
         self.check()
@@ -285,75 +232,6 @@ class TubeBench:
     def _read_gain(self, read_v: float) -> float:
         self.interlock.tell(GainRead(mcp_v=0.0 if read_v <= DISCHARGED_V else read_v))
         return read_v
-
-    # Light
-
-    def guard(self, operator: Operator) -> Operator:
-        """Put the lamp, and whoever places targets and light, behind the interlock; use only what is returned."""
-        self.light_unknown()
-        return GuardedLight(operator, self)
-
-    def light_unknown(self) -> bool:
-        """Know nothing of the light any more; return whether the bench has a lamp of its own."""
-        self.interlock.tell(LightRead(illuminance_lux=math.inf))
-        return self._lamp is not None
-
-    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None:
-        """Refuse (InterlockRefused) a target and a light that a rule forbids; else it counts as set."""
-        self.interlock.permit(SetLight(illuminance_lux=illuminance_lux, point=point, target=target))
-
-    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None:
-        """Take in what the light was read as; with `zero`, next to nothing is the zero of the meter."""
-        zero_lux = METER_ZERO * self.interlock.limits.largest_lux(point=self.interlock.state.point)
-        lux = 0.0 if zero and illuminance_lux <= zero_lux else illuminance_lux
-        self.interlock.tell(LightRead(illuminance_lux=lux))
-        self.check()
-
-    def darken(self) -> None:
-        """Put the lamp out, if there is one, which needs no leave."""
-        if self._lamp is not None:
-            with self._using("light-source"):
-                self._lamp.darken()
-            self.interlock.tell(LightRead(illuminance_lux=0.0))
-
-    def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
-        """Turn the filter in the dark, then light the lamp; the target stands where it was placed in the dark."""
-        if self._lamp is None:
-            raise BadInput("a light of its own must have a lamp at the bench, got none")
-        if (target, point) != (self.interlock.state.target, self.interlock.state.point):
-            raise BadInput(f"a target must be placed in the dark before it is lit, got {target}")
-        self._is_safe = False
-        with self._using("light-source", "filter-wheel"):
-            setting = self._lamp.setting(illuminance_lux, filter_density)
-            self._lamp.darken()
-            self.interlock.tell(LightRead(illuminance_lux=0.0))
-            self._lamp.turn(setting.position)
-            self.check()  # a wheel takes its time
-            ordered_lux = setting.read.illuminance_lux or 0.0
-            self.interlock.permit(SetLight(illuminance_lux=ordered_lux, point=point, target=target))
-            read = self._lamp.shine(setting.current_a)
-            self.interlock.tell(LightRead(illuminance_lux=read.illuminance_lux or ordered_lux))
-        self.check()
-        return read
-
-    def _prepared_lamp(self) -> CalibratedLampControl | None:
-        if self._setup.lamp is None:
-            return None
-        wheel = self.stations.get("filter-wheel")
-        if wheel is not None:
-            self.interlock.tell(FilterMoved())
-        lamp = CalibratedLampControl(
-            self.stations["light-source"].driver,
-            None if wheel is None else wheel.driver,
-            self._setup.lamp,
-            interlock=self.interlock,
-            watch=self._watch,
-        )
-        lamp.prepare()
-        return lamp
-
-    def _watch(self, role: Role, on: bool) -> None:
-        self.stations[role].watched = on
 
     # What is seen and read
 
@@ -447,13 +325,6 @@ class TubeBench:
 
     def check(self) -> None:
         """Raise what went wrong at the bench: a trip, a silent line, a changed setting, too much light."""
-        if self._alone:
-            self.heard()
-            self.look("supply")
-            if self._clock() - self._looked_s > LOOK_EVERY_S:
-                self._looked_s = self._clock()
-                for role in self.stations.keys() - {"supply", *DISPENSABLE}:
-                    self.look(role)
         self.react()
         if self.fault is not None:
             raise self.fault
@@ -474,13 +345,6 @@ class TubeBench:
         self._on_failure(error)
 
     # The safe state
-
-    def safe(self) -> None:
-        """Shut the gate, switch the high voltage off and put the lamp out now; a BenchError where it is not verified.
-
-        Work may go on afterwards if nothing has failed.
-        """
-        raise_unless_whole(self.make_safe("asked for"))
 
     def make_safe(self, reason: str) -> SafeStateReport:
         """Make the tube safe, whatever another thread does meanwhile, and return what was achieved.
@@ -523,11 +387,6 @@ class TubeBench:
         """Make safe now, from any thread."""
         self.make_safe("asked for at once")
 
-    @property
-    def last_words(self) -> str:
-        """How the tube was left, and what to do by hand where it may be hot; empty before it was made safe."""
-        return "" if self.report is None else self.report.last_words()
-
     def close(self) -> str | None:
         """Write the last dose; return why that failed, if it did."""
         self._crew.dismiss()
@@ -535,28 +394,6 @@ class TubeBench:
             return None
         self.interlock.tell(SafeOrdered())
         return self._dose.close(DOSE_S)
-
-    def alive(self) -> None:
-        """Show a sign of life."""
-        self.heard()
-
-    @contextmanager
-    def patience(self, seconds: float) -> Iterator[None]:
-        """Announce that no sign of life may come for some seconds; the gate must be shut."""
-        yield
-
-    def _leave(self, error: BaseException | None) -> None:
-        report = self.make_safe("the bench is left")
-        unwritten = self.close()
-        if self._log is not None:
-            self._log.close()
-        if error is not None:
-            for sentence in filter(None, (None if report.whole else not_safe(report), unwritten)):
-                error.add_note(sentence)
-            return
-        raise_unless_whole(report)
-        if unwritten:
-            raise BenchError(unwritten)
 
     @property
     def _gate(self) -> Station:
@@ -580,15 +417,3 @@ class TubeBench:
             except BenchError as error:
                 self.fail(error)
                 raise
-
-
-def raise_unless_whole(report: SafeStateReport) -> None:
-    """Raise a BenchError where a report says that the tube may be hot."""
-    if not report.whole:
-        raise BenchError(not_safe(report))
-
-
-def not_safe(report: SafeStateReport) -> str:
-    """Return the sentence on a tube that may be hot."""
-    why = f" ({report.failures[0]})" if report.failures else ""
-    return f"the bench must be left with gate shut, high voltage off and light out, got: {report.last_words()}{why}"

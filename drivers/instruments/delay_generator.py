@@ -1,16 +1,13 @@
 """The gate: a Stanford DG645 delay generator whose AB output opens the gate unit for a set time at each trigger."""
 
-import re
 from typing import ClassVar
 
-from drivers.errors import InstrumentRejected
-from drivers.instruments.gate_limits import GateDriver
-from drivers.instruments.instrument_model import InstrumentModel
+from drivers.instruments.gate_limits import Gate
+from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.line import FramedLine
-from drivers.serial_lines.replies import query_int, reply_error, verify_read_back
+from drivers.serial_lines.replies import query_int, rejected_error, verify_read_back
 from labdata.gating import HOLDOFF, Sync
 
-IDENTITY = r".*DG645.*"
 GATE_LEVEL_V = 4.0
 
 INTERNAL, EXTERNAL, SINGLE_SHOT, LINE = 0, 1, 5, 6
@@ -19,36 +16,17 @@ EDGE_A, EDGE_B, OUTPUT_AB = 2, 3, 1
 _OTHER_EDGES = (4, 5, 6, 7, 8, 9)
 
 ERRORS = {
-    10: "illegal value",
-    11: "illegal mode",
-    12: "illegal delay",
-    13: "illegal link",
-    14: "recall failed",
-    15: "not allowed",
-    16: "failed self test",
-    17: "failed auto calibration",
-    30: "lost data",
-    32: "no listener",
-    110: "illegal command",
-    111: "undefined command",
-    112: "illegal query",
-    113: "illegal set",
-    114: "null parameter",
-    115: "extra parameters",
-    116: "missing parameters",
-    117: "parameter overflow",
-    118: "invalid floating point number",
-    120: "invalid integer",
-    121: "integer overflow",
-    122: "invalid hexadecimal",
-    126: "syntax error",
-    170: "communication error",
-    171: "overrun",
-    254: "too many errors",
-}
+    10: "illegal value", 11: "illegal mode", 12: "illegal delay", 13: "illegal link", 14: "recall failed",
+    15: "not allowed", 16: "failed self test", 17: "failed auto calibration", 30: "lost data",
+    32: "no listener", 110: "illegal command", 111: "undefined command", 112: "illegal query",
+    113: "illegal set", 114: "null parameter", 115: "extra parameters", 116: "missing parameters",
+    117: "parameter overflow", 118: "invalid floating point number", 120: "invalid integer",
+    121: "integer overflow", 122: "invalid hexadecimal", 126: "syntax error", 170: "communication error",
+    171: "overrun", 254: "too many errors",
+}  # fmt: skip
 
 
-class DelayGenerator(GateDriver):
+class DelayGenerator(Gate):
     """The delay generator: every setting is set, the error queue asked, and the setting read back.
 
     The camera's field pulse comes to the trigger input; a holdoff keeps triggers that come too early from opening the
@@ -65,9 +43,7 @@ class DelayGenerator(GateDriver):
 
     def identify(self) -> str:
         """Return the instrument's identity and empty its error queue; another instrument is InstrumentReplyError."""
-        identity = self.line.ask("*IDN?")
-        if not re.fullmatch(IDENTITY, identity):
-            raise reply_error(self.line, "be a DG645", repr(identity[:80]))
+        identity = self._identity("*IDN?", r".*DG645.*", "a DG645")
         self.line.write("*CLS")
         return identity
 
@@ -108,11 +84,7 @@ class DelayGenerator(GateDriver):
     def _refuse_errors(self, command: str) -> None:
         if code := query_int(self.line, "LERR?"):
             meaning = ERRORS.get(code, "an error it does not explain")
-            raise InstrumentRejected(
-                f"the {self.line.name} must accept {command!r}, got error {code}: {meaning}",
-                instrument=self.line.name,
-                code=code,
-            )
+            raise rejected_error(self.line, f"accept {command!r}", f"error {code}: {meaning}", code=code)
 
 
 MODEL = InstrumentModel(

@@ -7,8 +7,8 @@ A question is a command without its last argument; there is no question for the 
 import re
 from typing import ClassVar
 
-from drivers.instruments.gate_limits import GateDriver
-from drivers.instruments.instrument_model import InstrumentModel
+from drivers.instruments.gate_limits import Gate
+from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.prologix import PrologixLine
 from drivers.serial_lines.replies import query_int, rejected_error, reply_error
 from labdata.errors import BadInput
@@ -30,7 +30,7 @@ ERRORS = (
 _DELAY = re.compile(r"(\d),([+-]\d{1,3}\.\d{12})")
 
 
-class Dg535(GateDriver):
+class Dg535(Gate):
     """The delay generator; it has no trigger holdoff and takes no trigger of the camera."""
 
     shut_commands = (f"TM {SINGLE_SHOT}", f"OM {AB},{TTL}", f"OP {AB},{POSITIVE}")

@@ -1,21 +1,17 @@
 """The filters: a Thorlabs FW102C wheel with six or twelve positions."""
 
-import re
-import time
-
-from drivers.instruments.instrument_model import InstrumentModel
+from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.echo_checked_line import EchoCheckedLine
-from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.line import InstrumentLine, KnownAnswer
 from drivers.serial_lines.replies import query_int, rejected_error, reply_error, verify_read_back
 from labdata.errors import BadInput
 
-IDENTITY = re.compile(r"(?i).*FW(102|212).*")
 SENSORS_OFF = "sensors=0"
 """The lamps of its own position sensors out while it stands: they would light the tube."""
 
 PROMPT = b"> "
 END = "\r"
-KNOWN = "*idn?"
+KNOWN = KnownAnswer(question="*idn?", form=r"(?s)\*idn\?\r.*")
 
 # The prompt after a command that turns the wheel comes when the wheel stands (recalled).
 TURNING, TURN_S = "pos=", 4.0
@@ -31,11 +27,8 @@ class PromptLine(EchoCheckedLine):
         """End what may be half said and throw away what is late, until the unit echoes a known question."""
         self._send(END.encode())
         self._drain()
-        self._send((KNOWN + END).encode("ascii"))
-        deadline_s = time.monotonic() + self._answer_s
-        while not (said := self._until(PROMPT, KNOWN)).startswith(KNOWN + END):
-            if time.monotonic() > deadline_s:
-                raise reply_error(self, f"echo {KNOWN!r}", repr(said[:80]))
+        self._send((KNOWN.question + END).encode("ascii"))
+        self._await_known(PROMPT, KNOWN)
 
     def _exchange(self, question: str) -> str:
         self._send((question + END).encode("ascii"))
@@ -49,24 +42,16 @@ class PromptLine(EchoCheckedLine):
         return answer[:80] if answer.startswith("Command error") else None
 
 
-class FilterWheel:
-    """The wheel.
-
-    Parameters
-    ----------
-    line
-        InstrumentLine to the instrument.
-    """
+class FilterWheel(Instrument):
+    """The wheel."""
 
     def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
+        super().__init__(line)
         self._seen: int | None = None
 
     def identify(self) -> str:
         """Return the identity, and have the wheel's own lamps out; another instrument is InstrumentReplyError."""
-        identity = self.line.ask("*idn?")
-        if not IDENTITY.fullmatch(identity):
-            raise reply_error(self.line, "be an FW102C or FW212C", repr(identity))
+        identity = self._identity(KNOWN.question, r"(?i).*FW(102|212).*", "an FW102C or FW212C")
         self.line.write(SENSORS_OFF)
         verify_read_back(self.line, "sensors?", 0)
         return identity

@@ -1,11 +1,12 @@
 """Gate generators: the pulses that one can make, and the comparison of its settings with what was set."""
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
 from drivers.errors import InstrumentRejected
+from drivers.instruments.instrument import Instrument
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.replies import LONGEST_QUOTE, parse_float, query_int, rejected_error
 from labdata.errors import BadInput
@@ -18,18 +19,15 @@ MISSED_TRIGGERS = 2.0
 """Trigger periods without a trigger after which none comes."""
 
 
-class GateDriver(ABC):
+class Gate(Instrument):
     """A pulse generator, its AB output wired to a gate unit that opens while the level is high.
 
     It keeps the answer to each setting that was read back, and `look` compares the answers of now with them.
-
-    Parameters
-    ----------
-    line
-        Line to the instrument.
     """
 
     shut_commands: ClassVar[tuple[str, ...]]
+    """Commands that shut the gate at once, sent one by one when the tube is made safe."""
+
     step_ns: ClassVar[float]
     dead_ns: ClassVar[float]
     """Time after the longest delay before the next trigger is taken, ns."""
@@ -43,13 +41,9 @@ class GateDriver(ABC):
     lost_bit: ClassVar[int]
 
     def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
+        super().__init__(line)
         self._kept: dict[str, tuple[str, str]] = {}  # setting and answer, by question
         self._external_hz, self._triggered_s = 0.0, 0.0
-
-    @abstractmethod
-    def identify(self) -> str:
-        """Return who answers, and clear old errors; another instrument is InstrumentReplyError."""
 
     def look(self) -> None:
         """Compare every setting with what it was set to, and require the triggers of an external source.

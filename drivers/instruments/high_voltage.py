@@ -1,15 +1,13 @@
 """The gain: a Stanford PS350 high-voltage supply across the microchannel plate, raised slowly and verified."""
 
-import re
 import time
 from collections.abc import Callable
 
-from drivers.instruments.instrument_model import InstrumentModel
-from drivers.instruments.voltage_limits import FALL_S, SETTLED_V, SupplyDriver
+from drivers.instruments.instrument import InstrumentModel
+from drivers.instruments.voltage_limits import FALL_S, SETTLED_V, Supply
 from drivers.serial_lines.prologix import PrologixLine
-from drivers.serial_lines.replies import query_float, query_int, rejected_error, reply_error
+from drivers.serial_lines.replies import query_float, query_int, rejected_error
 
-IDENTITY = r"(?i).*(PS3\d\d|2290).*"
 STEP_LARGEST_V = 50.0
 STEP_S = 0.2
 SETTLE_S, SETTLE_READINGS = 0.1, 25
@@ -19,7 +17,7 @@ EXECUTION_ERROR, COMMAND_ERROR = 16, 32
 OFF_COMMAND = "HVOF"
 
 
-class HighVoltage(SupplyDriver):
+class HighVoltage(Supply):
     """The supply; it takes steps of at most 50 V."""
 
     off_commands = (OFF_COMMAND,)
@@ -28,9 +26,7 @@ class HighVoltage(SupplyDriver):
 
     def identify(self) -> str:
         """Return the instrument's identity and clear old status; another instrument is InstrumentReplyError."""
-        identity = self.line.ask("*IDN?")
-        if not re.fullmatch(IDENTITY, identity):
-            raise reply_error(self.line, "be of the PS300 series", repr(identity[:80]))
+        identity = self._identity("*IDN?", r"(?i).*(PS3\d\d|2290).*", "of the PS300 series")
         self.line.write("*CLS")
         return identity
 

@@ -8,11 +8,10 @@ import re
 import time
 from collections.abc import Callable
 
-from drivers.errors import InstrumentTimeout
-from drivers.instruments.instrument_model import InstrumentModel
-from drivers.instruments.voltage_limits import POLL_S, SETTLED_V, SupplyDriver
+from drivers.instruments.instrument import InstrumentModel
+from drivers.instruments.voltage_limits import POLL_S, SETTLED_V, Supply
 from drivers.serial_lines.echo_checked_line import EchoCheckedLine
-from drivers.serial_lines.line import InstrumentLine
+from drivers.serial_lines.line import InstrumentLine, KnownAnswer
 from drivers.serial_lines.replies import query_int, rejected_error, reply_error
 from labdata.errors import BadInput
 
@@ -25,7 +24,7 @@ MANUAL, POSITIVE, SWITCH_OFF = 1, 4, 8  # module status
 TRIPS = {"TRP": "on current", "ERR": "at a limit", "INH": "on its inhibit input", "OFF": "at its panel switch",
          "MAN": "to manual control"}  # fmt: skip
 STATES = ("ON", "L2H", "H2L", "LAS", "QUA", *TRIPS)
-_IDENTITY = re.compile(r"(\d+);([\w.]+);(\d+)V;(\d+(?:\.\d+)?)([um])A")
+KNOWN = KnownAnswer(question="#", form=r"\d+;[\w.]+;\d+V;\d+(\.\d+)?[um]A")
 _SCALED = re.compile(r"([+-]?\d{1,9})([+-]\d{1,2})")
 _PLAIN = re.compile(r"[+-]?\d{1,9}(\.\d{1,9})?")
 
@@ -59,13 +58,8 @@ class IsegLine(EchoCheckedLine):
         """Have the unit answer quickly, throw away what is late, and wait until it says who it is."""
         self._send(END + QUICK.encode() + END)
         self._drain(quiet_s=SLOWEST_CHARACTER_S, within_s=SLOW_START_S)
-        self._send(b"#" + END)
-        deadline_s = time.monotonic() + self._answer_s
-        while not _IDENTITY.fullmatch(answer := self._until(END, "#")):
-            if time.monotonic() > deadline_s:
-                raise InstrumentTimeout(
-                    f"the {self.name} must answer # in a known form, got {answer[:80]!r}", instrument=self.name
-                )
+        self._send(KNOWN.question.encode() + END)
+        self._await_known(END, KNOWN)
 
     def _exchange(self, question: str) -> str:
         self._send(question.encode("ascii") + END)
@@ -79,7 +73,7 @@ class IsegLine(EchoCheckedLine):
         return next((f"{answer}: {meaning}" for meaning in meanings), None)
 
 
-class Iseg(SupplyDriver):
+class Iseg(Supply):
     """The supply, under remote control."""
 
     off_commands = (f"V1={FASTEST_V_PER_S}", "D1=0", "G1")
@@ -95,11 +89,8 @@ class Iseg(SupplyDriver):
 
     def identify(self) -> str:
         """Return serial number, firmware and ratings, and clear old latches; a negative unit is InstrumentRejected."""
-        identity = self.line.ask("#")
-        match = _IDENTITY.fullmatch(identity)
-        if match is None:
-            raise reply_error(self.line, "be an iseg supply of the legacy command set", repr(identity))
-        self.highest_v = float(match[3])
+        identity = self._identity(KNOWN.question, KNOWN.form, "an iseg supply of the legacy command set")
+        self.highest_v = float(identity.split(";")[2].removesuffix("V"))
         if not query_int(self.line, "T1") & POSITIVE:
             raise rejected_error(self.line, "be of positive polarity", "a negative one: turn its polarity switch")
         return identity

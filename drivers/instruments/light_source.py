@@ -6,8 +6,8 @@ Commands, status bits and form of errors are as the maker's own adapter for Micr
 import math
 import re
 
-from drivers.instruments.instrument_model import InstrumentModel
-from drivers.serial_lines.line import FramedLine, InstrumentLine, KnownAnswer
+from drivers.instruments.instrument import Instrument, InstrumentModel
+from drivers.serial_lines.line import FramedLine, KnownAnswer
 from drivers.serial_lines.replies import query_float, query_int, rejected_error, reply_error, verify_read_back
 from labdata.errors import BadInput
 
@@ -18,25 +18,14 @@ FAULTS = {2: "no diode connected", 8: "its diode open", 32: "its diode at the cu
 _ERROR = re.compile(r"\S+ (-?\d{1,9}) ?:(.*)")
 
 
-class LightSource:
-    """The driver of the diode.
-
-    Parameters
-    ----------
-    line
-        InstrumentLine to the instrument.
-    """
+class LightSource(Instrument):
+    """The driver of the diode."""
 
     dark_commands = ("o 0",)
 
-    def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
-
     def identify(self) -> str:
         """Return the name and clear an old error; another instrument is InstrumentReplyError."""
-        name = self.line.ask("n?")
-        if not re.fullmatch(KNOWN.form, name):
-            raise reply_error(self.line, "be a DC2100 or DC2010", repr(name))
+        name = self._identity(KNOWN.question, KNOWN.form, "a DC2100 or DC2010")
         self._error()
         return name
 

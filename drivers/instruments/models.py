@@ -20,7 +20,7 @@ from drivers.instruments import (
     power_meter,
     thermometer,
 )
-from drivers.instruments.instrument_model import InstrumentModel
+from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.port import Port
 from labdata.errors import BadInput
@@ -29,16 +29,7 @@ from labdata.wires import Reached, Role, Wires
 GROUP = "charact.instruments"
 SHIPPED: tuple[InstrumentModel, ...] = tuple(
     module.MODEL
-    for module in (
-        delay_generator,
-        high_voltage,
-        dg535,
-        iseg,
-        filter_wheel,
-        light_source,
-        power_meter,
-        thermometer,
-    )
+    for module in (delay_generator, high_voltage, dg535, iseg, filter_wheel, light_source, power_meter, thermometer)
 )
 
 

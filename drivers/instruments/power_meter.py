@@ -2,11 +2,10 @@
 
 import re
 
-from drivers.instruments.instrument_model import InstrumentModel
-from drivers.serial_lines.line import FramedLine, InstrumentLine
+from drivers.instruments.instrument import Instrument, InstrumentModel
+from drivers.serial_lines.line import FramedLine
 from drivers.serial_lines.replies import query_float, rejected_error, reply_error, verify_read_back
 
-IDENTITY = re.compile(r"(?i).*thorlabs,\s*PM1\d\d.*")
 AVERAGED = 100
 """Readings averaged into one, of about 3000 a second."""
 
@@ -14,23 +13,12 @@ DEFAULT_WAVELENGTH_NM = 550.0
 _ERROR = re.compile(r'([-+]?\d{1,9})\s*,\s*"?(.*?)"?')
 
 
-class PowerMeter:
-    """The meter.
-
-    Parameters
-    ----------
-    line
-        InstrumentLine to the instrument.
-    """
-
-    def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
+class PowerMeter(Instrument):
+    """The meter."""
 
     def identify(self) -> str:
         """Return the identity, clear old errors, and have it measure watts at its own range."""
-        identity = self.line.ask("*IDN?")
-        if not IDENTITY.fullmatch(identity):
-            raise reply_error(self.line, "be of the PM100 family", repr(identity))
+        identity = self._identity("*IDN?", r"(?i).*thorlabs,\s*PM1\d\d.*", "of the PM100 family")
         self.line.write("*CLS")
         for command in ("SENS:POW:UNIT W", "SENS:POW:RANG:AUTO ON", f"SENS:AVER:COUN {AVERAGED}"):
             self._set(command)

@@ -2,36 +2,23 @@
 
 import re
 
-from drivers.instruments.instrument_model import InstrumentModel
-from drivers.serial_lines.line import FramedLine, InstrumentLine, KnownAnswer
+from drivers.instruments.instrument import Instrument, InstrumentModel
+from drivers.serial_lines.line import FramedLine, KnownAnswer
 from drivers.serial_lines.replies import parse_float, reply_error
 
 CHANNEL = "In1"
-IDENTITY = r"(?i).*(CTC100|PTC10).*"
-KNOWN = KnownAnswer(question="*IDN?", form=IDENTITY)
+KNOWN = KnownAnswer(question="*IDN?", form=r"(?i).*(CTC100|PTC10).*")
 ZERO_C_IN_K = 273.15
 # Where the controller is set to say much, the name of what was asked stands before its value.
 _SAID = re.compile(r"(?:[^=]*=)?\s*(\S+)\s*")
 
 
-class Thermometer:
-    """The controller, read at its first input.
-
-    Parameters
-    ----------
-    line
-        InstrumentLine to the instrument.
-    """
-
-    def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
+class Thermometer(Instrument):
+    """The controller, read at its first input."""
 
     def identify(self) -> str:
         """Return the identity; another instrument is InstrumentReplyError."""
-        identity = self.line.ask(KNOWN.question)
-        if not re.fullmatch(IDENTITY, identity):
-            raise reply_error(self.line, "be a CTC100 or PTC10", repr(identity))
-        return identity
+        return self._identity(KNOWN.question, KNOWN.form, "a CTC100 or PTC10")
 
     def look(self) -> None:
         """Ask for a sign of life."""

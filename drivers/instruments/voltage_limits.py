@@ -2,11 +2,12 @@
 
 import math
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import ClassVar
 
 from drivers.errors import InstrumentTripped
+from drivers.instruments.instrument import Instrument
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.replies import rejected_error
 from labdata.errors import BadInput
@@ -30,33 +31,28 @@ POLL_S = 0.1
 _ROUNDING = 1e-6
 
 
-class SupplyDriver(ABC):
+class Supply(Instrument):
     """A high-voltage supply of positive polarity across the microchannel plate.
 
     It remembers what it was set to, and `look` compares the measured output with it.
-
-    Parameters
-    ----------
-    line
-        Line to the instrument.
     """
 
     off_commands: ClassVar[tuple[str, ...]]
+    """Commands that take the high voltage off, sent one by one when the tube is made safe."""
+
     reading: ClassVar[str]
+    """The question whose answer is the voltage at the output, for the log."""
+
     lowest_v: ClassVar[float]
     step_v: ClassVar[float] = 1.0
     highest_v: float
 
     def __init__(self, line: InstrumentLine) -> None:
-        self.line = line
+        super().__init__(line)
         self.is_on = False
         """Whether this object switched it on and not off; the status belongs to whoever watches for trips."""
         self._reached_v: float | None = None  # set-point that the output has reached
         self._fallen_to_v: float | None = None  # lowest output seen since it was ordered off; None: nothing was set
-
-    @abstractmethod
-    def identify(self) -> str:
-        """Return who answers, and clear old errors; another instrument is InstrumentReplyError."""
 
     def look(self) -> None:
         """Compare the output with what was set: on, no trip and near the set-point; off, not on again and not rising.

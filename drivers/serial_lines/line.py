@@ -23,6 +23,17 @@ class _Caller(threading.local):
     is_safing = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class KnownAnswer:
+    """A question without side effect whose answer no other answer resembles: the way back into step."""
+
+    question: str
+    form: str
+
+
+IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
+
+
 class InstrumentLine(ABC):
     """A line to one instrument; making a line does no input or output.
 
@@ -159,6 +170,16 @@ class InstrumentLine(ABC):
         piece, self._received = self._received.split(end, 1)
         return piece.decode("ascii", "replace")
 
+    def _await_known(self, end: bytes, known: KnownAnswer) -> None:
+        """Pass over late answers until the one to a question that was just sent."""
+        deadline_s = time.monotonic() + self._answer_s
+        while not re.fullmatch(known.form, answer := self._until(end, known.question).strip()):
+            if time.monotonic() > deadline_s:
+                raise InstrumentTimeout(
+                    f"the {self.name} must answer {known.question} in a known form, got {answer[:80]!r}",
+                    instrument=self.name,
+                )
+
     def _drain(self, *, quiet_s: float = QUIET_S, within_s: float | None = None) -> None:
         """Throw away what came, until the line is quiet for a time or the time allowed is over."""
         now_s = heard_s = time.monotonic()
@@ -169,17 +190,6 @@ class InstrumentLine(ABC):
             came = self._port.receive(SLICE_S)
             now_s = time.monotonic()
             heard_s = now_s if came else heard_s
-
-
-@dataclass(frozen=True, kw_only=True)
-class KnownAnswer:
-    """A question without side effect whose answer no other answer resembles: the way back into step."""
-
-    question: str
-    form: str
-
-
-IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
 
 
 class FramedLine(InstrumentLine):
@@ -228,10 +238,4 @@ class FramedLine(InstrumentLine):
     def _get_into_step(self) -> None:
         self._drain()
         self._say(self._known.question)
-        deadline_s = time.monotonic() + self._answer_s
-        while not re.fullmatch(self._known.form, answer := self._until(self._end, self._known.question).strip()):
-            if time.monotonic() > deadline_s:
-                raise InstrumentTimeout(
-                    f"the {self.name} must answer {self._known.question} in a known form, got {answer[:80]!r}",
-                    instrument=self.name,
-                )
+        self._await_known(self._end, self._known)

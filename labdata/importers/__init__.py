@@ -14,6 +14,7 @@ from labdata.importers.axes import frames_of
 from labdata.importers.byte_order import swapped_note
 from labdata.importers.full_scale import with_full_scale
 from labdata.importers.recorded import Recorded
+from labdata.regular_file import require_regular
 
 __all__ = ["KINDS", "known_kinds", "module_of", "read_frames"]
 
@@ -67,8 +68,6 @@ def read_frames(
         If the file is missing, of no known kind, damaged, holds no frames, or does not say which axis counts them.
     """
     path = Path(path)
-    if not os.path.exists(path):  # Path.exists raises on names that no disk takes
-        raise BadInput(f"a file of frames must exist to be read, got {path}")
     try:
         stack = _stack(reader_of(path)(path), plane, axis, path.name)
         return with_full_scale(stack) if find_full_scale else stack
@@ -113,7 +112,9 @@ def module_of(path: Path) -> str | None:
 
 
 def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
-    """Return the function that reads a file or folder; one of no known kind is a BadInput."""
+    """Return the function that reads a file or folder; one that is neither, or of no known kind, is a BadInput."""
+    if not os.path.isdir(path):  # Path.is_dir raises on names that no disk takes
+        require_regular(path, "a file of frames")
     if (path / "zarr.json").is_file():
         module = "zarr_array"
     elif path.is_dir() and module_of(path) != "zarr_array":

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers import planes
+from labdata.importers.decompression_limit import require_picture
 from labdata.importers.masked import without_gaps
 from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_OBLONG
 
@@ -111,6 +112,7 @@ def frames_of(
     left = [what for what, at in zip(names, index, strict=True) if isinstance(at, slice)]
     data = data[tuple(index)].transpose([left.index(what) for what in KNOWN if what in left])
     data = data if FRAME in left else data[None]
+    require_picture(data.shape[1], data.shape[2], name)
     data, origin, notes = without_gaps(data, name)
     if COLOUR in left and data.shape[-1] >= 3:
         stack = planes.chosen(data, plane, name)

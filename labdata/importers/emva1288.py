@@ -10,6 +10,7 @@ from labdata.conditions import Conditions
 from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.form import SessionForm, StackForm, stack_form
+from labdata.regular_file import require_regular
 from labdata.session import MANIFEST, Kind, Session, session_of
 
 KINDS: dict[str, Kind] = {"b": "flat", "d": "dark"}
@@ -113,10 +114,9 @@ def relative(path: Path, folder: Path) -> str:
 def read_descriptor(file: str | Path) -> Descriptor:
     """Read an EMVA 1288 descriptor file."""
     file = Path(file)
+    require_regular(file, "a descriptor file")
     try:
         text = file.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise BadInput(f"a descriptor file must exist to be read, got {file}") from None
     except (OSError, UnicodeDecodeError):
         raise BadInput(f"a descriptor file must be a text file, got {file}") from None
     lines = [(number, line.split()) for number, line in enumerate(text.splitlines(), 1)]

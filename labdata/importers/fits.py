@@ -1,14 +1,21 @@
 """FITS, plain or packed by gzip or fpack: the first image of the file, scaled as its header says."""
 
+import gzip
+import math
 import warnings
+from io import BufferedIOBase
 from pathlib import Path
 
 import numpy as np
 
 from labdata.errors import BadInput
 from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, meaning
-from labdata.importers.expansion import require_possible
+from labdata.importers.decompression_limit import require_picture, require_room
 from labdata.importers.recorded import Recorded, lossy_note
+
+GZIP_MAGIC = b"\x1f\x8b"
+BLOCK_BYTES = 2880
+MOST_HEADER_BYTES = 1000 * BLOCK_BYTES  # 36,000 cards; the longest headers of observatories have some thousands
 
 FRAME_COUNTS = ("NFRAMES", "NUMFRAME", "NUMFRMS", "FRAMES", "NIMAGES", "NUMKIN")
 """Cards in which camera software states how many frames an image holds."""
@@ -24,6 +31,7 @@ def read(path: Path) -> Recorded:
         # Headers out of order are common and harmless; a file that ends early is neither.
         with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
             warnings.simplefilter("always")
+            _check_headers(path)
             with fits.open(content, memmap=False) as file:
                 found = _image_of(file, path)
     except (BadInput, MemoryError):
@@ -40,9 +48,6 @@ def _image_of(file, path: Path) -> Recorded:
         axes = unit.header.get("NAXIS", 0)
         if not getattr(unit, "is_image", False) or axes < 2:
             continue
-        sizes = [unit.header[f"NAXIS{axis}"] for axis in range(1, axes + 1)]
-        bits = abs(unit.header["BITPIX"])
-        require_possible(int(np.prod(sizes, dtype=object)) * bits // 8, path.stat().st_size, path.name)
         packed = getattr(unit, "compression_type", None)
         # Integers are packed as they are; reals are first rounded to a fraction of their noise.
         lossy = (lossy_note(packed),) if packed is not None and unit.header["BITPIX"] < 0 else ()
@@ -54,6 +59,56 @@ def _image_of(file, path: Path) -> Recorded:
             notes=lossy,
         )
     raise BadInput(f"a FITS file must hold an image, got none in {path}")
+
+
+def _check_headers(path: Path) -> None:
+    """Refuse an image that is too large and a header without an end; astropy would unpack either in full.
+
+    Notes
+    -----
+    A header is a run of blocks of 2880 bytes, 36 cards of 80, the last card END; its data follow, padded to blocks
+    (FITS Standard 4.0, section 3). An image packed into the rows of a table has its sizes under names of its own
+    (section 10.1).
+    """
+    from astropy.io import fits
+
+    with open(path, "rb") as plain:
+        packed = plain.read(2) == GZIP_MAGIC
+    with gzip.open(path) if packed else open(path, "rb") as file:
+        at = 0
+        while text := _header_text(file, path):
+            header = fits.Header.fromstring(text)
+            packed_image = header.get("ZIMAGE", False)
+            axes, value_bytes = _axes(header, "Z" if packed_image else "")
+            if len(axes) > 1 and (packed_image or header.get("XTENSION") != "BINTABLE"):
+                require_picture(axes[1], axes[0], path.name)
+                require_room(path, pixels=math.prod(axes), pixel_bytes=value_bytes)
+                return
+            values = _number(header, "GCOUNT", 1) * (_number(header, "PCOUNT", 0) + math.prod(axes)) if axes else 0
+            at += len(text) + -(-values * value_bytes // BLOCK_BYTES) * BLOCK_BYTES
+            file.seek(at)
+
+
+def _axes(header, prefix: str) -> tuple[list[int], int]:
+    """Return the length of each axis, and the bytes of a value, as the cards of a prefix state them."""
+    axes = [_number(header, f"{prefix}NAXIS{axis}") for axis in range(1, _number(header, f"{prefix}NAXIS") + 1)]
+    return axes, abs(_number(header, f"{prefix}BITPIX")) // 8
+
+
+def _number(header, card: str, default: int | None = None) -> int:
+    """Return the whole number of a card; a missing one without a default is a KeyError."""
+    return int(header[card] if default is None else header.get(card, default))
+
+
+def _header_text(file: BufferedIOBase, path: Path) -> bytes:
+    """Return the blocks of the next header; none at the end of the file."""
+    text = block = file.read(BLOCK_BYTES)
+    while block and not any(block[card : card + 8] == b"END     " for card in range(0, BLOCK_BYTES, 80)):
+        if len(text) >= MOST_HEADER_BYTES:
+            raise BadInput(f"a FITS header must end within {MOST_HEADER_BYTES} bytes, got none of them in {path}")
+        block = file.read(BLOCK_BYTES)
+        text += block
+    return text
 
 
 def _names(header, axes: int) -> tuple[str, ...]:

@@ -1,13 +1,15 @@
 """HDF5: the only or the largest array of pictures in the file, its axes by their labels."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from labdata.errors import BadInput
 from labdata.importers.axes import named
-from labdata.importers.expansion import require_possible
+from labdata.importers.decompression_limit import require_room
 from labdata.importers.recorded import Recorded
+from labdata.regular_file import require_regular
 
 
 def read(path: Path) -> Recorded:
@@ -23,7 +25,9 @@ def read(path: Path) -> Recorded:
             if not arrays:
                 raise BadInput(f"an HDF5 file must hold an array of pictures, got none in {path}")
             largest = max(arrays, key=lambda array: array.size)
-            require_possible(largest.nbytes, path.stat().st_size, path.name)
+            for other in _other_files(largest):
+                require_regular(path.parent / other, f"a file to which {path.name} refers")
+            require_room(path, pixels=largest.size, pixel_bytes=largest.dtype.itemsize)
             labels = [dimension.label for dimension in largest.dims]
             names = named(labels, largest.shape)
             others = [array.name for array in arrays if array.name != largest.name]
@@ -33,6 +37,12 @@ def read(path: Path) -> Recorded:
         raise
     except Exception:
         raise BadInput(f"an HDF5 file must be whole and readable, got {path}") from None
+
+
+def _other_files(array) -> Iterator[str]:
+    """Yield the files, if any, in which the pixels of an array lie instead of its own."""
+    yield from (name for name, *_ in array.external or ())
+    yield from (source.file_name for source in (array.virtual_sources() if array.is_virtual else ()))
 
 
 def _collect(item, arrays: list, kind: type) -> None:

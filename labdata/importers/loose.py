@@ -1,6 +1,5 @@
 """Loose files of frames become a session; a pattern reads conditions from their names."""
 
-import os
 import re
 from collections.abc import Iterable
 from dataclasses import fields, replace
@@ -46,23 +45,17 @@ def import_frames(
         If a file is missing, of no known kind, holds no frames, does not match the pattern, or has not the picture size
         of the others of its stack.
     """
+    from labdata.importers import reader_of
+
     paths = sorted({Path(file) for file in files})
     if not paths:
         raise BadInput("a session needs at least one file of frames, got none")
     for path in paths:
-        _check(path)
+        reader_of(path)
     out = Path(out)
     stacks = _single(paths, out, kind) if name_pattern is None else _grouped(paths, out, kind, name_pattern)
     stacks = tuple(replace(stack, axis=axis, plane=plane) for stack in stacks)
     return write_session(SessionForm(name=out.resolve().name, stack=stacks, notes=_findings(stacks, out)), out)
-
-
-def _check(path: Path) -> None:
-    from labdata.importers import reader_of
-
-    if not os.path.exists(path):
-        raise BadInput(f"a file of frames must exist to be read, got {path}")
-    reader_of(path)
 
 
 def _findings(stacks: tuple[StackForm, ...], out: Path) -> tuple[str, ...]:

@@ -21,5 +21,8 @@ def read(path: Path) -> Recorded:
     except Exception:  # a damaged header is read as Python, and fails in as many ways
         data = None
     if not isinstance(data, np.ndarray):
-        raise BadInput(f"a .npy file must hold one whole array of numbers, got something else in {path}")
+        raise BadInput(
+            "a .npy file must hold one whole array of numbers, got something else, or fewer pixels than its header "
+            f"states, in {path}"
+        )
     return Recorded(data=data, names=names_of_shape(data.shape))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.importers.axes import COL, COLOUR, ROW
-from labdata.importers.expansion import require_possible
+from labdata.importers.decompression_limit import require_memory, require_picture, require_room
 from labdata.importers.recorded import Recorded, lossy_note
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -24,6 +24,7 @@ KINDS = {".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".png": "PNG"}
 def read(path: Path) -> Recorded:
     """Read a picture; see `labdata.importers.read_frames`."""
     kind = KINDS.get(path.suffix.lower(), "PPM")
+    require_memory(path.stat().st_size, 1, path.name)
     content = path.read_bytes()
     if not content.startswith(SIGNATURES[kind]):
         raise BadInput(f"a {path.suffix} file must be a {kind} picture, got something else in {path}")
@@ -48,7 +49,8 @@ def _decoded(content: bytes, kind: str, path: Path) -> NDArray | None:
         # Its own bound on sizes, which Image.open holds to, is below that of large cameras.
         with warnings.catch_warnings(action="ignore"), Image.OPEN[kind][0](io.BytesIO(content), "") as picture:
             columns, rows = picture.size
-            require_possible(2 * rows * columns * len(picture.getbands()), len(content), path.name)
+            require_picture(rows, columns, path.name)
+            require_room(path, pixels=rows * columns * len(picture.getbands()), pixel_bytes=2)
             if kind in ("JPEG", "BMP"):
                 grey = picture.mode in ("1", "L")
                 return np.asarray(picture.convert("L" if grey else "RGB"))

@@ -6,6 +6,7 @@ import numpy as np
 
 from labdata.errors import BadInput
 from labdata.importers.axes import COL, ROW
+from labdata.importers.decompression_limit import require_picture, require_room
 from labdata.importers.recorded import Recorded
 
 NOTE = "camera raw: active area, one colour plane, black level recorded and not subtracted"
@@ -22,7 +23,11 @@ def read(path: Path) -> Recorded:
     import rawpy
 
     try:
-        with rawpy.imread(str(path)) as raw:
+        with rawpy.RawPy() as raw:
+            raw.open_file(str(path))
+            require_picture(raw.sizes.raw_height, raw.sizes.raw_width, path.name)
+            require_room(path, pixels=raw.sizes.raw_height * raw.sizes.raw_width, pixel_bytes=2)
+            raw.unpack()
             return _mosaic(raw, path)
     except (rawpy.LibRawError, NotImplementedError) as error:  # the latter of a mosaic that is told by no pattern
         reason = error.args[0] if error.args else "unknown"

@@ -3,6 +3,12 @@
 MOST_EXPANSION = 5000
 """Bytes of pixels that a byte of a packed file may stand for: deflate reaches 1032, LZW about 2700."""
 
+MOST_PICTURE_PX = 2**28
+"""Pixels of a picture, 268 million: the largest sensors of cameras have 247 million (Sony IMX811)."""
+
+MOST_OF_MEMORY = 0.5
+"""Part of the machine's memory for a file's unpacked frames; measuring them takes another copy of real numbers."""
+
 LEAST_COLOUR_SIDE_PX = 8
 """Shortest side of a picture whose last axis of 3 or 4 is read as colours; no target is measured in fewer pixels."""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from labdata.errors import BadInput
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, meaning, names_of_shape
-from labdata.importers.expansion import require_possible
+from labdata.importers.decompression_limit import require_picture, require_room
 from labdata.importers.recorded import Recorded, lossy_note
 from labdata.importers.thresholds import THUMBNAIL
 
@@ -106,13 +106,14 @@ def _check_whole(file, path: Path) -> None:
 
 
 def _check_possible(file, path: Path) -> None:
-    """Refuse pages of more pixels than the file can hold; strips and tiles are unpacked whole, however few are used."""
-    stated = 0
+    """Refuse pages of more pixels than can be; strips and tiles are unpacked whole, however few pixels are used."""
+    pixels, pixel_bytes = 0, 1
     for page in file.pages:
         page = page.aspage()
-        segment = math.prod(page.chunks or (0,)) * page.dtype.itemsize if page.dtype else 0
-        stated += max(page.nbytes, segment)
-    require_possible(stated, path.stat().st_size, path.name)
+        require_picture(page.imagelength, page.imagewidth, path.name)
+        pixels += max(math.prod(page.shape), math.prod(page.chunks or (0,)))
+        pixel_bytes = max(pixel_bytes, page.dtype.itemsize if page.dtype else 1)
+    require_room(path, pixels=pixels, pixel_bytes=pixel_bytes)
 
 
 def _check_meaning(page, path: Path) -> tuple[str, ...]:

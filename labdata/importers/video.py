@@ -6,6 +6,7 @@ import numpy as np
 
 from labdata.errors import BadInput
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW
+from labdata.importers.decompression_limit import require_memory, require_picture
 from labdata.importers.recorded import Recorded, lossy_note
 
 LOSSLESS = ("", "DIB ", "RGB ", "RAW ", "Y800", "GREY", "Y8  ", "FFV1", "HFYU", "FFVH", "MPNG")
@@ -23,12 +24,15 @@ def read(path: Path) -> Recorded:
     video = cv2.VideoCapture(str(path))
     try:
         code = int(video.get(cv2.CAP_PROP_FOURCC)) if video.isOpened() else 0
+        rows, columns = (int(video.get(size)) for size in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH))
+        require_picture(rows, columns, path.name)
         frames = []
         while True:
             read, frame = video.read()
             if not read:
                 break
             frames.append(frame)
+            require_memory(len(frames) * frame.size, frame.itemsize, path.name)
     finally:
         video.release()
     if not frames or len({frame.shape for frame in frames}) > 1:

@@ -7,8 +7,9 @@ import numpy as np
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers.axes import named
-from labdata.importers.expansion import require_possible
+from labdata.importers.decompression_limit import require_room
 from labdata.importers.recorded import Recorded
+from labdata.regular_file import require_regular_parts
 
 
 def read(path: Path) -> Recorded | FrameStack:
@@ -19,9 +20,10 @@ def read(path: Path) -> Recorded | FrameStack:
         return store.read(path)
     import zarr
 
+    require_regular_parts(path, "a Zarr array")
     try:
         array = zarr.open_array(path, mode="r")
-        require_possible(array.nbytes, sum(part.stat().st_size for part in path.rglob("*")), path.name)
+        require_room(path, pixels=array.size, pixel_bytes=array.dtype.itemsize)
         labels = getattr(array.metadata, "dimension_names", None) or ()
         return Recorded(data=np.asarray(array[...]), names=named(labels, array.shape))
     except (BadInput, MemoryError):

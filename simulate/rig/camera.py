@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import queue
+import stat
 import sys
 import tempfile
 import time
@@ -181,9 +182,22 @@ class VirtualCamera:
         raise BadInput(f"the virtual camera sends Mono8 and Mono16, got pixel format {pixel_format:#x}")
 
 
-def hold_loopback(parent: int) -> IO[str]:
-    """Wait for the one GigE Vision port that loopback has, and hold it for this process."""
-    lock = (Path(tempfile.gettempdir()) / f"charact-virtual-camera-{os.getuid()}.lock").open("w")
+def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
+    """Wait for the one GigE Vision port that loopback has, and hold it for this process.
+
+    Parameters
+    ----------
+    parent
+        Process whose end ends the wait.
+    folder
+        Folder of the lock, which other users may write to; None: that of temporary files.
+
+    Raises
+    ------
+    BadInput
+        If another camera holds it for too long, or something else than a file of this user stands in the lock's place.
+    """
+    lock = _opened_lock((folder or Path(tempfile.gettempdir())) / f"charact-virtual-camera-{os.getuid()}.lock")
     until_s = time.monotonic() + LOCK_WAIT_S
     told = False
     while True:
@@ -195,8 +209,27 @@ def hold_loopback(parent: int) -> IO[str]:
                 tell({"waiting": "another virtual camera holds the loopback"})
                 told = True
         if os.getppid() != parent or time.monotonic() > until_s:
+            lock.close()
             raise BadInput(f"one virtual camera runs on a machine at a time, waited {LOCK_WAIT_S:g} s for another")
         time.sleep(PARENT_CHECK_S)
+
+
+def _opened_lock(path: Path) -> IO[bytes]:
+    """Open the lock without following a link, waiting for a pipe or changing what is there."""
+    rule = "the lock of the virtual camera must be a regular file of this user alone"
+    remedy = f"{path}: remove it, or set TMPDIR to a folder of your own"
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise BadInput(f"{rule}, got {error.strerror!r}, {remedy}") from None
+    there = os.fstat(descriptor)
+    if not stat.S_ISREG(there.st_mode) or there.st_uid != os.getuid() or there.st_nlink != 1:
+        os.close(descriptor)
+        raise BadInput(
+            f"{rule}, got one of type {stat.filemode(there.st_mode)}, user {there.st_uid} and {there.st_nlink} names, "
+            f"{remedy}"
+        )
+    return os.fdopen(descriptor, "r+b")
 
 
 def tell(message: dict[str, str]) -> None:

@@ -46,10 +46,12 @@ class VirtualOperator:
     """
 
     is_by_hand = False
+    """Whether a person sets the light."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
         self.while_waiting: Callable[[], None] = lambda: None
+        """Never called: nobody is waited for."""
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None

@@ -7,8 +7,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from drivers.errors import InstrumentDisconnected, InstrumentRejected, InstrumentReplyError, InstrumentTimeout
-from drivers.errors import InstrumentTripped
+from drivers.errors import (
+    InstrumentDisconnected,
+    InstrumentRejected,
+    InstrumentReplyError,
+    InstrumentTimeout,
+    InstrumentTripped,
+)
 from drivers.serial_lines.line import InstrumentLine
 from labdata.lamp import Lamp
 from labdata.limits import Limits, limits_in_force
@@ -70,6 +75,11 @@ class Wire(InstrumentLine):
 
     def break_down(self, trouble: str, *, back_after_s: float = math.inf) -> None:
         self.trouble, self.since_s, self.back_s = trouble, CLOCK.now_s, CLOCK.now_s + back_after_s
+
+    @property
+    def is_seen_broken(self) -> bool:
+        """Whether somebody who asks notices it."""
+        return self.trouble in ("silent", "mute", "wrong", "gone")
 
     def write(self, command: object) -> None:
         self._require_turn()
@@ -136,7 +146,10 @@ class Laboratory:
     beat_s: float = -math.inf
     stamp_s: float = -math.inf
     fault_s: float = math.inf
-    demand: tuple[float, str] | None = None
+    stopped_by: str = ""
+    """What nothing may be made hotter after: the end of the server, a safe action since the present order began."""
+    demands: dict[str, float] = field(default_factory=dict)
+    """What demands the safe state of a hot tube, and since when, s."""
 
     def __post_init__(self) -> None:
         if self.has_lamp:
@@ -203,7 +216,7 @@ class Laboratory:
         self._heated("the gate was opened")
         if not 0.0 < width_ns <= float(SENSOR.limits.gate_ns):
             self.hurts.append(f"a gate of {width_ns:g} ns")
-        self.open = (width_ns * share, rate_hz)
+        self.open, self.gate.line.changed_s = (width_ns * share, rate_hz), math.inf
         if not width_ns * 1e-9 * rate_hz <= float(SENSOR.limits.gate_duty):
             self.hurts.append(f"a gate open for {width_ns * 1e-9 * rate_hz:.3g} of the time")
         if self.noted_lux > 0.0:
@@ -226,6 +239,7 @@ class Laboratory:
         if self.open[0] > 0.0 and self.gate.line.changed_s == math.inf:
             self.hurts.append("the gain moved behind an open gate")
         self.volts += share * (volts - self.volts)
+        self.supply.line.changed_s = math.inf
         if not 0.0 <= volts <= float(SENSOR.limits.mcp_v):
             self.hurts.append(f"{volts:g} V were ordered")
 
@@ -275,6 +289,8 @@ class Laboratory:
             self.hurts.append(f"a current of {asked:.3g} nA/cm2")
 
     def _heated(self, what: str) -> None:
+        if self.stopped_by:
+            self.hurts.append(f"{what} after {self.stopped_by}")
         if self.fault_s < CLOCK.now_s:
             self.hurts.append(f"{what} after a failure")
         if not CLOCK.now_s - self.beat_s <= SAFE_AFTER_S:
@@ -282,50 +298,43 @@ class Laboratory:
 
     # What must be made safe, and when
 
-    def require_safe(self, why: str, *, since_s: float | None = None) -> None:
-        """Something demands the safe state."""
-        if self.demand is None and (self.open[0] > 0.0 or self.volts > 0.0):
-            self.demand = (CLOCK.now_s if since_s is None else since_s, why)
-
     def watch(self) -> None:
-        """Look for what demands the safe state, and for a tube that is hot all the same."""
+        """Look for a tube that is hot though something demands the safe state."""
         if self.open[0] == 0.0 and self.volts == 0.0:
-            self.demand = None
-        elif self._late_s() > SAFE_AFTER_S:
-            assert self.demand is not None
+            self.demands.clear()
+        since_s, why = self._demand()
+        if CLOCK.now_s - since_s > SAFE_AFTER_S:
             for hot, line in ((self.open[0] > 0.0, self.gate.line), (self.volts > 0.0, self.supply.line)):
-                if hot and not (line.in_vain and line.tried_s >= self.demand[0]):
-                    self.hurts.append(f"the {line.name} was hot {self.demand[1]} for {self._late_s():.2f} s")
+                if hot and not (line.in_vain and line.tried_s >= since_s):
+                    self.hurts.append(f"the {line.name} was hot {why} for {CLOCK.now_s - since_s:.2f} s")
 
-    def _late_s(self) -> float:
-        """Time for which something has demanded the safe state, s."""
-        now_s = CLOCK.now_s
-        if self.fault_s <= now_s:
-            self.require_safe("after a failure", since_s=self.fault_s)
-        if now_s - self.beat_s > 0.6:
-            self.require_safe("without a guard", since_s=self.beat_s + 0.6)
-        if now_s - self.stamp_s > 1.2:
-            self.require_safe("without a sign of life of the run", since_s=self.stamp_s + 1.2)
-        if not self.anode_na_per_cm2(self.known_lux) <= 1.3 * self.most_na_per_cm2:
-            self.require_safe("under too much current")
-        if self.open[0] > 0.0 and not self.known_lux <= 1.3 * self.most_lux:
-            self.require_safe("before too bright a light")
-        for line in (self.gate.line, self.supply.line):
-            if now_s - line.changed_s > NOTICED_AFTER_S:
-                self.require_safe(f"with a {line.name} changed by hand", since_s=line.changed_s + NOTICED_AFTER_S)
-            if line.trouble in ("silent", "mute", "wrong", "gone") and now_s - line.since_s > NOTICED_AFTER_S:
-                self.require_safe(f"with a {line.name} that is {line.trouble}", since_s=line.since_s + NOTICED_AFTER_S)
-        return 0.0 if self.demand is None else now_s - self.demand[0]
+    def _demand(self) -> tuple[float, str]:
+        """Since when something demands the safe state, and why; for ever from now where nothing does."""
+        now_s, lines = CLOCK.now_s, (self.gate.line, self.supply.line)
+        present = {
+            "under too much current": not self.anode_na_per_cm2(self.known_lux) <= 1.3 * self.most_na_per_cm2,
+            "before too bright a light": self.open[0] > 0.0 and not self.known_lux <= 1.3 * self.most_lux,
+        }
+        for why, holds in present.items():
+            if holds:
+                self.demands.setdefault(why, now_s)
+            else:
+                self.demands.pop(why, None)
+        all_since_s = self.demands | {
+            "after a failure": self.fault_s,
+            "without a guard": self.beat_s + 0.3,
+            "without a sign of life of the run": self.stamp_s + 1.2,
+            **{f"with a {line.name} changed by hand": line.changed_s + NOTICED_AFTER_S for line in lines},
+            **{f"with a broken {line.name}": line.since_s + NOTICED_AFTER_S for line in lines if line.is_seen_broken},
+        }
+        return min(((since_s, why) for why, since_s in all_since_s.items()), default=(math.inf, ""))
 
     def _gets_safe(self, line: Wire) -> None:
         """An instrument gets safe now: it must not be late, but for one whose port is back only now."""
-        if (
-            (late_s := self._late_s()) > SAFE_AFTER_S
-            and not line.in_vain
-            and not 0.0 <= CLOCK.now_s - line.back_s < 2.0
-        ):
-            assert self.demand is not None
-            self.hurts.append(f"the {line.name} was made safe {late_s:.2f} s after it was hot {self.demand[1]}")
+        since_s, why = self._demand()
+        late = CLOCK.now_s - since_s > SAFE_AFTER_S and not line.in_vain
+        if late and not 0.0 <= CLOCK.now_s - line.back_s < 2.0:
+            self.hurts.append(f"the {line.name} was made safe {CLOCK.now_s - since_s:.2f} s after it was hot {why}")
 
 
 class Gate:
@@ -362,10 +371,9 @@ class Gate:
         self.shut()
         self.lab.between()
         self.line.write((width_ns, rate_hz))
-        self.lab.between()
-        read_ns = self.line.answer(lambda: self.lab.open[0])
         self.set = self.lab.open
-        return read_ns
+        self.lab.between()
+        return self.line.answer(lambda: self.lab.open[0])
 
 
 class Supply:
@@ -437,9 +445,9 @@ class Supply:
             raise InstrumentTripped("the supply must stay on")
 
     def _settled(self) -> float:
+        self.set = self.lab.volts
         self.lab.between()
-        self.set = self.measured_v()
-        return self.set
+        return self.measured_v()
 
 
 class LightSource:
@@ -476,10 +484,10 @@ class LightSource:
     def shine(self, current_a: float) -> float:
         self.lab.between()
         self.line.write(current_a)
+        self.set = self.lab.lamp_a
         self.lab.between()
-        self.set = self.line.answer(lambda: self.lab.lamp_a)
         self.lab.door_seen = self.lab.door_noted = False
-        return self.set
+        return self.line.answer(lambda: self.lab.lamp_a)
 
 
 class Wheel:

@@ -30,7 +30,7 @@ CLOCK, LIMITS, SENSOR = laboratory.CLOCK, laboratory.LIMITS, laboratory.SENSOR
 
 TICK_S = 0.1
 VOLTS = (0.0, 50.0, 400.0, 600.0, 800.0, 850.0, 899.0, 900.0, 901.0, 950.0, 2000.0)
-WIDTHS_NS = (0.0, 1e3, 1.6e5, 1e6, 1.6e7, 1.99e7, 2e7, 2.01e7, 1e9)
+WIDTHS_NS = (0.0, 1e3, 1.6e5, 1e6, 1.6e7, 1.7e7, 1.99e7, 2e7, 2.01e7, 1e9)
 LUX = (0.0, 1e-5, 1e-4, 1e-3, 5e-3, 9.9e-3, 1.01e-2, 1.1e-2, 0.5, 9.0, 10.0, 10.5, 1e5, float("nan"))
 TARGETS = (Target(), Target(angle_deg=5.0), Target(pinhole_px=1.0))
 FIELDS_HZ = (59.94, 25.0)
@@ -99,7 +99,11 @@ class Plant:
         self.placing: dict[int, Callable[[], None]] = {}
         self.interlock = Interlock(self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic)
         self.interruption = self.slip = None
-        lab.fault_s, lab.truly_dark_seen, lab.thought, lab.demand = float("inf"), False, 1, None
+        lab.fault_s, lab.truly_dark_seen, lab.thought = float("inf"), False, 1
+        lab.demands.clear()
+        lab.stopped_by = ""
+        if self.number % 2:
+            lab.filter = len(laboratory.DENSITIES)  # somebody turned the wheel while the bench was off
         lab.beat_s = lab.stamp_s = self.stamp_s = CLOCK.now_s
         drivers = {"gate": lab.gate, "supply": lab.supply, "light-meter": lab.meter}
         if self.has_lamp:
@@ -146,7 +150,7 @@ class Plant:
                 request = self.server.orders.get_nowait()
                 self.in_order, self.lab.door_noted = True, self.lab.door_seen
                 self.server.obey(request)
-                self.in_order = False
+                self.in_order, self.lab.stopped_by = False, "the server's end" if self.over else ""
                 self.slip = self.interruption = None
                 self.make_safe()
                 self.lab.watch()
@@ -189,7 +193,7 @@ class Plant:
         levels = FrameLevels(mean=0.2, saturated=min(1.0, lab.saturated + more), allowed=allowed)
         if CLOCK.now_s >= self.hung_until_s:
             if levels.saturated - levels.allowed > 0.05:
-                lab.require_safe("in a light that saturates frames")
+                lab.demands.setdefault("in a light that saturates frames", CLOCK.now_s)
             elif lab.looking and levels.saturated <= levels.allowed:
                 lab.light_shown = True
             self.ask("frame_seen", levels)
@@ -229,10 +233,13 @@ class Plant:
         if CLOCK.now_s < self.hung_until_s or self.over:
             return
         if reason := self.server.end_reason():
-            self.over = True
-            self.server.end(reason)
+            self.end(reason)
         else:
             self.server.react()
+
+    def end(self, reason: str) -> None:
+        self.over, self.lab.stopped_by = True, "the server's end"
+        self.server.end(reason)
 
     def _hear(self) -> None:
         """Have the signs of life of client and run arrive, if they live and somebody listens."""
@@ -259,6 +266,7 @@ class Plant:
                     self.server.make_safe(order)
                     self._hear()  # the main loop went on meanwhile
                     continue
+                self.lab.stopped_by = "a safe action in mid-order"
                 self.safe_thread = threading.Thread(target=self._act, args=(order,), daemon=True)
                 self.safe_thread.start()
             elif self.in_order:
@@ -389,8 +397,8 @@ def step(plant: Plant, what: int, first: int, second: int) -> None:
         _of((*other, *more, partial(plant.ask, "safe"), plant.show_dark_frame, partial(plant.ask, "nonsense")), first)()
     elif what < 204:
         plant.show_frame(allowed=(0.0, 0.0, 0.3)[first % 3], more=(0.0, 0.0, 0.02, 0.04)[second % 4])
-    elif what < 210:
-        plant.interruption = (first % 24, partial(_happens, plant, second))
+    elif what < 216:
+        plant.interruption = (first % 12, partial(_happens, plant, second))
     elif what < 236:
         plant.passes((0.05, 0.1, 0.3, 0.7)[first % 4])
     elif what < 252 or first % 4:
@@ -409,8 +417,10 @@ def _happens(plant: Plant, which: int) -> None:
     elif kind < 6:
         _of(lines, detail).break_down(_of(TROUBLES, which // 3), back_after_s=1.0 if detail % 2 else float("inf"))
     elif kind < 8:
-        lab.door_lux = _of((0.0, 1e-4, 1e-3, 1.15e-2, 50.0), detail)
-        plant.passes(1.1)
+        lab.door_lux = _of((0.0, 1e-4, 1e-3, 9e-3, 1.2e-2, 50.0), detail)
+        if detail % 2:
+            plant.show_frame()
+        plant.passes((1.1, 2.3)[detail % 2])
     elif kind < 9:
         plant.silent_until_s = now_s + (0.3, 0.45, 2.0)[detail % 3]
         plant.passes((0.3, 1.7)[detail % 2])
@@ -421,8 +431,7 @@ def _happens(plant: Plant, which: int) -> None:
         plant.hung_until_s = now_s + (0.3, 2.5)[detail % 2]
         plant.passes((0.3, 1.2, 2.0)[detail % 3])
     elif kind < 14 and plant.server.end_reason() is None:
-        plant.over = True
-        plant.server.end("the client leaves")
+        plant.end("the client leaves")
         plant.make_safe()
     else:
         _by_hand(plant, detail)
@@ -449,11 +458,13 @@ def _sensible(plant: Plant, first: int, second: int) -> None:
         if first < 100:
             lab.door_lux = 0.0
             plant.open()
+        elif first < 120:
+            plant.ask("set_conditions", Conditions(mcp_v=600.0, gate_ns=1e6))
         elif first < 140:
             plant.place(1e-4, Target())
         return
     plant.passes(0.02)
-    volts, lux = (600.0, 800.0, 865.0, 899.0)[first % 4], (1e-4, 2e-3, 9e-3, 9.0)[first // 4 % 4]
+    volts, lux = (600.0, 800.0, 865.0, 899.0)[first % 4], (1e-4, 2e-3, 9e-3, 10.0)[first // 4 % 4]
     target = TARGETS[2] if lux > 1.0 else TARGETS[0]
     width_ns = 1.6e7 if plant.setup.field_hz > 50.0 else 1.9e7
     if not state.dark and first % 4:
@@ -468,7 +479,7 @@ def _sensible(plant: Plant, first: int, second: int) -> None:
         plant.ask("set_conditions", Conditions(mcp_v=volts, gate_ns=width_ns))
     elif not state.dark_seen:
         plant.show_dark_frame()
-    elif plant.has_lamp:
+    elif plant.has_lamp and first % 8 != 7:
         plant.ask("shine", lux, point=state.point, target=state.target, filter_density=None)
     else:
         plant.place(lux, state.target or Target())

@@ -135,7 +135,7 @@ def test_the_source_itself_refuses_more_than_was_calibrated(bench, virtual):
         at_gain(bench, Hands()).place(kind="flat", target=Target(), illuminance_lux=1e-2, filter_density=2.0)
         assert virtual.outputs().lamp_a == pytest.approx(1.0)  # the end of the table is no fault of the diode
         with pytest.raises(InstrumentRejected):
-            bench._lamp._source.shine(1.01)
+            bench.stations["light-source"].driver.shine(1.01)
 
 
 def test_a_wheel_that_somebody_turned_is_told(virtual):

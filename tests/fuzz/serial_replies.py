@@ -18,7 +18,7 @@ from drivers.instruments.filter_wheel import FilterWheel, PromptLine
 from drivers.instruments.high_voltage import HighVoltage
 from drivers.instruments.iseg import Iseg, IsegLine, legacy_number
 from drivers.instruments.light_source import KNOWN, LightSource
-from drivers.instruments.voltage_limits import SupplyDriver
+from drivers.instruments.voltage_limits import Supply
 from drivers.serial_lines.line import LONGEST_ANSWER, FramedLine
 from drivers.serial_lines.prologix import PrologixLine
 from labdata.errors import BadInput
@@ -89,7 +89,7 @@ def _after_shut(gate: DelayGenerator) -> DelayGenerator:
     return gate
 
 
-def _at_800_v(supply: SupplyDriver) -> SupplyDriver:
+def _at_800_v(supply: Supply) -> Supply:
     supply.is_on, supply._reached_v = True, 800.0
     return supply
 

@@ -62,7 +62,7 @@ def test_the_images_stay_where_they_are(tmp_path):
         (("images\\b0.png", "images/none.png"), r"must exist to be read, got .*none\.png"),
         (("i images\\b1.png\n", ""), "must have two images or more, got 1 at 40000 ns"),
         (("b 40000.0 120.0", "b -40000.0 120.0"), "exposure_s must not be negative"),
-        (("d2.png", "none.png"), r"the frames of stack 'dark-001-spatial' must exist, got .*none\.png"),
+        (("d2.png", "none.png"), r"the frames of stack 'dark-001-spatial' must exist to be read, got .*none\.png"),
     ],
 )
 def test_a_descriptor_that_breaks_its_format_is_refused(tmp_path, change, rule):

@@ -109,7 +109,7 @@ def test_pixels_beyond_the_digitiser_are_refused(tmp_path):
         ('name = "s"\n' + FLAT * 2, "every stack's label must be its own, got 'flat-03' twice in {folder}"),
         (
             'name = "s"\n' + FLAT.replace("a.npy", "b.npy"),
-            "the frames of stack 'flat-03' must exist, got {folder}/b.npy",
+            "the frames of stack 'flat-03' must exist to be read, got {folder}/b.npy",
         ),
         (
             'name = "s"\n' + FLAT.replace('"a.npy"', "[]"),

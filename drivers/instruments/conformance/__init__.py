@@ -8,8 +8,7 @@ run them in a test of their own, or by the command `charact conform MODEL`.
 from drivers.instruments.conformance.common import COMMON
 from drivers.instruments.conformance.conformance_pair import ConformancePair, Rule
 from drivers.instruments.conformance.gates import GATE_RULES
-from drivers.instruments.conformance.lights import LIGHT_RULES, WHEEL_RULES
-from drivers.instruments.conformance.meters import METER_RULES, THERMOMETER_RULES
+from drivers.instruments.conformance.lights import LIGHT_RULES, METER_RULES, THERMOMETER_RULES, WHEEL_RULES
 from drivers.instruments.conformance.supplies import SUPPLY_RULES
 from drivers.instruments.models import InstrumentModel
 from labdata.wires import Role

@@ -1,4 +1,6 @@
-"""What every filter wheel and light source must do: stand where it says, shine as it says, and go dark."""
+"""What every filter wheel, light source and meter must do: stand, shine and read as it says, and go dark."""
+
+import math
 
 from drivers.bench.safe_state import make_safe
 from drivers.errors import BenchError, InstrumentRejected
@@ -77,6 +79,23 @@ def making_safe_puts_a_mute_lamp_out(pair: ConformancePair) -> None:
     pair.heal()
 
 
+def the_meter_reads_watts_at_a_wavelength(pair: ConformancePair) -> None:
+    """Watts are read, in the dark next to none, and a wavelength that its head does not see is refused."""
+    driver = identify_driver(pair)
+    driver.tune(650.0)
+    assert all(abs(driver.power_w()) < 1e-9 for _ in range(5))
+    must_raise(BenchError, lambda: driver.tune(1e6))
+    driver.tune(550.0)
+    assert math.isfinite(driver.power_w())
+
+
+def the_thermometer_reads_degrees_celsius(pair: ConformancePair) -> None:
+    """What it puts out as a temperature is what it reads, again and again."""
+    driver = identify_driver(pair)
+    true_c = pair.outputs()["temperature_c"]
+    assert all(abs(driver.temperature_c() - true_c) < 0.1 for _ in range(5))
+
+
 WHEEL_RULES: tuple[Rule, ...] = (the_wheel_reaches_every_position, a_position_that_is_not_there_is_refused)
 
 LIGHT_RULES: tuple[Rule, ...] = (
@@ -85,3 +104,7 @@ LIGHT_RULES: tuple[Rule, ...] = (
     a_lamp_that_goes_out_is_told,
     making_safe_puts_a_mute_lamp_out,
 )
+
+METER_RULES: tuple[Rule, ...] = (the_meter_reads_watts_at_a_wavelength,)
+
+THERMOMETER_RULES: tuple[Rule, ...] = (the_thermometer_reads_degrees_celsius,)
