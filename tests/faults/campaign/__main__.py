@@ -84,7 +84,7 @@ def strike(
 ) -> Row:
     """Strike sessions with faults of one kind, and resume each session undisturbed, which must complete it.
 
-    The first strike falls at any moment, the opening included, the others with the tube in the state for the fault.
+    Every fifth strike falls at any moment, the opening included, the others with the tube in the state for the fault.
 
     Parameters
     ----------
@@ -106,7 +106,8 @@ def strike(
         fault = draw_fault(kind, rng)
         plan = fault.plan(rig.plan())
         for _ in range(min(STRIKES_A_SESSION, strikes - len(outcomes))):
-            earliest_s = EARLIEST_S if not outcomes and fault.latest_s and not fault.prompts else 0.0
+            at_any_moment = len(outcomes) % 5 == 4 and fault.latest_s and not fault.prompts
+            earliest_s = EARLIEST_S if at_any_moment else 0.0
             after_s = float(rng.uniform(earliest_s, fault.latest_s))
             outcome = try_fault(rig, plan, session, kind, fault, after_s=after_s)
             if outcome is None:

@@ -278,11 +278,9 @@ class _Hands:
 class _Person(PromptingOperator):
     """Whoever is asked at the terminal, and really sets the light."""
 
-    is_by_hand = True
-
     def __init__(self, hands: Operator) -> None:
+        super().__init__()
         self._hands = hands
-        self.while_waiting: Callable[[], None] = lambda: None
 
     def darken(self) -> None:
         super().darken()

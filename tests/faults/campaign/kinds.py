@@ -358,7 +358,8 @@ KINDS: dict[str, Draw] = {
     "half lines": _on_a_line(lambda rng: Faults(half_lines=True)),
     "silence": _on_a_line(lambda rng: Faults(silent=True), hears=False),
     "no answers": _on_a_line(lambda rng: Faults(mute=True)),
-    "late answers": _on_a_line(lambda rng: Faults(late_s=float(rng.uniform(0.1, 0.8)))),
+    # An answer within 0.4 s is in time, one after it is none; between the two, chance would decide when a run ends.
+    "late answers": _on_a_line(lambda rng: Faults(late_s=float(rng.choice((0.1, 0.2, 0.5, 0.8))))),
     "trip of the supply": _trip,
     "power of an instrument gone": _power_cut(back=False),
     "power of an instrument off and on": _power_cut(back=True),
@@ -406,7 +407,7 @@ KINDS: dict[str, Draw] = {
         for who in ("client", "server")
         for of in ("descriptors", "threads", "memory")
     },
-    "session disk hangs": _blocked(*DISK, since="strike", ends_run=True),
+    "session disk hangs": _blocked(*DISK, since="strike"),
     "session disk hangs, SIGTERM": _blocked(*DISK, ENDED_LATER),
     "session disk hangs, second Ctrl-C": _blocked(*DISK, INTERRUPTED_LATER),
     "session disk hangs, server killed": _blocked(*DISK, _signalled("server", KILL, wait_s=0.8)),

@@ -206,7 +206,7 @@ def _outcome(
     client: Client, session: Path, kind: str, fault: Fault, watch: _Watch, code: int | None, left: tuple[str, ...]
 ) -> Outcome:
     endured, live = code == 0, watch.live
-    timed = live and (not endured or fault.ends_run or fault.one_suffices or fault.since == "progress")
+    timed = live and (not endured or not fault.passes or fault.one_suffices)
     gate_s, voltage_s = (watch.seconds(one) if timed else None for one in (GATE, SUPPLY))
     acknowledged = client.acknowledged()
     found, wrong = frames_found(session, acknowledged)
@@ -261,6 +261,8 @@ def _badly_ended(client: Client, fault: Fault, code: int | None, *, live: bool) 
         yield f"the client did not end within {END_S:g} s"
     if fault.client_lives and (code == 3 or any(line.startswith(("Traceback", "TRACEBACK")) for line in client.told())):
         yield f"the client ended in a traceback: {client.told()[-1:]}"
+    if code and fault.one_suffices:
+        yield "the run did not go on"
     if code == 0 and fault.ends_run and live:
         yield "the run ended as if nothing had happened"
     silent = not any(line.startswith(LAST_WORDS) for line in client.told())
