@@ -7,8 +7,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from drivers.errors import InstrumentDisconnected, InstrumentRejected, InstrumentReplyError, InstrumentTimeout
-from drivers.errors import InstrumentTripped
+from drivers.errors import (
+    InstrumentDisconnected,
+    InstrumentRejected,
+    InstrumentReplyError,
+    InstrumentTimeout,
+    InstrumentTripped,
+)
 from drivers.serial_lines.line import InstrumentLine
 from labdata.lamp import Lamp
 from labdata.limits import Limits, limits_in_force
