@@ -380,7 +380,6 @@ def bounds_hold(plant: Plant) -> None:
 
 def step(plant: Plant, what: int, first: int, second: int) -> None:
     """One thing that somebody does or that happens."""
-    lab, lines = plant.lab, _lines(plant)
     if what < 140:
         _sensible(plant, first, second)
     elif what < 150:

@@ -1,4 +1,4 @@
-"""Nothing that a client asks and nothing that happens hurts a tube behind the bench server; without any one rule it does."""
+"""Nothing that a client asks or that happens hurts a tube behind the bench server; without any one rule it does."""
 
 import importlib.util
 from collections import Counter
@@ -79,15 +79,15 @@ def simulated_time():
 
 @pytest.mark.usefixtures("simulated_time")
 def test_nothing_that_a_client_asks_and_nothing_that_happens_hurts_the_tube():
-    """At least 100,000 random steps; hypothesis looks for the shortest story that hurts."""
+    """At least 100,000 random steps, at most 400 between two looks at the tube."""
     AnythingHappens.tally.clear()
     relaxed = settings(
-        max_examples=100,
+        max_examples=150,
         stateful_step_count=12,
         derandomize=True,
         database=None,
         deadline=None,
-        phases=[Phase.generate, Phase.shrink],
+        phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
     run_state_machine_as_test(AnythingHappens, settings=relaxed)
