@@ -9,7 +9,8 @@ from typing import Any
 
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import BenchSetup
-from drivers.bench.state import FilterMoved, FilterRead, LightRead, SetLight, TurnFilter
+from drivers.bench.state import Command, FilterMoved, FilterRead, LightRead, SetLight, TurnFilter
+from drivers.errors import BenchStopped
 from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -35,7 +36,8 @@ class LightControl(ABC):
     interlock: Interlock
     stations: Mapping[Role, Station]
     _setup: BenchSetup
-    _is_safe: bool
+    _is_stopped = False
+    """Whether a safe action began since the present order did."""
     _position = 1
 
     @abstractmethod
@@ -45,6 +47,12 @@ class LightControl(ABC):
     @abstractmethod
     def _using(self, *roles: Role) -> AbstractContextManager[None]:
         """Run a procedure on some instruments; what goes wrong on them makes safe."""
+
+    def _permit(self, command: Command) -> None:
+        """Let a command of an order pass; an order in which a safe action began does not go on (BenchStopped)."""
+        if self._is_stopped:
+            raise BenchStopped("the tube was made safe in the middle of an order")
+        self.interlock.permit(command)
 
     def light_unknown(self) -> bool:
         """Know nothing of the light any more; return whether the bench has a lamp of its own."""
@@ -82,14 +90,14 @@ class LightControl(ABC):
             raise BadInput("a light of its own must have a lamp at the bench, got none")
         if (target, point) != (self.interlock.state.target, self.interlock.state.point):
             raise BadInput(f"a target must be placed in the dark before it is lit, got {target}")
-        self._is_safe = False
+        self._is_stopped = False
         with self._using("light-source", "filter-wheel"):
             setting = self._setup.lamp.setting(illuminance_lux, filter_density)
             self._put_out()
             self._turn_filter(setting.position)
             self.check()  # a wheel takes its time
             ordered_lux = setting.read.illuminance_lux or 0.0
-            self.permit_light(ordered_lux, point=point, target=target)
+            self._permit(SetLight(illuminance_lux=ordered_lux, point=point, target=target))
             source = self.stations["light-source"]
             read = self._setup.lamp.lit(source.driver.shine(setting.current_a), self._position)
             source.watched = True
@@ -134,7 +142,7 @@ class LightControl(ABC):
             return
         wheel.watched = False
         if wheel.driver.position() != position:
-            self.interlock.permit(TurnFilter(position=position))
+            self._permit(TurnFilter(position=position))
             wheel.driver.turn_to(position)
         self._take_filter(position)
 

@@ -24,6 +24,7 @@ from drivers.bench.last_bench import with_present_ports
 from drivers.bench.light_control import Station
 from drivers.bench.safe_state import DANGEROUS, Record
 from drivers.bench.setup import BenchSetup
+from drivers.bench.state import Failed
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
@@ -167,7 +168,9 @@ class BenchServer:
             self._bench.react()
 
     def end(self, reason: str) -> "SafeOrder":
-        """Have the safe action run a last time."""
+        """Have the safe action run a last time, and nothing made hotter by what the client still waits for."""
+        if self._bench is not None:
+            self._bench.interlock.tell(Failed(sentence=reason))
         order = SafeOrder(reason=reason)
         self.to_make_safe.put(order)
         return order

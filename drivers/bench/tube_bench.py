@@ -117,7 +117,6 @@ class TubeBench(LightControl):
             setup.gating.rate_hz(setup.field_hz),
             setup.gating.most_hz(setup.field_hz),
         )
-        self._is_safe = False
         self.fault: BenchError | None = None
         """What failed since the bench was opened; nothing makes the tube hotter before it is opened anew."""
         self.report: SafeStateReport | None = None
@@ -162,8 +161,8 @@ class TubeBench(LightControl):
             If a limit is exceeded or an instrument could not do it; nothing was changed then.
         """
         volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
+        self._is_stopped = False
         self.check()
-        self._is_safe = False
         move = self._gain_move(volts)
         self._foresee(move, volts, width_ns)
         self.shut_gate()
@@ -214,7 +213,7 @@ class TubeBench(LightControl):
         if move is None:
             return self._read_gain(supply.measured_v())
         self.check()
-        self.interlock.permit(move)
+        self._permit(move)
         if isinstance(move, LowerGain):
             return self._read_gain(supply.lower_to(volts, check=self.check))
         if not supply.is_on:
@@ -223,8 +222,8 @@ class TubeBench(LightControl):
 
     def _open_gate(self, width_ns: float) -> float:
         self.check()
-        self.interlock.permit(OpenGate(width_ns=width_ns, rate_hz=self._most_hz))
         with self._using("gate"):
+            self._permit(OpenGate(width_ns=width_ns, rate_hz=self._most_hz))
             read_ns = self._gate.driver.open(width_ns=width_ns, **self._pulse)
         self.interlock.tell(GateRead(width_ns=read_ns, rate_hz=self._most_hz))
         return read_ns
@@ -352,8 +351,9 @@ class TubeBench(LightControl):
         A tube that was made safe, with nothing ordered since, is left as it is.
         """
         with self._making_safe:
-            if self._is_safe and self.report is not None:
+            if self._is_stopped and self.report is not None and self.report.whole:
                 return self.report
+            self._is_stopped = True
             dangerous: dict[Role, Station] = {role: self.stations[role] for role in DANGEROUS if role in self.stations}
             for station in dangerous.values():
                 station.line.take_over()
@@ -369,18 +369,18 @@ class TubeBench(LightControl):
             )
             if "supply" in drivers:
                 drivers["supply"].is_on = False
-            for station in dangerous.values():
-                # The line stays closed to a procedure that does not leave.
-                if station.procedure.acquire(timeout=WORKER_LEAVES_S):
-                    station.line.release()
-                    station.procedure.release()
             self._record("made safe", whole=report.whole, sentence=report.sentence(), **vars(report))
             if report.whole:
                 if self._setup.wires.light:
                     self.interlock.tell(LightRead(illuminance_lux=0.0))
                 self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
                 self.interlock.tell(GainRead(mcp_v=0.0))
-            self.report, self._is_safe = report, report.whole
+            self.report = report
+            for station in dangerous.values():
+                # The line stays closed to a procedure that does not leave.
+                if station.procedure.acquire(timeout=WORKER_LEAVES_S):
+                    station.line.release()
+                    station.procedure.release()
             return report
 
     def safe_at_once(self) -> None:

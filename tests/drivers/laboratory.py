@@ -230,7 +230,7 @@ class Laboratory:
         self.open, self.gate.line.changed_s = (0.0, 0.0), math.inf
 
     def moves_gain(self, volts: float, rate_v_per_s: float, share: float) -> None:
-        if volts > self.volts:
+        if volts > self.volts and self.supply.line.changed_s == math.inf:
             self._heated("the gain was raised")
             if self.noted_lux > 0.0:
                 self.hurts.append("the gain rose in the light")
@@ -249,7 +249,7 @@ class Laboratory:
         self.volts, self.supply.line.changed_s = 0.0, math.inf
 
     def places(self, lux: float, target: Target, point: bool, share: float) -> None:
-        """A person places a target and sets the light: that of the lamp, through whichever filter is thought to stand."""
+        """A person places a target and sets the light: that of the lamp, behind the filter that is thought to stand."""
         if (target, point) != self.before and self.open[0] > 0.0 and self.gate.line.changed_s == math.inf:
             self.hurts.append("a target moved before an open gate")
         self.before = (target, point)

@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import queue
 import threading
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -83,7 +84,8 @@ class Plant:
             field_hz=field_hz,
             gating=Gating(),
         )
-        self.steps = self.passed = self.number = 0
+        self.steps = self.number = 0
+        self.passed: Counter[str] = Counter()
         self.slip: str | None = None
         self.interruption: tuple[int, Callable[[], None]] | None = None
         self.safe_thread: threading.Thread | None = None
@@ -94,7 +96,7 @@ class Plant:
     def open(self) -> None:
         """Start a server at this laboratory, its instruments mended; a bench that fails to open is not used."""
         lab = self.lab
-        self.in_order = self.over = False
+        self.in_order = self.over = self.refused = False
         self.hung_until_s = self.silent_until_s = self.run_hangs_until_s = -1.0
         self.placing: dict[int, Callable[[], None]] = {}
         self.interlock = Interlock(self.setup.limits, rules=self.rules, reactions=self.reactions, clock=CLOCK.monotonic)
@@ -129,10 +131,10 @@ class Plant:
         """What the server says to its client."""
         if isinstance(message, Fault):
             self.lab.fault_s = min(self.lab.fault_s, CLOCK.now_s)
-        elif isinstance(message, Reply) and (place := self.placing.pop(message.number, None)) and not message.error:
-            place()
-        if isinstance(message, Reply) and not message.error:
-            self.passed += 1
+        elif isinstance(message, Reply):
+            place, self.refused = self.placing.pop(message.number, None), message.error is not None
+            if place is not None and not self.refused:
+                place()
 
     # The client
 
@@ -150,6 +152,7 @@ class Plant:
                 request = self.server.orders.get_nowait()
                 self.in_order, self.lab.door_noted = True, self.lab.door_seen
                 self.server.obey(request)
+                self.passed[request.command] += not self.refused
                 self.in_order, self.lab.stopped_by = False, "the server's end" if self.over else ""
                 self.slip = self.interruption = None
                 self.make_safe()
@@ -159,13 +162,13 @@ class Plant:
         """A person places a target and sets a light where the bench permits it, and says what a meter reads."""
         point = target.pinhole_px is not None
         self.placing[self.number + 1] = partial(self.lab.places, lux, target, point, share)
-        before = self.passed
         self.ask("permit_light", lux, point=point, target=target, later=later)
-        if shows and self.passed > before and (lux or not self.has_lamp):
+        if shows and not (later or self.refused) and (lux or not self.has_lamp):
             self.say_light(zero=lux == 0.0)
 
     def say_light(self, *, zero: bool = False) -> None:
         """Say what a person reads on a meter; with the light out nobody looks."""
+        self.obey()
         lab = self.lab
         lab.door_seen = not zero and lab.door_lux > 0.0
         self.ask("light_read", lab.known_lux, zero=zero)
@@ -177,6 +180,7 @@ class Plant:
         if self.has_lamp:
             self.ask("darken")
         else:
+            self.obey()
             self.lab.placed_lux = 0.0
             self.say_light(zero=True)
 
@@ -376,7 +380,6 @@ def bounds_hold(plant: Plant) -> None:
 
 def step(plant: Plant, what: int, first: int, second: int) -> None:
     """One thing that somebody does or that happens."""
-    lab, lines = plant.lab, _lines(plant)
     if what < 140:
         _sensible(plant, first, second)
     elif what < 150:

@@ -1,4 +1,4 @@
-"""No sequence of orders, half obeyed or not, hurts a tube behind the interlock; without any one rule, one does."""
+"""Nothing that a client asks or that happens hurts a tube behind the bench server; without any one rule it does."""
 
 import importlib.util
 from collections import Counter
@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
+from drivers.bench.interlock import Interlock
 from drivers.bench.rules import REACTIONS, RULES
 from drivers.bench.state import (
     DarkSeen,
@@ -41,20 +42,20 @@ ALL = [one.name for one in (*RULES, *REACTIONS)]
 
 
 class AnythingHappens(RuleBasedStateMachine):
-    """A tube behind all rules, to which bursts of up to 400 things happen at a time."""
+    """A bench server with all its rules, to which bursts of up to 400 things happen at a time."""
 
     tally: ClassVar[Counter] = Counter()
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.plant = plant.new_plant()
+    @initialize(kind=st.integers(0, 5))
+    def a_bench_is_opened(self, kind: int) -> None:
+        self.plant = plant.Plant(kind=kind)
 
     @rule(program=st.binary(min_size=300, max_size=1200))
     def things_happen(self, program: bytes) -> None:
-        before = self.plant.steps, self.plant.passed
+        before = self.plant.steps, Counter(self.plant.passed)
         plant.run(self.plant, program)
         self.tally["steps"] += self.plant.steps - before[0]
-        self.tally["commands passed"] += self.plant.passed - before[1]
+        self.tally.update(self.plant.passed - before[1])
 
     @rule(seconds=st.floats(0.0, 3.0))
     def time_passes(self, seconds: float) -> None:
@@ -62,59 +63,74 @@ class AnythingHappens(RuleBasedStateMachine):
 
     @rule()
     def the_bench_is_opened_anew(self) -> None:
-        old = self.plant
-        self.plant = plant.new_plant()
-        self.plant.open, self.plant.volts, self.plant.lux = old.open, old.volts, old.lux
+        self.plant.open()
 
     @invariant()
     def nothing_hurts(self) -> None:
-        assert not self.plant.hurts, self.plant.hurts
+        if hasattr(self, "plant"):
+            assert not self.plant.lab.hurts, self.plant.lab.hurts
 
 
-def test_no_reachable_state_breaks_a_limit():
-    """At least 100,000 random steps; hypothesis looks for the shortest story that hurts."""
+@pytest.fixture
+def simulated_time():
+    with plant.simulated_time():
+        yield
+
+
+@pytest.mark.usefixtures("simulated_time")
+def test_nothing_that_a_client_asks_and_nothing_that_happens_hurts_the_tube():
+    """At least 100,000 random steps, at most 400 between two looks at the tube."""
     AnythingHappens.tally.clear()
     relaxed = settings(
-        max_examples=240,
+        max_examples=150,
         stateful_step_count=12,
         derandomize=True,
         database=None,
         deadline=None,
-        phases=[Phase.generate, Phase.shrink],
+        phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
     run_state_machine_as_test(AnythingHappens, settings=relaxed)
     tally = AnythingHappens.tally
-    print(f"{tally['steps']} random steps, {tally['commands passed']} commands passed, 0 violations")
+    print(f"{tally['steps']} random steps, 0 violations, commands passed: {dict(tally)}")
     assert tally["steps"] >= LEAST_STEPS
-    assert tally["commands passed"] > LEAST_STEPS / 20, "an interlock that lets nothing pass proves nothing"
+    for command in ("set_conditions", "permit_light", "shine", "dark_frame_seen"):
+        assert tally[command] > LEAST_STEPS / 200, "a bench that lets nothing pass proves nothing"
 
 
-def hurts_of(rng, *, steps: int = 60_000, **made) -> list[str]:
-    """What hurts a plant first, over programs of 400 steps."""
-    for _ in range(steps // 400):
-        tube = plant.new_plant(**made)
-        plant.run(tube, rng.bytes(1200))
-        if tube.hurts:
-            return tube.hurts
+def hurts_of(*, steps: int = 60_000, **made) -> list[str]:
+    """What hurts a tube first, over programs of 400 steps."""
+    for seed in range(steps // 400):
+        tube = plant.Plant(kind=seed, **made)
+        plant.run(tube, np.random.default_rng(seed).bytes(1200))
+        if tube.lab.hurts:
+            return tube.lab.hurts
     return []
 
 
+@pytest.mark.usefixtures("simulated_time")
 @pytest.mark.parametrize("without", ALL)
 def test_each_rule_is_needed(without):
-    """An interlock that lacks one rule lets the tube be hurt."""
-    assert hurts_of(np.random.default_rng(8), without=without)
+    """A server that lacks one rule lets the tube be hurt."""
+    assert hurts_of(without=without)
 
 
+@pytest.mark.usefixtures("simulated_time")
 @pytest.mark.parametrize("name", LIMITS)
 def test_a_limit_a_tenth_too_high_is_found_out(name):
     loose = replace(plant.LIMITS, **{name: 1.1 * getattr(plant.LIMITS, name)})
-    assert hurts_of(np.random.default_rng(9), limits=loose)
+    assert hurts_of(limits=loose)
+
+
+def unread():
+    """An interlock that was told nothing."""
+    return Interlock(plant.LIMITS, clock=lambda: 100.0)
 
 
 def hot():
     """An interlock in a sound hot state: gate open at gain, light out, dark seen."""
-    tube = plant.new_plant().interlock
+    tube = unread()
+    tube.tell(FilterMoved())
     for event in (
         GateRead(width_ns=0.0, rate_hz=0.0),
         GainRead(mcp_v=0.0),
@@ -183,7 +199,7 @@ def test_the_example_of_the_data_sheet_is_met():
 
 
 def test_nothing_is_known_before_it_is_read():
-    tube = plant.new_plant().interlock
+    tube = unread()
     tube.tell(Heard(now_s=100.0))
     for command in (RaiseGain(goal_v=100.0, rate_v_per_s=1.0), OpenGate(width_ns=1e3, rate_hz=1.0), light(1e-6)):
         with pytest.raises(InterlockRefused):
@@ -191,7 +207,7 @@ def test_nothing_is_known_before_it_is_read():
 
 
 def test_a_dark_frame_behind_a_gate_not_surely_open_proves_nothing():
-    tube = plant.new_plant().interlock
+    tube = unread()
     tube.tell(LightRead(illuminance_lux=0.0))
     tube.tell(DarkSeen())
     assert not tube.state.dark_seen

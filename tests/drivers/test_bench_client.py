@@ -1,0 +1,90 @@
+"""Client and server of a bench, starved of what processes need: where one is killed, the other makes safe."""
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from simulate.rig.outputs import read_outputs
+from simulate.rig.process import VirtualInstruments
+
+pytestmark = pytest.mark.wires
+
+WITHIN_S = 1.0
+CLIENT = """
+    import sys, time
+    from drivers.bench.setup import open_bench
+    from labdata import Conditions
+    from labdata.limits import Limits
+    from labdata.wires import Wires
+    gate, supply, log = sys.argv[1:]
+    with open_bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=8000.0), log=log) as bench:
+        bench.set_conditions(Conditions(mcp_v=800.0, gate_ns=1.6e7))
+        print(bench.process.pid, flush=True)
+        while True:
+            bench.check()
+            time.sleep(0.02)
+"""
+STARVED = {
+    "descriptors": (resource.RLIMIT_NOFILE, 0),
+    "threads": (resource.RLIMIT_NPROC, 0),
+    "memory": (resource.RLIMIT_AS, 50 << 20),
+}
+
+
+@pytest.fixture
+def virtual(tmp_path):
+    with VirtualInstruments(tmp_path / "bench", time_scale=10.0) as instruments:
+        yield instruments
+
+
+@pytest.fixture
+def pair(virtual, tmp_path):
+    """A client with a hot tube, and the process of its server."""
+    arguments = [virtual.gate_port, virtual.supply_port, str(tmp_path / "safety.jsonl")]
+    command = [sys.executable, "-c", textwrap.dedent(CLIENT), *arguments]
+    client = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert client.stdout is not None
+    yield client, int(client.stdout.readline())
+    client.kill()
+    client.communicate()
+
+
+def ms_until_safe(virtual, since_s: float) -> float:
+    high_v = read_outputs(virtual.folder).mcp_v
+    while (out := read_outputs(virtual.folder)).gate_open or out.mcp_v >= high_v:
+        high_v = max(high_v, out.mcp_v)
+        assert time.monotonic() - since_s < 10.0
+        time.sleep(0.005)
+    return 1e3 * (time.monotonic() - since_s)
+
+
+@pytest.mark.parametrize("of", [*STARVED, "everything"])
+@pytest.mark.parametrize("killed", ["client", "server"])
+def test_a_starved_process_makes_safe_within_a_second_of_the_death_of_the_other(virtual, pair, tmp_path, killed, of):
+    client, server_pid = pair
+    assert read_outputs(virtual.folder).gate_open
+    for pid in (client.pid, server_pid):
+        for limit, most in STARVED.values() if of == "everything" else [STARVED[of]]:
+            resource.prlimit(pid, limit, (most, most))
+    time.sleep(0.3)
+    assert read_outputs(virtual.folder).gate_open
+    killed_s = time.monotonic()
+    subprocess.run(
+        ["kill", f"-{signal.SIGKILL.value}", str(client.pid if killed == "client" else server_pid)], check=True
+    )
+    took_ms = ms_until_safe(virtual, killed_s)
+    print(f"{killed} killed, both starved of {of}: safe after {took_ms:.0f} ms")
+    assert took_ms < 1e3 * WITHIN_S
+    deadline_s = time.monotonic() + 10.0
+    while read_outputs(virtual.folder).mcp_v > 11.0:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    if killed == "client":
+        events = [json.loads(line) for line in (tmp_path / "safety.jsonl").read_text().splitlines()]
+        assert "the client is gone" in [event.get("reason") for event in events]
