@@ -192,7 +192,7 @@ def test_a_file_that_is_no_toml_is_refused(tmp_path, content, rule):
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     with pytest.raises(BadInput, match="must exist"):
         from_toml(tmp_path / "none.toml", Plan)
-    with pytest.raises(BadInput, match="must be a readable file"):
+    with pytest.raises(BadInput, match="must be a regular file, got a folder"):
         from_toml(tmp_path, Plan)
 
 
