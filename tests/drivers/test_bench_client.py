@@ -31,15 +31,15 @@ CLIENT = """
             time.sleep(0.02)
 """
 STARVED = {
-    "descriptors": (resource.RLIMIT_NOFILE, 0),
+    "descriptors": (resource.RLIMIT_NOFILE, 3),
     "threads": (resource.RLIMIT_NPROC, 0),
     "memory": (resource.RLIMIT_AS, 50 << 20),
 }
 
 
-@pytest.fixture
-def virtual(tmp_path):
-    with VirtualInstruments(tmp_path / "bench", time_scale=10.0) as instruments:
+@pytest.fixture(scope="module")
+def virtual(tmp_path_factory):
+    with VirtualInstruments(tmp_path_factory.mktemp("bench"), time_scale=10.0) as instruments:
         yield instruments
 
 
