@@ -34,7 +34,7 @@ ENDS = {
     "server killed": "the bench server has ended",
     "server stopped": "the bench server was silent",
     "server: SIGTERM": "",
-    "room light": "of its pixels full",
+    "room light": "pixels",
     "port gone for 0.3 s": "must stay on",
     "panel: gate idles open": "must keep its idle level",
     "panel: 850 V": "as set",
