@@ -18,6 +18,8 @@ WARMEST_H, WINDIEST_H, NIGHT_DECAY = 15.0, 14.0, 2.2
 NIGHT_WIND, DAY_WIND = 0.3, 0.4
 # Emissivity that opaque low cloud adds, as a fraction of what the clear sky lacks.
 CLOUD_EMISSIVITY = 0.9
+# A sky this close to a black body of the air's temperature is even; steps that find a clear sky's optical depth.
+EVEN_SKY, NEWTON_STEPS = 1e-3, 12
 
 
 def sun_directions(place: Place, times: list[datetime]) -> tuple[Array, Array]:
@@ -90,20 +92,23 @@ def sky_radiance(emissivity: Array, air_k: Array, dew_point_k: Array, sine: Arra
 
     Notes
     -----
-    1 - e(z) = (1 - e_z)^(sec^n z), e_z = 0.945 of the hemispherical emissivity, n = 0.20 + 0.035 w, w the precipitable
-    water in cm; fitted to LOWTRAN within 0.011 down to 5 degrees. It is scaled to have the hemispherical mean exactly.
+    1 - e(z) = exp(-t sec^n z) with n = 0.20 + 0.035 w, w the precipitable water in cm; fitted to LOWTRAN within 0.011
+    down to 5 degrees. The optical depth t is that which has the hemispherical emissivity as its mean: the zenith has
+    0.945 of it. A sky that radiates as much as a black body of the air's temperature is even.
     """
     emissivity, air_k, dew_point_k = (np.asarray(value, float)[:, None] for value in (emissivity, air_k, dew_point_k))
+    black = STEFAN_BOLTZMANN * air_k**4
+    overcast = emissivity > 1.0 - EVEN_SKY
+    clear = np.where(overcast, 0.5, emissivity)
     water_cm = 46.5 * vapour_pressure_pa(dew_point_k) / 100.0 / air_k
     steepness = 0.20 + 0.035 * water_cm
-    zenith = np.minimum(0.945 * emissivity, 1.0 - 1e-9)
-
-    def directional(sine: Array) -> Array:
-        return 1.0 - (1.0 - zenith) ** (np.maximum(sine, 1e-3) ** -steepness)
-
-    square = (np.arange(200) + 0.5) / 200.0
-    mean = directional(np.sqrt(square)).mean(axis=1, keepdims=True)
-    return directional(np.asarray(sine)) * emissivity / mean * STEFAN_BOLTZMANN * air_k**4
+    path = np.sqrt((np.arange(200) + 0.5) / 200.0) ** -steepness
+    depth = -np.log(1.0 - 0.945 * clear)
+    for _ in range(NEWTON_STEPS):
+        left = np.exp(-depth * path)
+        depth += (left.mean(axis=1, keepdims=True) - 1.0 + clear) / (path * left).mean(axis=1, keepdims=True)
+    directional = -np.expm1(-depth * np.maximum(np.asarray(sine), 1e-3) ** -steepness)
+    return np.where(overcast, emissivity, directional) * black
 
 
 def course(hour: Array, up: NDArray[np.bool_]) -> tuple[Array, Array]:

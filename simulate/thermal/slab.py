@@ -6,7 +6,7 @@ face by Newton's method, and substitutes back. All slabs are computed together.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +115,11 @@ class Forcing:
 
     def __len__(self) -> int:
         return len(self.flux_w_m2)
+
+    def part(self, steps: slice) -> "Forcing":
+        """Return what acts at some steps."""
+        timed = ("flux_w_m2", "air_k", "wind_m_s", "vapour_pa", "pressure_hpa")
+        return replace(self, **{name: getattr(self, name)[steps] for name in timed})
 
     def loss(self, surface_k: Array, steps: int | slice) -> tuple[Array, Array]:
         """Return what the face loses to sky and air at some steps, W m-2, and its derivative, W m-2 K-1."""

@@ -9,10 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.sky.ephemeris import EARTH_RADIUS_KM, Place
 from simulate.radiance.world.description.scene import Scene
-from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, times_until, under_cloud
-from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.thermal.clear_day import (
+    clear_sun,
+    course,
+    sky_emissivity,
+    solar_hour,
+    sun_directions,
+    times_until,
+    under_cloud,
+)
 from simulate.thermal.convection import ZERO_C, dew_point_k
 from simulate.thermal.slab import STEP_S
 from simulate.thermal.weather_files import SCALE_M, STANDARD_HPA, Record, read_weather
@@ -123,11 +131,15 @@ def _synthetic(scene: Scene, place: Place, moment: datetime) -> Weather:
     elif 0.0 < state.relative_humidity <= 1.0:
         dew = float(dew_point_k(ZERO_C + state.temperature_c, state.relative_humidity))
     else:
-        raise BadInput(f"relative_humidity must lie above 0 and up to 1 for a dew point, got {state.relative_humidity:g}")
+        raise BadInput(
+            f"relative_humidity must lie above 0 and up to 1 for a dew point, got {state.relative_humidity:g}"
+        )
     dew_k = np.full(DAY_STEPS, min(dew, air_k.min()))
     notes = [f"weather of a {state.day} day through the state at {moment.isoformat()}", MODELLED]
     if dew > air_k.min():
-        notes.append(f"the dew point is that of the day's coldest air, {air_k.min() - ZERO_C:.1f} C, not {dew - ZERO_C:.1f} C")
+        notes.append(
+            f"the dew point is that of the day's coldest air, {air_k.min() - ZERO_C:.1f} C, not {dew - ZERO_C:.1f} C"
+        )
     emissivity = sky_emissivity(dew_k, hour, pressure, state.cloud)
     direct, diffuse = clear_sun(sun[:, 2], distance, place.altitude_m, state.linke_turbidity)
     direct, diffuse = under_cloud(direct, diffuse, sun[:, 2], state.cloud)

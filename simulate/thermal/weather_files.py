@@ -3,7 +3,7 @@
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,9 @@ def read_weather(path: Path) -> Record:
     except (ValueError, IndexError, KeyError) as error:
         if isinstance(error, BadInput):
             raise
-        raise BadInput(f"{path.name} must be a complete {reader.__doc__} file, got a row or heading that is not: {error}") from None
+        raise BadInput(
+            f"{path.name} must be a complete {reader.__doc__} file, got a row or heading that is not: {error}"
+        ) from None
 
 
 def _epw(path: Path, lines: list[str]) -> Record:
@@ -126,7 +128,7 @@ def _surfrad(path: Path, lines: list[str]) -> Record:
     """SURFRAD"""
     latitude, longitude, altitude = lines[1].split()[:3]
     table = np.array([[float(cell) for cell in line.split()] for line in lines[2:]])
-    days = np.array([datetime(int(r[0]), int(r[2]), int(r[3]), tzinfo=timezone.utc).timestamp() for r in table])
+    days = np.array([datetime(int(r[0]), int(r[2]), int(r[3]), tzinfo=UTC).timestamp() for r in table])
     picked = _known(table[:, [38, 40, 42, 46, 12, 14, 16]], -9999.9)
     air, humidity, wind, pressure, direct, diffuse, longwave = picked.T
     from simulate.thermal.convection import ZERO_C, dew_point_k

@@ -89,7 +89,9 @@ class Weather:
 
     def __post_init__(self) -> None:
         if self.dew_point_c is not None and self.dew_point_c > self.temperature_c:
-            raise BadInput(f"dew_point_c must not exceed temperature_c {self.temperature_c:g}, got {self.dew_point_c:g}")
+            raise BadInput(
+                f"dew_point_c must not exceed temperature_c {self.temperature_c:g}, got {self.dew_point_c:g}"
+            )
         if not 0.0 <= self.cloud <= 1.0:
             raise BadInput(f"cloud must lie between 0 and 1, got {self.cloud:g}")
         if (self.convection == "constant") != (self.convection_w_m2_k is not None):
