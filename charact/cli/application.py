@@ -21,6 +21,7 @@ from charact.cli import (
     sessions,
     simulation,
     studies,
+    temperatures,
     watching,
 )
 
@@ -57,6 +58,7 @@ app.add_typer(importing.app, name="import")
 for verbs in (
     loop,
     simulation,
+    temperatures,
     planning,
     acquisition,
     looking,

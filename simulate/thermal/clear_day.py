@@ -1,6 +1,6 @@
 """The clear day where nothing was measured: sunlight, air, wind and the sky's emissivity by hour."""
 
-from datetime import datetime, timedelta
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,8 +135,3 @@ def course(hour: Array, up: NDArray[np.bool_]) -> tuple[Array, Array]:
     air = np.where(by_day, np.sin(wave * (hour - rise)), np.sin(wave * (fall - rise)) * decay)
     breeze = (1.0 - DAY_WIND) * np.maximum(np.cos(2.0 * np.pi * (hour - WINDIEST_H) / 24.0), 0.0)
     return air, np.where(by_day, DAY_WIND + breeze, NIGHT_WIND)
-
-
-def times_until(moment: datetime, steps: int, step_s: float) -> list[datetime]:
-    """Return the ends of steps, the last of which is a moment."""
-    return [moment - timedelta(seconds=(steps - 1 - step) * step_s) for step in range(steps)]

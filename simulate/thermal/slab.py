@@ -17,14 +17,14 @@ from simulate.thermal.convection import ZERO_C, Exchange
 
 Array = NDArray[np.float64]
 # Cells of a layer, each thicker than the one before it: 0.02 K off on 0.6 m of concrete (docs/thermal.md).
-CELLS, RATIO = 15, 1.3
+CELLS, RATIO = 30, 1.15
 STEP_S = 300.0
 # Newton's method on the balance of the face ends below this change, K; it takes 3 to 5 steps.
 CONVERGED_K, MAX_STEPS = 1e-6, 60
 # The periodic state changes by less than this in a pass, K.
 PERIODIC_K, MAX_PASSES = 1e-4, 500
 # A kernel is followed back until a day adds less than this fraction of it, in steps of an hour.
-KERNEL_FRACTION, MAX_DAYS, STEPS_OF_HOUR = 1e-3, 60, 12
+KERNEL_FRACTION, MAX_DAYS, STEPS_OF_HOUR = 1e-4, 90, 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +133,8 @@ class Forcing:
         return np.where(np.isnan(columns.back_k), self.air_k[steps], columns.back_k)
 
 
-def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = STEP_S) -> Array:
-    """Return the temperature of faces at the end of each step, shape (step, surface), K.
+def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = STEP_S) -> tuple[Array, Array]:
+    """Return faces at the end of each step, shape (step, surface), and cells at the last, shape (cell, surface), K.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = ST
         face = _balanced(columns, forcing, step, eliminated, reduced[0], face)
         inside = eliminated.substitute(reduced, face)
         found[step] = face
-    return found
+    return found, inside
 
 
 def _balanced(

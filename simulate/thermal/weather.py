@@ -1,7 +1,7 @@
 """The weather up to a scene's time, in steps: of files, or of a synthetic day through the scene's own numbers."""
 
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
 
@@ -12,46 +12,40 @@ from labdata.errors import BadInput
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.sky.ephemeris import EARTH_RADIUS_KM, Place
 from simulate.radiance.world.description.scene import Scene
-from simulate.thermal.clear_day import (
-    clear_sun,
-    course,
-    sky_emissivity,
-    solar_hour,
-    sun_directions,
-    times_until,
-    under_cloud,
-)
+from simulate.radiance.world.description.surroundings import Weather as State
+from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, under_cloud
 from simulate.thermal.convection import ZERO_C, dew_point_k
 from simulate.thermal.slab import STEP_S
-from simulate.thermal.weather_files import SCALE_M, STANDARD_HPA, Record, read_weather
+from simulate.thermal.weather_files import Record, read_weather
 
 Array = NDArray[np.float64]
-DAY_STEPS = round(86400.0 / STEP_S)
+DAY_STEPS, MAX_DAYS = round(86400.0 / STEP_S), 10
 # Weather of a station farther away than this is refused, km.
 FARTHEST_KM = 200.0
-# Sunlight is interpolated over the clear sky's where that is more, W m-2.
+# Sunlight of hours is interpolated as a fraction of the clear sky's where that is more, W m-2.
 SHINES_W_M2 = 10.0
-MODELLED = "longwave of the sky was modelled by the formula of Berdahl and Martin, not measured: 15 W/m2 uncertain"
+STANDARD_HPA, SCALE_M = 1013.25, 8434.5
+MODELLED = "longwave of the sky was modelled (Berdahl and Martin), not measured: uncertain by 15 W/m2"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Weather:
-    """Weather at the ends of steps of `STEP_S`, the last of which is the scene's time.
+    """Weather at the ends of steps of `STEP_S`, the last of which is the scene's time; arrays of shape (step,).
 
     Parameters
     ----------
     place, moment
         Where, and when it ends.
     air_k, dew_point_k
-        Temperature and dew point of the air, shape (step,), K.
+        Temperature and dew point of the air, K.
     wind_m_s, pressure_hpa
-        Shape (step,).
+        At 10 m, m/s; hPa.
     direct_w_m2, diffuse_w_m2
-        Direct normal and diffuse horizontal irradiance, shape (step,), W m-2.
+        Direct normal and diffuse horizontal irradiance of the sun, W m-2.
     longwave_w_m2
-        Longwave irradiance from the sky on level ground, shape (step,), W m-2.
+        Longwave irradiance of level ground by the sky, W m-2.
     notes
-        What is modelled and not measured, in sentences.
+        Where it comes from and what of it was modelled, in sentences.
     """
 
     place: Place
@@ -71,7 +65,7 @@ class Weather:
     @cached_property
     def times(self) -> list[datetime]:
         """Ends of the steps."""
-        return times_until(self.moment, len(self), STEP_S)
+        return _times(self.moment, len(self))
 
     @cached_property
     def sun(self) -> Array:
@@ -84,15 +78,8 @@ class Weather:
         return self.direct_w_m2 * np.maximum(self.sun[:, 2], 0.0) + self.diffuse_w_m2
 
 
-def weather_of(scene: Scene, days: int = 1) -> Weather:
-    """Return the weather before a scene's time.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    days
-        Days of a file that are used at least; more where it has more, up to 10.
+def weather_of(scene: Scene) -> Weather:
+    """Return the weather before a scene's time: a day, or the whole days up to `MAX_DAYS` that its files cover.
 
     Raises
     ------
@@ -104,43 +91,39 @@ def weather_of(scene: Scene, days: int = 1) -> Weather:
         raise BadInput(f"a scene must have a [place] with a time for surface temperatures, got none in {scene.name!r}")
     if state is None or (state.wind_m_s is None and not state.file):
         raise BadInput(
-            "a scene must have a [weather] with wind_m_s, or with a file, for surface temperatures, got "
+            "a scene must have a [weather] with wind_m_s or with a file for surface temperatures, got "
             f"{'none' if state is None else 'neither'} in {scene.name!r}"
         )
     place = Place(latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m)
     if not state.file:
-        return _synthetic(scene, place, where.moment)
+        return _synthetic(state, place, where.moment)
     names = (state.file,) if isinstance(state.file, str) else state.file
-    return from_files([scene.file(name) for name in names], place, where.moment, days, state.linke_turbidity)
+    return from_files([scene.file(name) for name in names], place, where.moment, state.linke_turbidity)
 
 
-def _synthetic(scene: Scene, place: Place, moment: datetime) -> Weather:
+def _times(moment: datetime, steps: int) -> list[datetime]:
+    return [moment - timedelta(seconds=(steps - 1 - step) * STEP_S) for step in range(steps)]
+
+
+def _synthetic(state: State, place: Place, moment: datetime) -> Weather:
     """A day that passes through the state at the scene's time."""
-    state = scene.weather
-    assert state is not None and state.wind_m_s is not None
-    times = times_until(moment, DAY_STEPS, STEP_S)
+    times = _times(moment, DAY_STEPS)
     sun, distance = sun_directions(place, times)
-    hour = solar_hour(place, times)
-    pressure = np.full(DAY_STEPS, STANDARD_HPA * np.exp(-place.altitude_m / SCALE_M))
+    hour, pressure = solar_hour(place, times), np.full(DAY_STEPS, _pressure(place))
     air, wind = course(hour, sun[:, 2] > 0.0)
     if state.day == "constant":
         air, wind = np.zeros(DAY_STEPS), np.ones(DAY_STEPS)
     air_k = ZERO_C + state.temperature_c + state.daily_swing_k * (air - air[-1])
-    if state.dew_point_c is not None:
-        dew = ZERO_C + state.dew_point_c
-    elif 0.0 < state.relative_humidity <= 1.0:
-        dew = float(dew_point_k(ZERO_C + state.temperature_c, state.relative_humidity))
-    else:
-        raise BadInput(
-            f"relative_humidity must lie above 0 and up to 1 for a dew point, got {state.relative_humidity:g}"
+    if state.dew_point_c is None and not 0.0 < state.relative_humidity <= 1.0:
+        raise BadInput(f"relative_humidity must lie above 0 and up to 1, got {state.relative_humidity:g}")
+    dew = dew_point_k(ZERO_C + state.temperature_c, state.relative_humidity)
+    dew = float(dew if state.dew_point_c is None else ZERO_C + state.dew_point_c)
+    dew_k, coldest = np.full(DAY_STEPS, min(dew, air_k.min())), air_k.min()
+    notes = (f"weather of a {state.day} day through the state at {moment.isoformat()}", MODELLED)
+    if dew > coldest:
+        notes += (
+            f"the dew point is that of the day's coldest air, {coldest - ZERO_C:.1f} C, not {dew - ZERO_C:.1f} C",
         )
-    dew_k = np.full(DAY_STEPS, min(dew, air_k.min()))
-    notes = [f"weather of a {state.day} day through the state at {moment.isoformat()}", MODELLED]
-    if dew > air_k.min():
-        notes.append(
-            f"the dew point is that of the day's coldest air, {air_k.min() - ZERO_C:.1f} C, not {dew - ZERO_C:.1f} C"
-        )
-    emissivity = sky_emissivity(dew_k, hour, pressure, state.cloud)
     direct, diffuse = clear_sun(sun[:, 2], distance, place.altitude_m, state.linke_turbidity)
     direct, diffuse = under_cloud(direct, diffuse, sun[:, 2], state.cloud)
     return Weather(
@@ -148,143 +131,103 @@ def _synthetic(scene: Scene, place: Place, moment: datetime) -> Weather:
         moment=moment,
         air_k=air_k,
         dew_point_k=dew_k,
-        wind_m_s=state.wind_m_s * wind / wind[-1],
+        wind_m_s=(state.wind_m_s or 0.0) * wind / wind[-1],
         pressure_hpa=pressure,
         direct_w_m2=direct,
         diffuse_w_m2=diffuse,
-        longwave_w_m2=emissivity * STEFAN_BOLTZMANN * air_k**4,
-        notes=tuple(notes),
+        longwave_w_m2=sky_emissivity(dew_k, hour, pressure, state.cloud) * STEFAN_BOLTZMANN * air_k**4,
+        notes=notes,
     )
 
 
-def from_files(paths: list[Path], place: Place, moment: datetime, days: int = 1, turbidity: float = 3.8) -> Weather:
+def from_files(paths: list[Path], place: Place, moment: datetime, turbidity: float = 3.8) -> Weather:
     """Return the weather of files up to a moment; see `weather_of`."""
-    records = [_of_year(read_weather(path), moment) for path in paths]
-    first = records[0]
-    for record in records:
-        away = _distance_km(record.place, place)
-        if away > FARTHEST_KM:
-            raise BadInput(
-                f"a weather file must be from within {FARTHEST_KM:g} km of the scene's place, got {record.name} "
-                f"{away:.0f} km away"
-            )
-    time_s = np.concatenate([record.time_s for record in records])
-    order = np.argsort(time_s, kind="stable")
-    columns = {
-        name: np.concatenate([record.columns[name] for record in records])[order]
-        for name in first.columns
-        if all(name in record.columns for record in records)
-    }
-    covered = (moment.timestamp() - time_s.min() + first.interval_s + 1.0) / 86400.0
-    steps = DAY_STEPS * int(np.clip(covered, days, 10))
-    merged = replace(first, time_s=time_s[order], columns=columns)
-    times = times_until(moment, steps, STEP_S)
-    found = {name: _at(merged, name, times) for name in columns if name not in ("direct_w_m2", "diffuse_w_m2")}
+    records = [read_weather(path, moment) for path in paths]
+    names = ", ".join(record.name for record in records)
+    away = max(_distance_km(record.place, place) for record in records)
+    if away > FARTHEST_KM:
+        raise BadInput(
+            f"a weather file must be from within {FARTHEST_KM:g} km of the scene's place, got {names} {away:.0f} km away"
+        )
+    record = _joined(records, names)
+    covered = (moment.timestamp() - record.time_s.min() + record.interval_s) / 86400.0
+    times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, MAX_DAYS)))
+    found = {name: _at(record, name, times) for name in record.columns}
     sun, distance = sun_directions(place, times)
     clear = clear_sun(sun[:, 2], distance, place.altitude_m, turbidity)
-    direct, diffuse = (
-        _sunlight(merged, name, times, of_clear)
-        for name, of_clear in zip(("direct_w_m2", "diffuse_w_m2"), clear, strict=True)
-    )
+    for name, light in zip(("direct_w_m2", "diffuse_w_m2"), clear, strict=True):
+        if record.interval_s > STEP_S:
+            found[name] = _sunlight(record, name, times, light)
     air_k, dew_k = (found[name] + ZERO_C for name in ("air_c", "dew_point_c"))
-    notes = [note for record in records for note in record.notes]
+    pressure = found.get("pressure_hpa", np.full(len(times), _pressure(place)))
+    notes = tuple(note for record in records for note in record.notes)
     if "longwave_w_m2" not in found:
-        hour, cloud = solar_hour(place, times), found.get("cloud", np.zeros(steps))
-        emissivity = sky_emissivity(dew_k, hour, found["pressure_hpa"], cloud)
+        cloud = found.get("cloud", np.zeros(len(times)))
+        emissivity = sky_emissivity(dew_k, solar_hour(place, times), pressure, cloud)
         found["longwave_w_m2"] = emissivity * STEFAN_BOLTZMANN * air_k**4
-        notes.append(MODELLED if "cloud" in found else f"{MODELLED}, for a clear sky")
-    if first.typical:
-        notes.append(f"{first.name} is of a typical year: its months are of different years")
-    away = max(_distance_km(record.place, place) for record in records)
+        notes += (MODELLED if "cloud" in found else f"{MODELLED}, for a clear sky",)
     return Weather(
         place=place,
         moment=moment,
         air_k=air_k,
         dew_point_k=np.minimum(dew_k, air_k),
-        wind_m_s=found["wind_m_s"],
-        pressure_hpa=found["pressure_hpa"],
-        direct_w_m2=direct,
-        diffuse_w_m2=diffuse,
-        longwave_w_m2=found["longwave_w_m2"],
-        notes=(f"weather of {', '.join(record.name for record in records)}, {away:.0f} km away", *notes),
+        pressure_hpa=pressure,
+        notes=(f"weather of {names}, {away:.0f} km away", *notes),
+        **{name: found[name] for name in ("wind_m_s", "direct_w_m2", "diffuse_w_m2", "longwave_w_m2")},
     )
 
 
-def _of_year(record: Record, moment: datetime) -> Record:
-    """Return the rows of a typical year as those of the two years up to a moment."""
-    if not record.typical:
-        return record
-    dates = [datetime.fromtimestamp(second, UTC) for second in record.time_s]
-    last, seconds, rows = moment.astimezone(UTC).year, [], []
-    for year in (last - 1, last, last + 1):
-        for row, date in enumerate(dates):
-            if (date.month, date.day) != (2, 29):
-                seconds.append(date.replace(year=year).timestamp())
-                rows.append(row)
-    ascending, which = np.unique(np.array(seconds), return_index=True)
-    picked = np.array(rows)[which]
-    return replace(record, time_s=ascending, columns={name: column[picked] for name, column in record.columns.items()})
+def _joined(records: list[Record], names: str) -> Record:
+    """Return the rows of several files, with the columns that all have."""
+    first = records[0]
+    time_s, order = np.unique(np.concatenate([record.time_s for record in records]), return_index=True)
+    common = [name for name in first.columns if all(name in record.columns for record in records)]
+    columns = {name: np.concatenate([record.columns[name] for record in records])[order] for name in common}
+    return replace(first, name=names, time_s=time_s, columns=columns)
 
 
 def _at(record: Record, name: str, times: list[datetime]) -> Array:
-    """Return a column at times, linear between rows; gaps are refused."""
+    """Return a column at times, linear between rows; gaps longer than a step or a row are refused."""
     seconds = np.array([time.timestamp() for time in times])
-    known, values = _known_rows(record, name, seconds)
-    if record.interval_s >= STEP_S:
-        return np.interp(seconds, known, values)
-    return _step_means(known, values, seconds)
-
-
-def _step_means(known: Array, values: Array, seconds: Array) -> Array:
-    """Return means over the steps that end at times."""
-    step = np.ceil((known - seconds[0]) / STEP_S).astype(int)
-    inside = (step >= 0) & (step < len(seconds))
-    count = np.bincount(step[inside], minlength=len(seconds))
-    total = np.bincount(step[inside], values[inside], minlength=len(seconds))
-    return np.interp(seconds, seconds[count > 0], total[count > 0] / count[count > 0])
-
-
-def _known_rows(record: Record, name: str, seconds: Array) -> tuple[Array, Array]:
-    """Return times and values of a column where it has values; refuse gaps of the time asked for."""
-    values = record.columns[name]
-    fine = np.isfinite(values)
+    fine = np.isfinite(record.columns[name])
     known = record.time_s[fine]
-    limit = max(STEP_S, record.interval_s) + record.interval_s
-    near = known[(known > seconds[0] - limit) & (known < seconds[-1] + limit)]
-    # Half a step of the file may lack at either end: its rows stand for an interval.
-    bounds = np.concatenate([[seconds[0] - record.interval_s], near, [seconds[-1] + record.interval_s]])
-    gap = int(np.argmax(np.diff(bounds)))
-    if not len(near) or bounds[gap + 1] - bounds[gap] > limit + record.interval_s * (gap in (0, len(near))):
-        start, end = (datetime.fromtimestamp(bounds[index], UTC).isoformat() for index in (gap, gap + 1))
+    # Rows stand for the interval before or around them: one may lack at either end.
+    ends = [seconds[0] - record.interval_s, seconds[-1] + record.interval_s]
+    inside = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
+    gap = int(np.argmax(np.diff(inside)))
+    if inside[gap + 1] - inside[gap] > max(STEP_S, 2.0 * record.interval_s):
+        start, end = (datetime.fromtimestamp(inside[index], UTC).isoformat() for index in (gap, gap + 1))
         raise BadInput(
-            f"a weather file must have {name} for the whole time up to the scene's, got {record.name} without it "
+            f"a weather file must cover the day before the scene's time without gaps, got {record.name} without {name} "
             f"between {start} and {end}"
         )
-    return known, values[fine]
+    return np.interp(seconds, known, record.columns[name][fine])
 
 
 def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) -> Array:
-    """Return direct or diffuse sunlight at times: interpolated as a fraction of the clear sky's, 0 while the sun is down.
-
-    Rows of less than a step are taken as they are.
-    """
+    """Return sunlight at times from means over hours: their fraction of the clear sky's is interpolated."""
     seconds = np.array([time.timestamp() for time in times])
-    if record.interval_s <= STEP_S:
-        return np.maximum(_at(record, name, times), 0.0)
-    known, values = _known_rows(record, name, seconds)
-    middle = known - record.sun_delay_s
-    edges = np.cumsum(np.concatenate([[0.0], clear])) * STEP_S
+    total = np.concatenate([[0.0], np.cumsum(clear) * STEP_S])
     ends = np.concatenate([[seconds[0] - STEP_S], seconds])
-    half = 0.5 * record.interval_s
-    mean = (np.interp(middle + half, ends, edges) - np.interp(middle - half, ends, edges)) / record.interval_s
-    lit = mean > SHINES_W_M2
+    mean = np.interp(record.time_s, ends, total) - np.interp(record.time_s - record.interval_s, ends, total)
+    mean /= record.interval_s
+    within = (record.time_s - record.interval_s >= ends[0]) & (record.time_s <= ends[-1])
+    lit = (mean > SHINES_W_M2) & within & np.isfinite(record.columns[name])
     if not lit.any():
         return np.zeros(len(times))
-    return clear * np.interp(seconds, middle[lit], values[lit] / mean[lit])
+    middle = record.time_s[lit] - 0.5 * record.interval_s
+    return clear * np.interp(seconds, middle, record.columns[name][lit] / mean[lit])
+
+
+def _pressure(place: Place) -> float:
+    return float(STANDARD_HPA * np.exp(-place.altitude_m / SCALE_M))
 
 
 def _distance_km(one: Place, other: Place) -> float:
-    """Distance of two places along the ground, km."""
-    a, b, c, d = np.deg2rad([one.latitude_deg, one.longitude_deg, other.latitude_deg, other.longitude_deg])
-    chord = np.sin(0.5 * (a - c)) ** 2 + np.cos(a) * np.cos(c) * np.sin(0.5 * (b - d)) ** 2
-    return float(2.0 * EARTH_RADIUS_KM * np.arcsin(np.sqrt(min(chord, 1.0))))
+    """Distance of two places, straight through the earth, km."""
+    points = []
+    for place in (one, other):
+        latitude, longitude = np.deg2rad([place.latitude_deg, place.longitude_deg])
+        level = np.cos(latitude)
+        points.append(np.array([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)]))
+    return float(EARTH_RADIUS_KM * np.linalg.norm(points[0] - points[1]))
