@@ -19,7 +19,7 @@ from simulate.thermal.slab import STEP_S
 from simulate.thermal.weather_files import Record, read_weather
 
 Array = NDArray[np.float64]
-DAY_STEPS, MAX_DAYS = round(86400.0 / STEP_S), 10
+DAY_STEPS, MAX_DAYS = round(86400.0 / STEP_S), 5
 # Weather of a station farther away than this is refused, km.
 FARTHEST_KM = 200.0
 # Sunlight of hours is interpolated as a fraction of the clear sky's where that is more, W m-2.
@@ -150,7 +150,9 @@ def from_files(paths: list[Path], place: Place, moment: datetime, turbidity: flo
             f"a weather file must be from within {FARTHEST_KM:g} km of the scene's place, got {names} {away:.0f} km away"
         )
     record = _joined(records, names)
-    covered = (moment.timestamp() - record.time_s.min() + record.interval_s) / 86400.0
+    begins = np.concatenate([record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]])
+    begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
+    covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
     times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, MAX_DAYS)))
     found = {name: _at(record, name, times) for name in record.columns}
     sun, distance = sun_directions(place, times)
@@ -195,7 +197,7 @@ def _at(record: Record, name: str, times: list[datetime]) -> Array:
     ends = [seconds[0] - record.interval_s, seconds[-1] + record.interval_s]
     inside = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
     gap = int(np.argmax(np.diff(inside)))
-    if inside[gap + 1] - inside[gap] > max(STEP_S, 2.0 * record.interval_s):
+    if inside[gap + 1] - inside[gap] > max(STEP_S, 1.01 * record.interval_s):
         start, end = (datetime.fromtimestamp(inside[index], UTC).isoformat() for index in (gap, gap + 1))
         raise BadInput(
             f"a weather file must cover the day before the scene's time without gaps, got {record.name} without {name} "
@@ -207,7 +209,7 @@ def _at(record: Record, name: str, times: list[datetime]) -> Array:
 def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) -> Array:
     """Return sunlight at times from means over hours: their fraction of the clear sky's is interpolated."""
     seconds = np.array([time.timestamp() for time in times])
-    total = np.concatenate([[0.0], np.cumsum(clear) * STEP_S])
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (clear + np.concatenate([clear[:1], clear[:-1]]))) * STEP_S])
     ends = np.concatenate([[seconds[0] - STEP_S], seconds])
     mean = np.interp(record.time_s, ends, total) - np.interp(record.time_s - record.interval_s, ends, total)
     mean /= record.interval_s

@@ -165,6 +165,8 @@ def _csv(name: str, lines: list[str], moment: datetime) -> Record:
             f"a weather .csv must have a line '# {' = ..., '.join(OWN_PLACE)} = ...' and the headings time, "
             f"{', '.join(OWN)} and perhaps {', '.join(OWN_OPTIONAL)}, got {name} without {lacking}"
         )
+    if len(rows) < 2:
+        raise BadInput(f"a weather file must cover a day, got {name} with {len(rows)} row")
     times = [datetime.fromisoformat(row["time"]) for row in rows]
     if any(time.tzinfo is None for time in times):
         raise BadInput(f"times of a weather file must state their offset from UTC, got others in {name}")
