@@ -40,12 +40,16 @@ class Solution:
     kernel
         Effect of the flux at each step of the last day on the last temperature, 0 for prescribed ones, shape
         (`DAY_STEPS`, facet), K per W m-2.
+    shaded_k, shaded_kernel
+        Last temperature (facet,), K, and kernel of the same facets without direct sun.
     effects, left_out
         What terms change at the last time, and what those left out could have changed: mK, at the facet where most.
     """
 
     faces_k: Array
     kernel: Array
+    shaded_k: Array
+    shaded_kernel: Array
     effects: tuple[Effect, ...] = ()
     left_out: tuple[Effect, ...] = ()
 
@@ -94,12 +98,16 @@ class Balance:
         return sky_radiance(emissivity, weather.air_k, weather.dew_point_k, RING_SINE)
 
     @cached_property
-    def sunlight(self) -> Array:
-        """Straight from sun and sky, shape (step, facet), W m-2; shadows of each day are those of the last one."""
+    def direct(self) -> Array:
+        """Sunlight straight from the sun, shape (step, facet), W m-2; shadows of each day are those of the last one."""
         at, known = np.arange(DAY_STEPS) / SUN_STEPS, np.arange(len(self.exposure.lit))
         lit = np.stack([np.interp(at, known, facet) for facet in self.exposure.lit.T], axis=1)
-        lit = np.tile(lit, (len(self.weather) // DAY_STEPS, 1))
-        return self.weather.direct_w_m2[:, None] * lit + self.weather.diffuse_w_m2[:, None] * self.exposure.sky
+        return self.weather.direct_w_m2[:, None] * np.tile(lit, (len(self.weather) // DAY_STEPS, 1))
+
+    @cached_property
+    def sunlight(self) -> Array:
+        """Sunlight straight from sun and sky, shape (step, facet), W m-2."""
+        return self.direct + self.weather.diffuse_w_m2[:, None] * self.exposure.sky
 
     @cached_property
     def reflected(self) -> Array:
@@ -110,12 +118,17 @@ class Balance:
     def longwave(self, faces_k: Array) -> tuple[Array, Array]:
         """Return longwave from the sky and from surfaces of given temperatures, shape (step, facet), W m-2."""
         exposure, steps = self.exposure, slice(len(self.weather) - len(faces_k), None)
-        sky, emitted = self.rings[steps] @ exposure.rings.T, STEFAN_BOLTZMANN * faces_k**4
-        # What a neighbour mirrors: the sky that it sees, and else surfaces of its own temperature.
-        mirrored = sky + (1.0 - exposure.sky) * emitted
-        radiosity = self.emissivity * emitted + (1.0 - self.emissivity) * mirrored
         ground = STEFAN_BOLTZMANN * self.weather.air_k[steps, None] ** 4 * exposure.beyond
-        return sky, radiosity @ exposure.sees.T + ground
+        return self.rings[steps] @ exposure.rings.T, self.radiosity(faces_k) @ exposure.sees.T + ground
+
+    def radiosity(self, faces_k: Array) -> Array:
+        """Return longwave that facets emit and mirror, at temperatures of the last steps, shape (step, facet), W m-2.
+
+        They mirror the sky that they see, and else surfaces of their own temperature.
+        """
+        emitted, steps = STEFAN_BOLTZMANN * faces_k**4, slice(len(self.weather) - len(faces_k), None)
+        mirrored = self.rings[steps] @ self.exposure.rings.T + (1.0 - self.exposure.sky) * emitted
+        return self.emissivity * emitted + (1.0 - self.emissivity) * mirrored
 
     def solved(self, tolerance_mk: float) -> Solution:
         """Return the temperatures of facets.
@@ -136,15 +149,14 @@ class Balance:
         free = np.flatnonzero([rule is None for rule in rules])
         kernel = np.zeros((DAY_STEPS, len(rules)))
         if not len(free):
-            return Solution(faces_k=at_air, kernel=kernel)
+            return Solution(faces_k=at_air, kernel=kernel, shaded_k=at_air[-1], shaded_kernel=kernel)
         columns = Columns.of([self.slabs[facet] for facet in free])
         second, more = self._reflect(self.reflected), 0.0
         faces, flux, passes = at_air, self._flux(at_air), 1
         while True:
             forcing = self._forcing(free, flux)
             faces = np.array(at_air)
-            faces[:DAY_STEPS, free], start = periodic_start(columns, forcing.part(slice(0, DAY_STEPS)))
-            faces[DAY_STEPS:, free], _ = march(columns, forcing.part(slice(DAY_STEPS, None)), start)
+            faces[:, free] = _followed(columns, forcing)
             if passes == 1:
                 kernel[:, free] = kernels(columns, forcing.part(LAST), faces[LAST][:, free])
                 by_two = _effect(kernel, self.heating * second)
@@ -166,7 +178,18 @@ class Balance:
         effects, left_out = (
             tuple(Effect(name=name, influence=1e3 * size) for name, size in table.items()) for table in (terms, left)
         )
-        return Solution(faces_k=faces, kernel=kernel, effects=effects, left_out=left_out)
+        forcing = self._forcing(free, flux - self.heating * self.direct)
+        shaded, shaded_kernel = np.array(at_air), np.zeros_like(kernel)
+        shaded[:, free] = _followed(columns, forcing)
+        shaded_kernel[:, free] = kernels(columns, forcing.part(LAST), shaded[LAST][:, free])
+        return Solution(
+            faces_k=faces,
+            kernel=kernel,
+            shaded_k=shaded[-1],
+            shaded_kernel=shaded_kernel,
+            effects=effects,
+            left_out=left_out,
+        )
 
     def _prescribed_k(self, facet: int) -> Array | None:
         """The temperature that an object or else its slab prescribes, shape (step,), K; None where it is free."""
@@ -230,6 +253,14 @@ class Balance:
             "condensation": condensed,
             "heat sources": self._heat,
         }
+
+
+def _followed(columns: Columns, forcing: Forcing) -> Array:
+    """Temperatures of faces (step, surface), K: periodic over the first day, then stepped."""
+    first, start = periodic_start(columns, forcing.part(slice(0, DAY_STEPS)))
+    if len(forcing) == DAY_STEPS:
+        return first
+    return np.concatenate([first, march(columns, forcing.part(slice(DAY_STEPS, None)), start)[0]])
 
 
 def _effect(kernel: Array, flux: Array) -> float:

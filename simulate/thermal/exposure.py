@@ -5,6 +5,7 @@ of heat; single points of a picture differ from it by their own sun and sky.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,12 +76,20 @@ class Facets:
         objects, materials = self.surfaces.objects, self.surfaces.materials
         return [f"{objects[o]}:{materials[m]}" for o, m in zip(self.object, self.material, strict=True)]
 
+    @cached_property
+    def _of_row(self) -> Index:
+        """Facet of each triangle that is there once."""
+        found = np.zeros(len(self.surfaces.mesh.faces), np.int64)
+        for facet, faces in enumerate(self.faces):
+            found[faces] = facet
+        return found
+
     def of_faces(self, face: Index) -> Index:
         """Return the facet of each face, shape (face,): for a direction that a copy alone has, the nearest."""
-        row = face & ROW
-        surfaces = self.surfaces
-        normal = surfaces.tracer.normals(face)
-        key = _keys(surfaces, row, normal)
+        if len(face) and face.max() < len(self._of_row):
+            return self._of_row[face]
+        normal = self.surfaces.tracer.normals(face)
+        key = _keys(self.surfaces, face & ROW, normal)
         found = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
         for lacking in np.unique(key[self.key[found] != key]):
             same = np.flatnonzero(self.key // DIRECTIONS == lacking // DIRECTIONS)
@@ -179,7 +188,7 @@ def view(surfaces: Surfaces, spots: Spots, even: Even) -> tuple[Array, Index]:
     pairs = even.pairs()
     radius, turn = np.sqrt(pairs[..., 0]), 2.0 * np.pi * pairs[..., 1]
     along = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - pairs[..., 0])], axis=-1)
-    ways = np.einsum("sra,sak->srk", along, frames(spots.normal)).reshape(-1, 3)
+    ways = (along @ frames(spots.normal)).reshape(-1, 3)
     face = surfaces.tracer.first_hit(np.repeat(spots.start_m, even.rays, axis=0), ways)
     sky = np.flatnonzero((face == NOTHING) & (ways[:, 2] > 0.0))
     ring = np.minimum((ways[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)

@@ -1,5 +1,6 @@
 """Surface temperatures of a scene: of its objects over a day, and of the pixels of a view at the scene's time."""
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,11 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.transport.even import evenly
+from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.even import Even, evenly
+from simulate.radiance.transport.workers import workers
 from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
-from simulate.thermal.balance import LAST, SUN_STEPS, Balance, Solution
+from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, SUN_STEPS, Balance, Solution
 from simulate.thermal.convection import ZERO_C
 from simulate.thermal.exposure import Spots, exposure_of, facets_of, sunlit, view
 from simulate.thermal.library import slab_of
@@ -23,8 +27,8 @@ Array = NDArray[np.float64]
 TOLERANCE_MK = 20.0
 # Rays of a pixel to the sky; steps of the day that share one direction of the sun for pixels; rows at a time.
 PIXEL_RAYS, SLOT_STEPS, ROWS = 64, 3, 16
-# Facets that are covered less than this take what covers a pixel as at the temperature of the air.
-COVERED = 1e-3
+# References this near count alike, K.
+NEAR_K = 0.01
 
 
 @dataclass(frozen=True)
@@ -69,55 +73,90 @@ class Temperatures:
         A pixel's point differs from its facet by the sun and the sky that it sees. The facet's kernel makes these
         fluxes a temperature: within 0.04 K of a solution by itself for half a day of shade, 0.12 K for a whole one.
         """
-        parts = []
-        for row in range(0, viewpoint.shape[0], ROWS):
-            parts.append(self._rows(viewpoint, row, min(row + ROWS, viewpoint.shape[0])))
-            progress(min(1.0, (row + ROWS) / viewpoint.shape[0]))
+        _ = self._references
+        parts, starts = [], list(range(0, viewpoint.shape[0], ROWS))
+        with workers(min(2, os.cpu_count() or 1)) as run:
+            for part in run(lambda row: self._rows(viewpoint, row), starts):
+                parts.append(part)
+                progress(len(parts) / len(starts))
         return np.concatenate(parts)
 
-    def _rows(self, viewpoint: Viewpoint, start: int, stop: int) -> NDArray[np.float32]:
-        surfaces = self.balance.facets.surfaces
+    def _rows(self, viewpoint: Viewpoint, start: int) -> NDArray[np.float32]:
+        surfaces, stop = self.balance.facets.surfaces, min(start + ROWS, viewpoint.shape[0])
         grid = np.meshgrid(np.arange(start, stop), np.arange(viewpoint.shape[1]), indexing="ij")
         row, col = (axis.ravel() for axis in grid)
         origin, towards = viewpoint.rays(row + 0.5, col + 0.5)
         hit = surfaces.tracer.hits(origin, towards)
         met = hit.met
         spots = Spots.on(surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met])
-        rings, _ = view(surfaces, spots, evenly(row[met], col[met], PIXEL_RAYS, [start]))
-        facet = self.balance.facets.of_faces(hit.face[met])
         kelvin = np.full(len(row), np.nan, np.float32)
-        kelvin[met] = self.solution.faces_k[-1, facet] + self.difference_k(facet, spots, rings)
+        even = evenly(row[met], col[met], PIXEL_RAYS, [start])
+        kelvin[met] = self._spots_k(self.balance.facets.of_faces(hit.face[met]), spots, even)
         return kelvin.reshape(stop - start, -1)
 
-    def difference_k(self, facet: NDArray[np.int64], spots: Spots, rings: Array) -> Array:
-        """Return the temperatures of spots over those of their facets, by what they see of sun and sky, (spot,), K."""
-        of_sun, of_rings, of_cover = self._kernels
-        exposure, more = self.balance.exposure, rings - self.balance.exposure.rings[facet]
-        found = np.einsum("sr,sr->s", of_rings[facet], more) + of_cover[facet] * more.sum(axis=1)
-        middle = np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS)
-        sun = self.balance.weather.sun[LAST][middle]
+    def _spots_k(self, facet: NDArray[np.int64], spots: Spots, even: Even) -> Array:
+        """Temperatures of spots by what they see of sun, sky and surfaces, from the nearer of their facet's references."""
+        facets, slots = self.balance.facets, np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS)
+        rings, face = view(facets.surfaces, spots, even)
+        spot, ray = np.nonzero(face != NOTHING)
+        other = facets.of_faces(face[spot, ray])
+        beyond = 1.0 - rings.sum(axis=1) - np.bincount(spot, minlength=len(facet)) / even.rays
+        sun = self.balance.weather.sun[LAST][slots]
         up = np.flatnonzero(sun[:, 2] > 0.0)
-        lit = sunlit(self.balance.facets.surfaces, spots, sun[up])
-        for slot, cosine in zip(up, lit, strict=True):
-            found += of_sun[slot, facet] * (cosine - exposure.lit[middle[slot] // SUN_STEPS, facet])
-        return found
+        lit = sunlit(facets.surfaces, spots, sun[up])
+        found, weight = [], []
+        for by in self._references:
+            change = np.einsum("sr,sr->s", by.rings[facet], rings) + by.beyond[facet] * beyond - by.own[facet]
+            change += np.bincount(spot, by.surfaces[facet[spot], other], len(facet)) / even.rays
+            change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
+            found.append(by.last_k[facet] + change)
+            weight.append(1.0 / (change**2 + NEAR_K**2))
+        return np.average(found, axis=0, weights=weight)
 
     @cached_property
-    def _kernels(self) -> tuple[Array, Array, Array]:
-        """What more light does to the last temperature of facets, K.
+    def _references(self) -> "tuple[_Reference, ...]":
+        solution, lit = self.solution, self.balance.exposure.lit
+        pairs = (solution.faces_k[-1], solution.kernel, lit), (solution.shaded_k, solution.shaded_kernel, 0.0 * lit)
+        return tuple(self._reference(*pair) for pair in pairs)
 
-        Of sun at a cosine of 1 in each slot of the day (slot, facet), of each ring of the sky's longwave (facet, ring),
-        and of diffuse sunlight in place of what surfaces send where these cover less (facet,).
-        """
-        balance, kernel, weather = self.balance, self.solution.kernel, self.balance.weather
-        covered = 1.0 - balance.exposure.sky
-        neighbours = balance.longwave(self.solution.faces_k[LAST])[1] / np.maximum(covered, COVERED)
-        neighbours = np.where(covered > COVERED, neighbours, balance.rings[LAST].mean(axis=1, keepdims=True))
-        reflected = np.where(covered > COVERED, balance.reflected[LAST] / np.maximum(covered, COVERED), 0.0)
+    def _reference(self, last_k: Array, kernel: Array, lit: Array) -> "_Reference":
+        balance, weather, exposure = self.balance, self.balance.weather, self.balance.exposure
+        heating, emissivity = balance.heating, balance.emissivity
         direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, SLOT_STEPS, kernel.shape[1]).sum(axis=1)
-        diffuse = (kernel * (weather.diffuse_w_m2[LAST, None] - reflected)).sum(axis=0)
-        of_cover = balance.heating * diffuse - balance.emissivity * (kernel * neighbours).sum(axis=0)
-        return balance.heating * direct, balance.emissivity[:, None] * (kernel.T @ balance.rings[LAST]), of_cover
+        sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.reflected)[LAST]
+        longwave = balance.radiosity(self.solution.faces_k[LAST])
+        ground = GROUND_REFLECTANCE * weather.global_w_m2[LAST], STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4
+        sun = heating * direct
+        sky = heating[:, None] * (kernel.T @ weather.diffuse_w_m2[LAST, None])
+        rings = sky + emissivity[:, None] * (kernel.T @ balance.rings[LAST])
+        surfaces = heating[:, None] * (kernel.T @ sunlight) + emissivity[:, None] * (kernel.T @ longwave)
+        beyond = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
+        own = (rings * exposure.rings).sum(axis=1) + (surfaces * exposure.sees).sum(axis=1) + beyond * exposure.beyond
+        own += (sun * lit[np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS) // SUN_STEPS]).sum(axis=0)
+        return _Reference(last_k=last_k, own=own, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Reference:
+    """Last temperatures of facets, and what raises them, K.
+
+    Parameters
+    ----------
+    last_k, own
+        The temperature, and what of it is due to all that the facet sees, shape (facet,).
+    sun
+        By the sun in each slot of the day at a cosine of 1, shape (slot, facet).
+    rings, surfaces, beyond
+        By all that comes from each ring of the sky (facet, ring), from each facet (facet, facet) and from the ground
+        where the scene ends (facet,), were it all that is seen.
+    """
+
+    last_k: Array
+    own: Array
+    sun: Array
+    rings: Array
+    surfaces: Array
+    beyond: Array
 
 
 def temperatures_of(scene: Scene, *, tolerance_mk: float = TOLERANCE_MK, seed: int = 0) -> Temperatures:
