@@ -85,8 +85,8 @@ def _terms(found: "Temperatures", within_mk: float) -> list[str]:
     solution = found.solution
     lines = [f"{'term':58}  {'changes at most, mK':>20}"]
     for effects, verdict in ((solution.effects, "kept"), (solution.left_out, "left out")):
-        for effect in sorted(effects, key=lambda effect: -effect.influence):
-            lines.append(f"{effect.name:58}  {effect.influence:20.3g}  {verdict}")
+        ordered = sorted(effects, key=lambda effect: -effect.influence)
+        lines += [f"{effect.name:58}  {effect.influence:20.3g}  {verdict}" for effect in ordered]
     together = sum(effect.influence for effect in solution.left_out)
     return [*lines, f"left out together: at most {together:.3g} mK; each may have {within_mk:g} mK"]
 

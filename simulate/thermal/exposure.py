@@ -115,7 +115,7 @@ def facets_of(surfaces: Surfaces) -> Facets:
     return Facets(
         surfaces=surfaces,
         key=key,
-        area_m2=np.bincount(which, area[row]),
+        area_m2=np.bincount(which, area[row]).astype(float),
         normal=mean / np.linalg.norm(mean, axis=1, keepdims=True),
         faces=tuple(faces),
     )

@@ -1,12 +1,12 @@
 """Slabs that ship (`library.toml`), and the slab of each material of a scene."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from importlib import resources
 
 import numpy as np
 
-from labdata.border import from_toml
+from labdata.border import from_mapping, read_toml
 from labdata.errors import BadInput
 from labdata.parameter import Parameter
 from simulate.radiance.sky.sun import sun_spectrum
@@ -15,24 +15,12 @@ from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.description.slab import Slab
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shelf:
-    """Slabs by name.
-
-    Parameters
-    ----------
-    slab
-        Name and description of each.
-    """
-
-    slab: dict[str, Slab]
-
-
 @cache
 def library() -> dict[str, Slab]:
     """Return the slabs that ship by their names."""
     with resources.as_file(resources.files("simulate.thermal") / "library.toml") as path:
-        return {name: replace(slab, label=name) for name, slab in from_toml(path, Shelf).slab.items()}
+        tables = read_toml(path)["slab"]
+    return {name: from_mapping(table | {"label": name}, Slab, where="library.toml") for name, table in tables.items()}
 
 
 def slab_of(scene: Scene, surface: Surface) -> Slab:

@@ -7,6 +7,7 @@ face by Newton's method, and substitutes back. All slabs are computed together.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from simulate.radiance.world.description.slab import Slab
 from simulate.thermal.convection import ZERO_C, Exchange
 
 Array = NDArray[np.float64]
-# Cells of a layer, each thicker than the one before it: 0.02 K off on 0.6 m of concrete (docs/thermal.md).
+# Cells of a layer, each thicker than the one before: the day's wave on 0.6 m of soil has 0.15 % too much amplitude.
 CELLS, RATIO = 30, 1.15
 STEP_S = 300.0
 # Newton's method on the balance of the face ends below this change, K; it takes 3 to 5 steps.
@@ -36,14 +37,11 @@ class Columns:
     capacity
         Heat capacity of each cell, shape (cell, surface), J m-2 K-1.
     conductance
-        Between the face and the first cell, then between each cell and the next, 0 behind the last, shape
-        (cell + 1, surface), W m-2 K-1.
+        From the face to the first cell, from each to the next, 0 behind the last, shape (cell + 1, surface), W m-2 K-1.
     back
-        From each cell to what lies behind the slab, not 0 for the last cell and for padding, shape (cell, surface), W m-2 K-1.
-    back_k
-        Temperature behind; NaN: that of the air, shape (surface,), K.
-    max_k
-        Temperature at which the face melts, infinite for none, shape (surface,), K.
+        From cells to what lies behind, 0 but for the last one and for padding, shape (cell, surface), W m-2 K-1.
+    back_k, max_k
+        Temperature behind, NaN: that of the air; and at which the face melts, or infinite, shape (surface,), K.
     """
 
     capacity: Array
@@ -65,10 +63,8 @@ class Columns:
             behind = float(slab.back_w_m2_k)
             back[: len(stored), number] = 0.0
             back[len(stored) - 1, number] = behind * between[-1] / (behind + between[-1])
-        back_k, max_k = (
-            np.array([value if limit is None else float(limit) + ZERO_C for limit in limits])
-            for value, limits in ((np.nan, [s.back_c for s in slabs]), (np.inf, [s.max_c for s in slabs]))
-        )
+        back_k = np.array([np.nan if slab.back_c is None else float(slab.back_c) + ZERO_C for slab in slabs])
+        max_k = np.array([np.inf if slab.max_c is None else float(slab.max_c) + ZERO_C for slab in slabs])
         return cls(capacity=capacity, conductance=conductance, back=back, back_k=back_k, max_k=max_k)
 
     def diagonal(self, rate: Array | float) -> Array:
@@ -138,12 +134,10 @@ def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = ST
 
     Parameters
     ----------
-    columns, forcing
-        Slabs and what acts on them.
+    columns, forcing, step_s
+        Slabs, what acts on them, and the length of a step, s.
     start_k
         Temperature of each cell before the first step, shape (cell, surface), K.
-    step_s
-        Length of a step, s.
 
     Raises
     ------
@@ -196,14 +190,14 @@ class _Elimination:
             pivot[cell] -= conductance[cell + 1] ** 2 / pivot[cell + 1]
         return cls(conductance[:-1], pivot)
 
-    def reduce(self, source: Array) -> Array:
+    def reduce(self, source: Any) -> Any:
         """Return sources with those of the cells behind added."""
         reduced = np.array(source, np.result_type(source, self.pivot))
         for cell in range(len(reduced) - 2, -1, -1):
             reduced[cell] += self.coupling[cell + 1] / self.pivot[cell + 1] * reduced[cell + 1]
         return reduced
 
-    def substitute(self, reduced: Array, face: Array) -> Array:
+    def substitute(self, reduced: Any, face: Any) -> Any:
         """Return the temperature of each cell from that of the face."""
         inside, before = np.empty_like(reduced), face
         for cell in range(len(reduced)):
@@ -212,14 +206,7 @@ class _Elimination:
 
 
 def periodic_start(columns: Columns, forcing: Forcing, step_s: float = STEP_S) -> tuple[Array, Array]:
-    """Return the state after endless repetition of a day: faces (step, surface) and cells (cell, surface) at its end, K.
-
-    Parameters
-    ----------
-    columns, forcing
-        Slabs, and what acts on them in the day.
-    step_s
-        Length of a step, s.
+    """Return what a day leads to if it is repeated for ever: faces (step, surface), and cells as `march` has them, K.
 
     Raises
     ------
@@ -263,17 +250,13 @@ def kernels(columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = 
 
     Parameters
     ----------
-    columns, forcing
-        Slabs, and what acts on them in the last day.
-    faces_k
-        Temperatures of the faces in that day, shape (step, surface), about which the balance is linear, K.
-    step_s
-        Length of a step, s.
+    columns, forcing, faces_k
+        Slabs, what acts on them in the last day, and the temperatures of their faces in it, shape (step, surface), K.
 
     Returns
     -------
     Array
-        Shape (step, surface): the effect of 1 W m-2 more during a step of this day and of all days before it.
+        Effect of 1 W m-2 more during a step of this day and of all days before it, shape (step, surface).
 
     Notes
     -----

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.errors import BadInput
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.trace import NOTHING
 from simulate.radiance.transport.even import Even, evenly
@@ -70,8 +71,8 @@ class Temperatures:
 
         Notes
         -----
-        A pixel's point differs from its facet by the sun and the sky that it sees. The facet's kernel makes these
-        fluxes a temperature: within 0.04 K of a solution by itself for half a day of shade, 0.12 K for a whole one.
+        A pixel's point differs from its facet by what it sees of sun, sky and surfaces. Kernels make these fluxes a
+        temperature, from the facet as it is and from the same in the shade, weighted by how near each one is.
         """
         _ = self._references
         parts, starts = [], list(range(0, viewpoint.shape[0], ROWS))
@@ -95,7 +96,7 @@ class Temperatures:
         return kelvin.reshape(stop - start, -1)
 
     def _spots_k(self, facet: NDArray[np.int64], spots: Spots, even: Even) -> Array:
-        """Temperatures of spots by what they see of sun, sky and surfaces, from the nearer of their facet's references."""
+        """Temperatures of spots by what they see of sun, sky and surfaces, from the references of their facets, K."""
         facets, slots = self.balance.facets, np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS)
         rings, face = view(facets.surfaces, spots, even)
         spot, ray = np.nonzero(face != NOTHING)
@@ -177,6 +178,8 @@ def temperatures_of(scene: Scene, *, tolerance_mk: float = TOLERANCE_MK, seed: i
         If the scene lacks a place, weather with wind, or the slab of a material; if its weather file does not suit.
     """
     weather, surfaces = weather_of(scene), Site(scene).surfaces
+    if not len(surfaces.mesh.faces):
+        raise BadInput(f"a scene must have an object with a surface for temperatures, got none in {scene.name!r}")
     by_label = {surface.label: surface for surface in scene.material}
     slabs = {name: slab_of(scene, by_label[name]) for name in surfaces.materials}
     things, facets = {thing.label: thing for thing in scene.object}, facets_of(surfaces)

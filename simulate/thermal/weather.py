@@ -147,7 +147,7 @@ def from_files(paths: list[Path], place: Place, moment: datetime, turbidity: flo
     away = max(_distance_km(record.place, place) for record in records)
     if away > FARTHEST_KM:
         raise BadInput(
-            f"a weather file must be from within {FARTHEST_KM:g} km of the scene's place, got {names} {away:.0f} km away"
+            f"a weather file must be from within {FARTHEST_KM:g} km of the scene, got {names} {away:.0f} km away"
         )
     record = _joined(records, names)
     begins = np.concatenate([record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]])

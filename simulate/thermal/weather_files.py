@@ -1,7 +1,7 @@
 """Weather files: EPW, TMY3, SURFRAD, and CSV of this project, as rows of the same columns with date and place."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
@@ -15,35 +15,26 @@ from simulate.radiance.sky.ephemeris import Place
 from simulate.thermal.convection import ZERO_C, dew_point_k
 
 Array = NDArray[np.float64]
-# Of each quantity its column in a kind of file, its unit over ours, and the value from which on it is missing.
-Columns = dict[str, tuple[int | str, float, float]]
+# Of each quantity its column in a kind of file, our unit over that of the file, and from where on it is missing.
+Columns = Mapping[str, tuple[int | str, float, float]]
+# fmt: off
 EPW: Columns = {
-    "air_c": (6, 1.0, 99.9),
-    "dew_point_c": (7, 1.0, 99.9),
-    "pressure_hpa": (9, 0.01, 999999.0),
-    "longwave_w_m2": (12, 1.0, 9999.0),
-    "direct_w_m2": (14, 1.0, 9999.0),
-    "diffuse_w_m2": (15, 1.0, 9999.0),
+    "air_c": (6, 1.0, 99.9), "dew_point_c": (7, 1.0, 99.9), "pressure_hpa": (9, 0.01, 999999.0),
+    "longwave_w_m2": (12, 1.0, 9999.0), "direct_w_m2": (14, 1.0, 9999.0), "diffuse_w_m2": (15, 1.0, 9999.0),
     "wind_m_s": (21, 1.0, 999.0),
 }
 TMY3: Columns = {
-    "air_c": ("Dry-bulb (C)", 1.0, -9900.0),
-    "dew_point_c": ("Dew-point (C)", 1.0, -9900.0),
-    "pressure_hpa": ("Pressure (mbar)", 1.0, -9900.0),
-    "direct_w_m2": ("DNI (W/m^2)", 1.0, -9900.0),
-    "diffuse_w_m2": ("DHI (W/m^2)", 1.0, -9900.0),
-    "wind_m_s": ("Wspd (m/s)", 1.0, -9900.0),
+    "air_c": ("Dry-bulb (C)", 1.0, -9900.0), "dew_point_c": ("Dew-point (C)", 1.0, -9900.0),
+    "pressure_hpa": ("Pressure (mbar)", 1.0, -9900.0), "direct_w_m2": ("DNI (W/m^2)", 1.0, -9900.0),
+    "diffuse_w_m2": ("DHI (W/m^2)", 1.0, -9900.0), "wind_m_s": ("Wspd (m/s)", 1.0, -9900.0),
     "cloud": ("TotCld (tenths)", 0.1, -9900.0),
 }
 SURFRAD: Columns = {
-    "direct_w_m2": (12, 1.0, -9999.0),
-    "diffuse_w_m2": (14, 1.0, -9999.0),
-    "longwave_w_m2": (16, 1.0, -9999.0),
-    "air_c": (38, 1.0, -9999.0),
-    "humidity": (40, 0.01, -9999.0),
-    "wind_m_s": (42, 1.0, -9999.0),
+    "direct_w_m2": (12, 1.0, -9999.0), "diffuse_w_m2": (14, 1.0, -9999.0), "longwave_w_m2": (16, 1.0, -9999.0),
+    "air_c": (38, 1.0, -9999.0), "humidity": (40, 0.01, -9999.0), "wind_m_s": (42, 1.0, -9999.0),
     "pressure_hpa": (46, 1.0, -9999.0),
 }
+# fmt: on
 DATE, HOUR = "Date (MM/DD/YYYY)", "Time (HH:MM)"
 OWN = ("air_c", "dew_point_c", "wind_m_s", "direct_w_m2", "diffuse_w_m2")
 OWN_OPTIONAL = ("longwave_w_m2", "pressure_hpa", "cloud")
@@ -116,7 +107,7 @@ def _tmy3(name: str, lines: list[str], moment: datetime) -> Record:
 def _typical(
     name: str, place: list[str], dates: list, zone_h: float, columns: dict[str, Array], moment: datetime, note: str
 ) -> Record:
-    """Rows of a typical year, whose hours stamp their end, in the two years before and the year of a moment."""
+    """Rows of a typical year, whose hours stamp their end, as of the year of a moment and the one before."""
     zone, found = timezone(timedelta(hours=zone_h)), []
     for year in (moment.year - 1, moment.year):
         for row, (month, day, hour) in enumerate(dates):

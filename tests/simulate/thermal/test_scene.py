@@ -81,7 +81,7 @@ def test_facets_see_sky_ground_and_each_other():
 
 
 def test_the_view_factor_of_two_facing_squares_is_the_textbooks():
-    facets, seen = exposure(scene_of(plane("floor", 1.0), plane("roof", 1.0, "paint", height=1.0, roll_deg=180.0)))
+    _, seen = exposure(scene_of(plane("floor", 1.0), plane("roof", 1.0, "paint", height=1.0, roll_deg=180.0)))
     assert seen.sees[0, 1] == pytest.approx(0.1998, abs=0.015) == seen.sees[1, 0]
     assert seen.beyond[1] == pytest.approx(0.8002, abs=0.015)
     assert seen.sky[0] == pytest.approx(0.8002, abs=0.015)

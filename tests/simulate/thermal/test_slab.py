@@ -90,7 +90,7 @@ def test_a_step_of_flux_or_of_air_warms_the_face_as_the_half_space():
 
 
 def test_a_layered_slab_conducts_as_its_resistances_in_series():
-    layers = (CONCRETE[:3] + (100.0,), (0.04, 30.0, 1400.0, 80.0), (0.5, 1200.0, 1000.0, 12.0))
+    layers = ((*CONCRETE[:3], 100.0), (0.04, 30.0, 1400.0, 80.0), (0.5, 1200.0, 1000.0, 12.0))
     slab = slab_of(*layers, back_w_m2_k=8.0, back_c=20.0)
     forcing = forcing_of(np.full((STEPS, 1), 50.0), 273.15, h=10.0)
     face, cells = periodic_start(Columns.of([slab]), forcing)

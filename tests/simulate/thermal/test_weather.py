@@ -152,7 +152,7 @@ def test_hours_of_an_epw_stamp_their_end_and_sunlight_follows_the_clear_sky(tmp_
 
 def test_a_tmy3_has_no_longwave_and_says_that_it_was_modelled(tmp_path):
     first = datetime(1998, 6, 21, 0, tzinfo=timezone(timedelta(hours=-5)))
-    ends, (direct, diffuse) = hours_of(ROCHESTER, first, 72)
+    _, (direct, diffuse) = hours_of(ROCHESTER, first, 72)
     heading = "Date (MM/DD/YYYY),Time (HH:MM),DNI (W/m^2),DHI (W/m^2),TotCld (tenths),Dry-bulb (C),Dew-point (C),"
     rows = ['725290,"ROCHESTER",NY,-5.0,43.16,-77.61,150', heading + "Pressure (mbar),Wspd (m/s)"]
     for hour in range(72):

@@ -6,6 +6,8 @@ from labdata.description import must_be_a_share, must_be_positive, must_not_be_n
 from labdata.errors import BadInput
 from labdata.parameter import Parameter
 
+# Numbers of a slab that does not state them: usual surfaces, dry, smooth, adiabatic behind.
+EMISSIVITY, NOTHING, SMOOTH = Parameter(value=0.95), Parameter(value=0.0), Parameter(value=3.0)
 SHARES = ("emissivity", "emissivity_mwir", "absorptivity", "latent_fraction")
 
 
@@ -69,12 +71,12 @@ class Slab:
 
     label: str = ""
     layer: tuple[Layer, ...] = ()
-    emissivity: Parameter = Parameter(value=0.95)
+    emissivity: Parameter = EMISSIVITY
     emissivity_mwir: Parameter | None = None
     absorptivity: Parameter | None = None
-    latent_fraction: Parameter = Parameter(value=0.0)
-    wind_coefficient: Parameter = Parameter(value=3.0)
-    back_w_m2_k: Parameter = Parameter(value=0.0)
+    latent_fraction: Parameter = NOTHING
+    wind_coefficient: Parameter = SMOOTH
+    back_w_m2_k: Parameter = NOTHING
     back_c: Parameter | None = None
     max_c: Parameter | None = None
     temperature_c: Parameter | None = None
