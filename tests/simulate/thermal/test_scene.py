@@ -76,6 +76,9 @@ def test_facets_see_sky_ground_and_each_other():
     assert seen.sees[walls, ground] == pytest.approx(0.5, abs=0.01)
     total = seen.sky + seen.sees.sum(axis=1) + seen.beyond
     assert total == pytest.approx(1.0) and seen.rings.shape == (7, 12)
+    # Level ground sees all rings alike; a wall sees more of the sky near the horizon.
+    assert seen.rings[top] == pytest.approx(1.0 / 12.0, abs=0.01)
+    assert (seen.rings[walls, 0] > 3.0 * seen.rings[walls, -1]).all()
     south = walls[np.argmin(facets.normal[walls, 1])]
     assert seen.lit[:, south] == pytest.approx([0.6, 0.0]) and seen.lit[:, top] == pytest.approx(0.8)
 
