@@ -65,7 +65,7 @@ def temperatures(
         view = Night(loaded, camera_of(described(sensor, None)), Conditions()).view
         progress("balance of heat", 0.0)
         found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
-        kelvin = found.map_k(view, lambda share: progress("map", share))
+        kelvin = found.map_k(view, lambda fraction: progress("map", fraction))
         for note in found.balance.weather.notes:
             say(note, events=events)
         if explain:

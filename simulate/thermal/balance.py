@@ -98,7 +98,7 @@ class Balance:
         return sky_radiance(emissivity, weather.air_k, weather.dew_point_k, RING_SINE)
 
     @cached_property
-    def direct(self) -> Array:
+    def direct_sunlight(self) -> Array:
         """Sunlight straight from the sun, shape (step, facet), W m-2; shadows of each day are those of the last one."""
         at, known = np.arange(DAY_STEPS) / SUN_STEPS, np.arange(len(self.exposure.lit))
         lit = np.stack([np.interp(at, known, facet) for facet in self.exposure.lit.T], axis=1)
@@ -107,10 +107,10 @@ class Balance:
     @cached_property
     def sunlight(self) -> Array:
         """Sunlight straight from sun and sky, shape (step, facet), W m-2."""
-        return self.direct + self.weather.diffuse_w_m2[:, None] * self.exposure.sky
+        return self.direct_sunlight + self.weather.diffuse_w_m2[:, None] * self.exposure.sky
 
     @cached_property
-    def reflected(self) -> Array:
+    def reflected_sunlight(self) -> Array:
         """Sunlight by way of one reflection, shape (step, facet), W m-2."""
         beyond = GROUND_REFLECTANCE * self.weather.global_w_m2[:, None] * self.exposure.beyond
         return self._reflect(self.sunlight) + beyond
@@ -130,7 +130,7 @@ class Balance:
         mirrored = self.rings[steps] @ self.exposure.rings.T + (1.0 - self.exposure.sky) * emitted
         return self.emissivity * emitted + (1.0 - self.emissivity) * mirrored
 
-    def solved(self, tolerance_mk: float) -> Solution:
+    def solve(self, tolerance_mk: float) -> Solution:
         """Return the temperatures of facets.
 
         Parameters
@@ -151,12 +151,12 @@ class Balance:
         if not len(free):
             return Solution(faces_k=at_air, kernel=kernel, shaded_k=at_air[-1], shaded_kernel=kernel)
         columns = Columns.of([self.slabs[facet] for facet in free])
-        second, more = self._reflect(self.reflected), 0.0
+        second, more = self._reflect(self.reflected_sunlight), 0.0
         faces, flux, passes = at_air, self._flux(at_air), 1
         while True:
             forcing = self._forcing(free, flux)
             faces = np.array(at_air)
-            faces[:, free] = _followed(columns, forcing)
+            faces[:, free] = _face_temperatures(columns, forcing)
             if passes == 1:
                 kernel[:, free] = kernels(columns, forcing.part(LAST), faces[LAST][:, free])
                 by_two = _effect(kernel, self.heating * second)
@@ -178,9 +178,9 @@ class Balance:
         effects, left_out = (
             tuple(Effect(name=name, influence=1e3 * size) for name, size in table.items()) for table in (terms, left)
         )
-        forcing = self._forcing(free, flux - self.heating * self.direct)
+        forcing = self._forcing(free, flux - self.heating * self.direct_sunlight)
         shaded, shaded_kernel = np.array(at_air), np.zeros_like(kernel)
-        shaded[:, free] = _followed(columns, forcing)
+        shaded[:, free] = _face_temperatures(columns, forcing)
         shaded_kernel[:, free] = kernels(columns, forcing.part(LAST), shaded[LAST][:, free])
         return Solution(
             faces_k=faces,
@@ -217,7 +217,9 @@ class Balance:
 
     def _flux(self, faces_k: Array) -> Array:
         sky, neighbours = self.longwave(faces_k)
-        return self.heating * (self.sunlight + self.reflected) + self.emissivity * (sky + neighbours) + self._heat
+        return (
+            self.heating * (self.sunlight + self.reflected_sunlight) + self.emissivity * (sky + neighbours) + self._heat
+        )
 
     def _forcing(self, free: NDArray[np.int64], flux: Array, *, condensation: bool = True) -> Forcing:
         weather = self.weather
@@ -246,16 +248,16 @@ class Balance:
         even = self.weather.longwave_w_m2[LAST, None] * self.exposure.sky
         return {
             "sun, with its shadows": self.heating * self.sunlight,
-            "sunlight by one reflection": self.heating * self.reflected,
+            "sunlight by one reflection": self.heating * self.reflected_sunlight,
             "sky by its directions, not its mean": self.emissivity * (sky - even),
             "neighbours at their own temperatures": self.emissivity * (neighbours - self.longwave(at_air[LAST])[1]),
-            "evaporation": (self.absorptivity - self.heating) * (self.sunlight + self.reflected),
+            "evaporation": (self.absorptivity - self.heating) * (self.sunlight + self.reflected_sunlight),
             "condensation": condensed,
             "heat sources": self._heat,
         }
 
 
-def _followed(columns: Columns, forcing: Forcing) -> Array:
+def _face_temperatures(columns: Columns, forcing: Forcing) -> Array:
     """Temperatures of faces (step, surface), K: periodic over the first day, then stepped."""
     first, start = periodic_start(columns, forcing.part(slice(0, DAY_STEPS)))
     if len(forcing) == DAY_STEPS:

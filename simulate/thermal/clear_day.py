@@ -66,7 +66,7 @@ def clear_sun(sine: ArrayLike, distance_au: ArrayLike, altitude_m: float, turbid
     return np.where(shines, direct, 0.0), np.where(shines, total - direct * cosine, 0.0)
 
 
-def under_cloud(direct: Array, diffuse: Array, sine: Array, cloud: float) -> tuple[Array, Array]:
+def sun_under_cloud(direct: Array, diffuse: Array, sine: Array, cloud: float) -> tuple[Array, Array]:
     """Return direct and diffuse irradiance where clouds cover a fraction of the sky (Kasten and Czeplak, 1980)."""
     total = (direct * np.maximum(sine, 0.0) + diffuse) * (1.0 - 0.75 * cloud**3.4)
     direct = (1.0 - cloud) * direct

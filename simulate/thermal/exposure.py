@@ -1,7 +1,7 @@
 """What surfaces see of sun, sky and each other: facets of a scene, sampled by rays.
 
 A facet is all of an object's surface of one material that faces about one way. Its points stand for it in the balance
-of heat; single points of a picture differ from it by their own sun and sky.
+of heat; single points of a picture differ from it by what they see of sun and sky.
 """
 
 from dataclasses import dataclass
@@ -156,7 +156,7 @@ def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
     return Spots.on(facets.surfaces, face, np.einsum("sc,sck->sk", weight, corners[face]))
 
 
-def sunlit(surfaces: Surfaces, spots: Spots, sun: Array) -> Array:
+def sun_cosines(surfaces: Surfaces, spots: Spots, sun: Array) -> Array:
     """Return the cosine of the sun's angle where it shines on spots, else 0, shape (time, spot).
 
     Parameters
@@ -236,5 +236,5 @@ def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposur
         rings=rings,
         sees=sees,
         beyond=np.maximum(1.0 - rings.sum(axis=1) - sees.sum(axis=1), 0.0),
-        lit=sunlit(facets.surfaces, spots, sun).reshape(len(sun), count, POINTS).mean(axis=2),
+        lit=sun_cosines(facets.surfaces, spots, sun).reshape(len(sun), count, POINTS).mean(axis=2),
     )

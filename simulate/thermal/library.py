@@ -36,19 +36,19 @@ def slab_of(scene: Scene, surface: Surface) -> Slab:
     Where the scene states the material's reflectance by numbers, the absorptivity is 1 minus that reflectance over the
     sun's spectrum, unless the scene's slab states it; elsewhere that of the slab.
     """
-    own = {slab.label: slab for slab in scene.slab}
+    described = {slab.label: slab for slab in scene.slab}
     name = surface.slab or surface.made.slab
     if name is None:
         raise BadInput(
             f"a material must have a slab for its temperature, got {surface.label!r} without one; give slab = one of "
-            f"{', '.join(sorted({*own, *library()}))}, or describe one in [[slab]]"
+            f"{', '.join(sorted({*described, *library()}))}, or describe one in [[slab]]"
         )
-    if name not in own and name not in library():
+    if name not in described and name not in library():
         raise BadInput(
-            f"slab must be one of {', '.join(sorted({*own, *library()}))}, got {name!r} of {surface.label!r}"
+            f"slab must be one of {', '.join(sorted({*described, *library()}))}, got {name!r} of {surface.label!r}"
         )
-    slab = own.get(name) or library()[name]
-    if slab.absorptivity is not None and (name in own or surface.reflectance is None):
+    slab = described.get(name) or library()[name]
+    if slab.absorptivity is not None and (name in described or surface.reflectance is None):
         return slab
     return replace(slab, absorptivity=_absorptivity(surface))
 
@@ -57,9 +57,9 @@ def _absorptivity(surface: Surface) -> Parameter:
     """1 minus the reflectance over the sun's spectrum; tables end before the sun does and are constant from there."""
     sun = sun_spectrum()
     nm = np.asarray(sun.wavelength_nm)
-    share = np.trapezoid(surface.made.reflected(nm) * sun.density, nm) / np.trapezoid(sun.density, nm)
+    reflectance = np.trapezoid(surface.made.reflected(nm) * sun.density, nm) / np.trapezoid(sun.density, nm)
     return Parameter(
-        value=float(1.0 - share),
+        value=float(1.0 - reflectance),
         standing="derived",
         source=f"reflectance of {surface.label!r} over the sun from {nm[0]:.0f} to {nm[-1]:.0f} nm, its table constant "
         f"beyond {surface.made.wavelength_nm[-1]:.0f} nm",

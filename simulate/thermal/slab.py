@@ -1,6 +1,6 @@
 """Temperatures of layered slabs over time: implicit steps, the periodic state they start from, and their kernels.
 
-Heat flows through each slab only along its depth, and slabs know nothing of each other. Properties do not change with
+Heat flows through each slab only along its depth, and slabs do not act on each other. Properties do not change with
 temperature, so that the inside of a slab is linear: each step eliminates it from the back, solves the balance of the
 face by Newton's method, and substitutes back. All slabs are computed together.
 """
@@ -154,13 +154,13 @@ def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = ST
     for step in range(len(forcing)):
         source = columns.capacity / step_s * inside + columns.back * forcing.behind_k(columns, step)
         reduced = eliminated.reduce(source)
-        face = _balanced(columns, forcing, step, eliminated, reduced[0], face)
+        face = _balance_faces(columns, forcing, step, eliminated, reduced[0], face)
         inside = eliminated.substitute(reduced, face)
         found[step] = face
     return found, inside
 
 
-def _balanced(
+def _balance_faces(
     columns: Columns, forcing: Forcing, step: int, eliminated: "_Elimination", reduced: Array, face: Array
 ) -> Array:
     """Solve the balance of faces: what they absorb is what they lose and conduct inwards."""
@@ -169,7 +169,7 @@ def _balanced(
     for attempt in range(MAX_STEPS):
         lost, slope = forcing.loss(face, step)
         change = (forcing.flux_w_m2[step] + offset - lost - inward * face) / (slope + inward)
-        # Where a law has a kink (dew point, air temperature) whole steps may go to and fro across it.
+        # Where a law has a kink (dew point, air temperature) full steps may go to and fro across it.
         face = np.minimum(face + (change if attempt < 10 else 0.5 * change), columns.max_k)
         if np.abs(np.where(face < columns.max_k, change, 0.0)).max() < CONVERGED_K:
             return face

@@ -18,7 +18,7 @@ from simulate.radiance.world.site import Site
 from simulate.radiance.world.viewpoint import Viewpoint
 from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, SUN_STEPS, Balance, Solution
 from simulate.thermal.convection import ZERO_C
-from simulate.thermal.exposure import Spots, exposure_of, facets_of, sunlit, view
+from simulate.thermal.exposure import Spots, exposure_of, facets_of, sun_cosines, view
 from simulate.thermal.library import slab_of
 from simulate.thermal.slab import STEPS_OF_HOUR
 from simulate.thermal.weather import DAY_STEPS, weather_of
@@ -26,7 +26,7 @@ from simulate.thermal.weather import DAY_STEPS, weather_of
 Array = NDArray[np.float64]
 # Half of the noise-equivalent temperature difference of a 40 mK imager.
 TOLERANCE_MK = 20.0
-# Rays of a pixel to the sky; steps of the day that share one direction of the sun for pixels; rows at a time.
+# Rays of a pixel to the sky; steps of the day with one direction of the sun for pixels; rows at a time.
 PIXEL_RAYS, SLOT_STEPS, ROWS = 64, 3, 16
 # References this near count alike, K.
 NEAR_K = 0.01
@@ -65,7 +65,7 @@ class Temperatures:
         return hours, weather.air_k[steps] - ZERO_C, means
 
     def map_k(
-        self, viewpoint: Viewpoint, progress: Callable[[float], None] = lambda share: None
+        self, viewpoint: Viewpoint, progress: Callable[[float], None] = lambda fraction: None
     ) -> NDArray[np.float32]:
         """Return the temperatures of the middles of a view's pixels at the scene's time, NaN for the sky, K.
 
@@ -104,10 +104,10 @@ class Temperatures:
         beyond = 1.0 - rings.sum(axis=1) - np.bincount(spot, minlength=len(facet)) / even.rays
         sun = self.balance.weather.sun[LAST][slots]
         up = np.flatnonzero(sun[:, 2] > 0.0)
-        lit = sunlit(facets.surfaces, spots, sun[up])
+        lit = sun_cosines(facets.surfaces, spots, sun[up])
         found, weight = [], []
         for by in self._references:
-            change = np.einsum("sr,sr->s", by.rings[facet], rings) + by.beyond[facet] * beyond - by.own[facet]
+            change = np.einsum("sr,sr->s", by.rings[facet], rings) + by.beyond[facet] * beyond - by.due_k[facet]
             change += np.bincount(spot, by.surfaces[facet[spot], other], len(facet)) / even.rays
             change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
             found.append(by.last_k[facet] + change)
@@ -124,7 +124,7 @@ class Temperatures:
         balance, weather, exposure = self.balance, self.balance.weather, self.balance.exposure
         heating, emissivity = balance.heating, balance.emissivity
         direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, SLOT_STEPS, kernel.shape[1]).sum(axis=1)
-        sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.reflected)[LAST]
+        sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.reflected_sunlight)[LAST]
         longwave = balance.radiosity(self.solution.faces_k[LAST])
         ground = GROUND_REFLECTANCE * weather.global_w_m2[LAST], STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4
         sun = heating * direct
@@ -132,9 +132,9 @@ class Temperatures:
         rings = sky + emissivity[:, None] * (kernel.T @ balance.rings[LAST])
         surfaces = heating[:, None] * (kernel.T @ sunlight) + emissivity[:, None] * (kernel.T @ longwave)
         beyond = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
-        own = (rings * exposure.rings).sum(axis=1) + (surfaces * exposure.sees).sum(axis=1) + beyond * exposure.beyond
-        own += (sun * lit[np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS) // SUN_STEPS]).sum(axis=0)
-        return _Reference(last_k=last_k, own=own, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond)
+        due = (rings * exposure.rings).sum(axis=1) + (surfaces * exposure.sees).sum(axis=1) + beyond * exposure.beyond
+        due += (sun * lit[np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS) // SUN_STEPS]).sum(axis=0)
+        return _Reference(last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ class _Reference:
 
     Parameters
     ----------
-    last_k, own
+    last_k, due_k
         The temperature, and what of it is due to all that the facet sees, shape (facet,).
     sun
         By the sun in each slot of the day at a cosine of 1, shape (slot, facet).
@@ -153,7 +153,7 @@ class _Reference:
     """
 
     last_k: Array
-    own: Array
+    due_k: Array
     sun: Array
     rings: Array
     surfaces: Array
@@ -192,4 +192,4 @@ def temperatures_of(scene: Scene, *, tolerance_mk: float = TOLERANCE_MK, seed: i
         weather=weather,
         state=scene.weather,
     )
-    return Temperatures(balance, balance.solved(tolerance_mk))
+    return Temperatures(balance, balance.solve(tolerance_mk))

@@ -1,4 +1,4 @@
-"""The weather up to a scene's time, in steps: of files, or of a synthetic day through the scene's own numbers."""
+"""The weather up to a scene's time, in steps: of files, or of a synthetic day through the scene's numbers."""
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -13,7 +13,7 @@ from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.sky.ephemeris import EARTH_RADIUS_KM, Place
 from simulate.radiance.world.description.scene import Scene
 from simulate.radiance.world.description.surroundings import Weather as State
-from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, under_cloud
+from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, sun_under_cloud
 from simulate.thermal.convection import ZERO_C, dew_point_k
 from simulate.thermal.slab import STEP_S
 from simulate.thermal.weather_files import Record, read_weather
@@ -79,7 +79,7 @@ class Weather:
 
 
 def weather_of(scene: Scene) -> Weather:
-    """Return the weather before a scene's time: a day, or the whole days up to `MAX_DAYS` that its files cover.
+    """Return the weather before a scene's time: a day, or the full days up to `MAX_DAYS` that its files cover.
 
     Raises
     ------
@@ -96,16 +96,16 @@ def weather_of(scene: Scene) -> Weather:
         )
     place = Place(latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m)
     if not state.file:
-        return _synthetic(state, place, where.moment)
+        return _synthetic_day(state, place, where.moment)
     names = (state.file,) if isinstance(state.file, str) else state.file
-    return from_files([scene.file(name) for name in names], place, where.moment, state.linke_turbidity)
+    return weather_from_files([scene.file(name) for name in names], place, where.moment, state.linke_turbidity)
 
 
 def _times(moment: datetime, steps: int) -> list[datetime]:
     return [moment - timedelta(seconds=(steps - 1 - step) * STEP_S) for step in range(steps)]
 
 
-def _synthetic(state: State, place: Place, moment: datetime) -> Weather:
+def _synthetic_day(state: State, place: Place, moment: datetime) -> Weather:
     """A day that passes through the state at the scene's time."""
     times = _times(moment, DAY_STEPS)
     sun, distance = sun_directions(place, times)
@@ -125,7 +125,7 @@ def _synthetic(state: State, place: Place, moment: datetime) -> Weather:
             f"the dew point is that of the day's coldest air, {coldest - ZERO_C:.1f} C, not {dew - ZERO_C:.1f} C",
         )
     direct, diffuse = clear_sun(sun[:, 2], distance, place.altitude_m, state.linke_turbidity)
-    direct, diffuse = under_cloud(direct, diffuse, sun[:, 2], state.cloud)
+    direct, diffuse = sun_under_cloud(direct, diffuse, sun[:, 2], state.cloud)
     return Weather(
         place=place,
         moment=moment,
@@ -140,7 +140,7 @@ def _synthetic(state: State, place: Place, moment: datetime) -> Weather:
     )
 
 
-def from_files(paths: list[Path], place: Place, moment: datetime, turbidity: float = 3.8) -> Weather:
+def weather_from_files(paths: list[Path], place: Place, moment: datetime, turbidity: float = 3.8) -> Weather:
     """Return the weather of files up to a moment; see `weather_of`."""
     records = [read_weather(path, moment) for path in paths]
     names = ", ".join(record.name for record in records)
@@ -149,12 +149,12 @@ def from_files(paths: list[Path], place: Place, moment: datetime, turbidity: flo
         raise BadInput(
             f"a weather file must be from within {FARTHEST_KM:g} km of the scene, got {names} {away:.0f} km away"
         )
-    record = _joined(records, names)
+    record = _join(records, names)
     begins = np.concatenate([record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]])
     begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
     covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
     times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, MAX_DAYS)))
-    found = {name: _at(record, name, times) for name in record.columns}
+    found = {name: _column_at(record, name, times) for name in record.columns}
     sun, distance = sun_directions(place, times)
     clear = clear_sun(sun[:, 2], distance, place.altitude_m, turbidity)
     for name, light in zip(("direct_w_m2", "diffuse_w_m2"), clear, strict=True):
@@ -179,7 +179,7 @@ def from_files(paths: list[Path], place: Place, moment: datetime, turbidity: flo
     )
 
 
-def _joined(records: list[Record], names: str) -> Record:
+def _join(records: list[Record], names: str) -> Record:
     """Return the rows of several files, with the columns that all have."""
     first = records[0]
     time_s, order = np.unique(np.concatenate([record.time_s for record in records]), return_index=True)
@@ -188,7 +188,7 @@ def _joined(records: list[Record], names: str) -> Record:
     return replace(first, name=names, time_s=time_s, columns=columns)
 
 
-def _at(record: Record, name: str, times: list[datetime]) -> Array:
+def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
     """Return a column at times, linear between rows; gaps longer than a step or a row are refused."""
     seconds = np.array([time.timestamp() for time in times])
     fine = np.isfinite(record.columns[name])

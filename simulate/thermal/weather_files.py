@@ -56,7 +56,7 @@ class Record:
     interval_s
         Time between rows, s.
     notes
-        What a reader of the temperatures should know, in sentences.
+        Where values come from, in sentences.
     """
 
     name: str
@@ -94,17 +94,17 @@ def _epw(name: str, lines: list[str], moment: datetime) -> Record:
     head, rows = lines[0].split(","), [line.split(",") for line in lines[8:]]
     dates = [(int(row[1]), int(row[2]), int(row[3])) for row in rows]
     note = f"longwave of {name} is as the file gives it; most EPW files hold that of a model, not a measurement"
-    return _typical(name, head[6:10], dates, float(head[8]), _read(rows, EPW), moment, note)
+    return _typical_year(name, head[6:10], dates, float(head[8]), _read(rows, EPW), moment, note)
 
 
 def _tmy3(name: str, lines: list[str], moment: datetime) -> Record:
     head, rows = lines[0].split(","), list(csv.DictReader(lines[1:]))
     dates = [(*map(int, row[DATE].split("/")[:2]), int(row[HOUR].split(":")[0])) for row in rows]
     place = [head[4], head[5], head[3], head[6]]
-    return _typical(name, place, dates, float(head[3]), _read(rows, TMY3), moment, f"{name} has no longwave")
+    return _typical_year(name, place, dates, float(head[3]), _read(rows, TMY3), moment, f"{name} has no longwave")
 
 
-def _typical(
+def _typical_year(
     name: str, place: list[str], dates: list, zone_h: float, columns: dict[str, Array], moment: datetime, note: str
 ) -> Record:
     """Rows of a typical year, whose hours stamp their end, as of the year of a moment and the one before."""

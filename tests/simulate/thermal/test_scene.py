@@ -129,7 +129,7 @@ def test_an_isothermal_world_stays_at_its_temperature():
     scene = scene_of(
         plane("ground", 100.0), box("cube", [2, 2, 2]), box("tin", [1, 1, 1], "metal", position_m=[4, 0, 0])
     )
-    found = dark_room(scene).solved(0.0)
+    found = dark_room(scene).solve(0.0)
     assert found.faces_k == pytest.approx(285.0, abs=1e-6)
 
 
@@ -160,7 +160,7 @@ def test_shade_all_day_leaves_concrete_colder():
     balance = lit.balance
     dark = replace(balance, exposure=replace(balance.exposure, lit=0.0 * balance.exposure.lit))
     dark = replace(dark, weather=replace(balance.weather, diffuse_w_m2=0.0 * balance.weather.diffuse_w_m2))
-    change = dark.solved(20.0).faces_k[-1, 0] - lit.solution.faces_k[-1, 0]
+    change = dark.solve(20.0).faces_k[-1, 0] - lit.solution.faces_k[-1, 0]
     assert -6.0 < change < -3.0
     assert last_c(temperatures_of(scene_of(plane("ground", 30.0), roof)), "ground") != last_c(lit, "ground")
 

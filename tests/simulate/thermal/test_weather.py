@@ -16,7 +16,7 @@ from simulate.thermal.clear_day import clear_sun, sky_emissivity, sky_radiance, 
 from simulate.thermal.convection import ZERO_C, dew_point_k, vapour_pressure_pa
 from simulate.thermal.library import library
 from simulate.thermal.slab import Columns, march, periodic_start
-from simulate.thermal.weather import DAY_STEPS, from_files, weather_of
+from simulate.thermal.weather import DAY_STEPS, weather_from_files, weather_of
 from tests.simulate.thermal.slabs import forcing_of
 
 ROCHESTER = Place(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
@@ -139,7 +139,7 @@ def epw(path, *, cut=slice(None), wind="2.0", longwave="310"):
 
 
 def test_hours_of_an_epw_stamp_their_end_and_sunlight_follows_the_clear_sky(tmp_path):
-    weather = from_files([epw(tmp_path / "roc.epw")], ROCHESTER, NOON)
+    weather = weather_from_files([epw(tmp_path / "roc.epw")], ROCHESTER, NOON)
     clear, _ = clear_sun(weather.sun[:, 2], sun_directions(ROCHESTER, weather.times)[1], 150.0, 3.8)
     high = weather.sun[:, 2] > 0.1
     assert weather.direct_w_m2[high] == pytest.approx(clear[high], rel=0.03)
@@ -161,7 +161,7 @@ def test_a_tmy3_has_no_longwave_and_says_that_it_was_modelled(tmp_path):
         rows.append(f"{date.month:02}/{date.day:02}/1990,{date.hour + 1:02}:00,{light},0,18,10,995,2")
     path = tmp_path / "725290.csv"
     path.write_text("\n".join(rows))
-    weather = from_files([path], ROCHESTER, NOON)
+    weather = weather_from_files([path], ROCHESTER, NOON)
     assert any("modelled" in note for note in weather.notes)
     black = STEFAN_BOLTZMANN * 291.15**4
     assert weather.longwave_w_m2 / black == pytest.approx(0.774, abs=0.015)
@@ -183,7 +183,7 @@ def own(
 
 
 def test_a_csv_of_this_project_is_read_as_it_is(tmp_path):
-    weather = from_files([own(tmp_path / "day.csv", minutes=5)], ROCHESTER, NOON)
+    weather = weather_from_files([own(tmp_path / "day.csv", minutes=5)], ROCHESTER, NOON)
     assert len(weather) == DAY_STEPS
     assert weather.longwave_w_m2[[0, -1]] == pytest.approx([300 + 13, 300 + 300])
     assert weather.direct_w_m2 == pytest.approx(600.0)
@@ -209,7 +209,7 @@ def test_a_csv_of_this_project_is_read_as_it_is(tmp_path):
 )
 def test_bad_weather_files_are_refused_in_one_sentence(tmp_path, write, words):
     with pytest.raises(BadInput, match=words) as refused:
-        from_files([write(tmp_path)], ROCHESTER, NOON)
+        weather_from_files([write(tmp_path)], ROCHESTER, NOON)
     assert "\n" not in str(refused.value)
 
 
@@ -236,7 +236,7 @@ def test_alamosa_is_met_with_nothing_fitted(shared_data):
         pytest.skip("the two days of Alamosa are not among the shared data")
     files = [folder / "slv15365.dat", folder / "slv16001.dat"]
     place = Place(latitude_deg=37.70, longitude_deg=-105.92, altitude_m=2317.0)
-    weather = from_files(files, place, datetime(2016, 1, 2, tzinfo=UTC))
+    weather = weather_from_files(files, place, datetime(2016, 1, 2, tzinfo=UTC))
     assert len(weather) == 2 * DAY_STEPS and any("measured" in note for note in weather.notes)
     rows = np.concatenate([np.loadtxt(file, skiprows=2) for file in files])[4::5]
     assert len(rows) == len(weather)
