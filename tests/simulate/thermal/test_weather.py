@@ -110,29 +110,16 @@ def hours_of(place, first, count):
     return ends, [part.reshape(-1, 12).mean(axis=1) for part in light]
 
 
-def epw(path, *, cut=slice(None), wind="2.0", longwave="310"):
-    """Write an EPW of three days of clear sun at Rochester, and return the path."""
+def epw(path, *, cut=slice(None), wind="2.0", longwave="310", dim_until=0):
+    """Write an EPW of four clear days at Rochester, dim until an hour of standard time, and return the path."""
     first = datetime(1998, 6, 21, 0, tzinfo=timezone(timedelta(hours=-5)))
     _, (direct, diffuse) = hours_of(ROCHESTER, first, 96)
     rows = ["LOCATION,Rochester,NY,USA,TEST,725290,43.16,-77.61,-5.0,150.0", *["X"] * 7]
     for hour in range(96):
         time = first + timedelta(hours=hour)
-        row = [
-            "1985",
-            time.month,
-            time.day,
-            time.hour + 1,
-            0,
-            "flags",
-            15 + hour % 24 / 2,
-            10,
-            70,
-            99500,
-            0,
-            0,
-            longwave,
-        ]
-        row += [0, f"{direct[hour]:.1f}", f"{diffuse[hour]:.1f}", 0, 0, 0, 0, 180, wind, 0, 0]
+        warm, dim = 15 + hour % 24 / 2, 0.4 if time.hour < dim_until else 1.0
+        row = ["1985", time.month, time.day, time.hour + 1, 0, "flags", warm, 10, 70, 99500, 0, 0, longwave, 0]
+        row += [f"{dim * direct[hour]:.1f}", f"{diffuse[hour]:.1f}", 0, 0, 0, 0, 180, wind, 0, 0]
         rows.append(",".join(map(str, row)))
     path.write_text("\n".join([*rows[:8], *rows[8:][cut]]))
     return path
@@ -148,6 +135,16 @@ def test_hours_of_an_epw_stamp_their_end_and_sunlight_follows_the_clear_sky(tmp_
     # Noon of summer time is 11 h of standard time: the end of the file's hour 11, which has 15 + 10/2.
     assert weather.air_k[-1] - ZERO_C == pytest.approx(20.0)
     assert any("model" in note for note in weather.notes) and any("typical" in note for note in weather.notes)
+
+
+def test_sunlight_of_hours_belongs_to_their_middle(tmp_path):
+    weather = weather_from_files([epw(tmp_path / "roc.epw", dim_until=10)], ROCHESTER, NOON)
+    clear, _ = clear_sun(weather.sun[:, 2], sun_directions(ROCHESTER, weather.times)[1], 150.0, 3.8)
+    # Summer time is an hour ahead of the file's: its hour from 9 to 10 is dim, that from 10 to 11 is not.
+    hour = np.array([time.hour + time.minute / 60.0 for time in weather.times])
+    for at, part in ((10.5, 0.4), (11.0, 0.7), (11.5, 1.0)):
+        last = np.flatnonzero(np.isclose(hour, at))[-1]
+        assert weather.direct_w_m2[last] / clear[last] == pytest.approx(part, abs=0.03)
 
 
 def test_a_tmy3_has_no_longwave_and_says_that_it_was_modelled(tmp_path):
