@@ -23,7 +23,7 @@ STEP_S = 300.0
 # Newton's method on the balance of the face ends below this change, K; it takes 3 to 5 steps.
 CONVERGED_K, MAX_STEPS = 1e-6, 60
 # The periodic state changes by less than this in a pass, K.
-PERIODIC_K, MAX_PASSES = 1e-4, 500
+PERIODIC_K, MAX_PASSES = 1e-4, 5000
 # A kernel is followed back until a day adds less than this fraction of it, in steps of an hour.
 KERNEL_FRACTION, MAX_DAYS, STEPS_OF_HOUR = 1e-4, 90, 12
 
@@ -229,13 +229,17 @@ def periodic_start(columns: Columns, forcing: Forcing, step_s: float = STEP_S) -
     reduced = eliminated.reduce(columns.back[:, None] * np.fft.rfft(behind, axis=0))
     front, through = columns.conductance[0], eliminated.pivot[0]
     admittance, offset = front * (1.0 - front / through), front * reduced[0] / through
-    face = np.array(np.broadcast_to(forcing.air_k, (steps, surfaces)))
+    face, melting = np.minimum(forcing.air_k, columns.max_k), np.zeros((steps, surfaces))
     for _ in range(MAX_PASSES):
         lost, slope = forcing.loss(face, slice(None))
         linear = 0.5 * (slope.max(axis=0) + slope.min(axis=0))
-        remainder = np.fft.rfft(forcing.flux_w_m2 - lost + linear * face, axis=0)
-        new = np.minimum(np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0), columns.max_k)
-        change, face = np.abs(new - face).max(), new
+        remainder = np.fft.rfft(forcing.flux_w_m2 - melting - lost + linear * face, axis=0)
+        new = np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0)
+        # Melting takes what would warm the face beyond its limit; the limit is met when it no longer changes.
+        taken = np.where(columns.max_k < np.inf, np.maximum(melting + linear * (new - columns.max_k), 0.0), 0.0)
+        new = np.minimum(new, columns.max_k)
+        change = max(np.abs(new - face).max(), np.abs((taken - melting) / linear).max())
+        face, melting = new, taken
         if change < PERIODIC_K:
             cells = eliminated.substitute(reduced, np.fft.rfft(face, axis=0))
             weight = np.where((np.arange(len(turn)) == 0) | (2 * np.arange(len(turn)) == steps), 1.0, 2.0)

@@ -188,3 +188,38 @@ def test_kernels_are_the_effect_of_lost_sun():
         assert linear == pytest.approx(lost, abs=error)
     assert lost[:1] == pytest.approx(-3.7, abs=0.3)
     assert hour[-1] == 2.0 and kernel[:, 3].sum() < 0.1
+
+
+@pytest.mark.parametrize("trial", range(12))
+def test_any_slabs_in_any_weather_start_where_days_lead(trial):
+    rng = np.random.default_rng([trial, 7])
+
+    def layer():
+        return tuple(10.0 ** rng.uniform(low, high) for low, high in ((-1.7, 2.3), (1.3, 4.0), (2.6, 3.7), (-2.0, 3.0)))
+
+    slabs = []
+    for number in range(5):
+        numbers = {"back_w_m2_k": 10.0 ** rng.uniform(-2.0, 2.0)} | ({"max_c": 0.0} if number == 0 else {})
+        slabs.append(slab_of(*(layer() for _ in range(rng.integers(1, 4))), **numbers))
+    columns = Columns.of(slabs)
+    air = rng.uniform(250.0, 300.0) + rng.uniform(0.0, 20.0) * np.sin(2.0 * np.pi * (TIME / DAY - rng.random()))
+    sun = (
+        rng.uniform(0.0, 1100.0)
+        * np.maximum(np.sin(2.0 * np.pi * (TIME / DAY - 0.25)), 0.0)
+        * (rng.random(STEPS) > 0.3)
+    )
+    emissivity, absorptivity = rng.uniform(0.02, 1.0, 5), rng.uniform(0.0, 1.0, 5)
+    sky = rng.uniform(0.5, 1.05) * STEFAN_BOLTZMANN * air[:, None] ** 4
+    forcing = forcing_of(
+        absorptivity * sun[:, None] + emissivity * sky,
+        air,
+        emissivity=emissivity,
+        h=2.0,
+        law=("buoyant", "mcadams", "watmuff", "constant")[trial % 4],
+        wind_m_s=rng.choice([0.0, 1.0, 15.0]) * rng.random(STEPS),
+        vapour_pa=vapour_pressure_pa(air.min() - rng.choice([0.0, 5.0, 20.0])),
+        upward=rng.uniform(-1.0, 1.0, 5),
+    )
+    face, start = periodic_start(columns, forcing)
+    assert march(columns, forcing, start)[0] == pytest.approx(face, abs=3e-3)
+    assert (face[:, 0] <= 273.15).all()
