@@ -133,6 +133,20 @@ def test_an_isothermal_world_stays_at_its_temperature():
     assert found.faces_k == pytest.approx(285.0, abs=1e-6)
 
 
+def test_walls_receive_what_the_ground_before_them_sends():
+    scene = scene_of(plane("ground", 4000.0), box("cube", [2, 2, 2]))
+    balance = temperatures_of(scene).balance
+    ground = int(np.argmax(balance.facets.area_m2))
+    walls = np.flatnonzero(np.abs(balance.facets.normal[:, 2]) < 0.5)
+    sent = (1.0 - balance.absorptivity[ground]) * balance.sunlight[:, [ground]]
+    assert sent.max() > 200.0
+    assert balance.reflected_sunlight[:, walls] == pytest.approx(np.repeat(0.5 * sent, 4, axis=1), rel=0.03)
+    warm = np.full((len(balance.weather), len(balance.facets)), 300.0)
+    _, neighbours = balance.longwave(warm)
+    assert neighbours[:, walls] == pytest.approx(0.5 * STEFAN_BOLTZMANN * 300.0**4, rel=0.04)
+    assert neighbours[:, ground].max() < 2.0
+
+
 def test_the_hangar_at_night_is_as_the_paper_has_it():
     found = temperatures_of(load_scene("hangar"))
     air = float(found.balance.weather.air_k[-1] - ZERO_C)
@@ -191,14 +205,14 @@ def test_sources_and_prescribed_temperatures_act():
         plane("ground", 60.0),
         box("cold", [1, 1, 1], position_m=[-4, 0, 0.2]),
         box("engine", [1, 1, 1], position_m=[4, 0, 0.2], heat_w_m2=200.0),
-        box("was running", [1, 1, 1], position_m=[8, 0, 0.2], heat_w_m2=200.0, heat_hours=[20, 23]),
+        box("was running", [1, 1, 1], position_m=[8, 0, 0.2], heat_w_m2=200.0, heat_hours=[20, 0]),
         box("person", [0.5, 0.5, 1.8], "face", position_m=[0, 0, 0]),
         box("exhaust", [0.2, 0.2, 0.2], position_m=[0, 6, 0.3], temperature_c=200.0),
         box("tyre", [0.2, 0.8, 0.8], position_m=[2, 6, 0.3], above_air_k=10.0),
     )
     found = temperatures_of(scene)
     assert last_c(found, "engine") > last_c(found, "cold") + 10.0
-    assert abs(last_c(found, "was running") - last_c(found, "cold")) < 0.3
+    assert abs(last_c(found, "was running") - last_c(found, "cold")) < 1.0
     steps = [time.hour for time in found.balance.weather.times]
     tops = [facing(found, name, (0, 0, 1)) for name in ("was running", "cold")]
     hotter = np.subtract(*found.solution.faces_k[:, tops].T)
