@@ -22,6 +22,7 @@ from charact.cli import (
     sessions,
     simulation,
     studies,
+    temperatures,
     watching,
 )
 
@@ -58,6 +59,7 @@ app.add_typer(importing.app, name="import")
 for verbs in (
     loop,
     simulation,
+    temperatures,
     planning,
     acquisition,
     securing,

@@ -44,6 +44,8 @@ class Material:
         Share of the light in the lobe, and the angle between light and eye at which it has fallen to half.
     emissivity
         Between 8 and 12 um, dimensionless; None if unknown.
+    slab
+        Name of the slab (`simulate.thermal.library`) that it covers unless a scene says otherwise; None without one.
     source
         Where the numbers come from.
     """
@@ -57,6 +59,7 @@ class Material:
     retroreflected_share: float | None = None
     half_width_deg: float | None = None
     emissivity: float | None = None
+    slab: str | None = None
     source: str = ""
 
     def __post_init__(self) -> None:

@@ -38,6 +38,9 @@ class Surface:
         Luminous exitance of a surface that glows, lm/m2; its spectrum is that of `lamp`.
     lamp
         Kind of lamp whose spectrum the glow has.
+    slab
+        What lies below the surface, for its temperature: a label of the scene's slabs or a name in
+        `simulate.thermal.library`; None: that of the library entry.
     """
 
     label: str
@@ -53,6 +56,7 @@ class Surface:
     pane_transmittance: tuple[float, ...] | None = None
     glow_lm_per_m2: float = 0.0
     lamp: str = "incandescent"
+    slab: str | None = None
 
     def __post_init__(self) -> None:
         kinds = (self.library, self.reflectance, self.measured, self.pane_transmittance)

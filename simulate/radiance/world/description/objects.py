@@ -57,6 +57,11 @@ class Object(Pose):
         Share of its surface that is open, as between leaves, dimensionless: triangles are left out of every copy alike.
     instances
         Poses of copies; without any it stands once, as its own pose says.
+    temperature_c, above_air_k
+        Temperature of all of its surface, in place of what its slab gives: constant, C, or above that of the air, K.
+    heat_w_m2, heat_hours
+        Heat that its surface gets from within, W m-2, and from which hour to which of the scene's local time, such as
+        [22, 2.5]; without hours always.
     """
 
     label: str
@@ -69,6 +74,10 @@ class Object(Pose):
     map_materials: tuple[str, ...] = ()
     gaps: float = 0.0
     instances: tuple[Pose, ...] = ()
+    temperature_c: float | None = None
+    above_air_k: float | None = None
+    heat_w_m2: float = 0.0
+    heat_hours: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -78,6 +87,13 @@ class Object(Pose):
             raise BadInput(f"an object must have either a material or a map and its materials, got {self.label!r}")
         if self.map is not None and self.shape != "plane":
             raise BadInput(f"a material map must lie on a plane, got {self.label!r}")
+        if self.temperature_c is not None and (self.above_air_k is not None or self.temperature_c <= -273.15):
+            raise BadInput(
+                "an object must have either a temperature_c above -273.15 or above_air_k, got "
+                f"{self.temperature_c:g} and {self.above_air_k} of {self.label!r}"
+            )
+        if self.heat_hours is not None and not all(0.0 <= hour <= 24.0 for hour in self.heat_hours):
+            raise BadInput(f"heat_hours must lie between 0 and 24, got {list(self.heat_hours)} of {self.label!r}")
         if not 0.0 <= self.gaps < 1.0:
             raise BadInput(f"gaps must lie in [0, 1), got {self.gaps:g} of {self.label!r}")
         if self.file is not None and self.unit is None:

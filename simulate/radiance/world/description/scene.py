@@ -9,6 +9,7 @@ from simulate.radiance.world.description.camera import Camera
 from simulate.radiance.world.description.lamp_post import LampPost
 from simulate.radiance.world.description.material import Surface
 from simulate.radiance.world.description.objects import Object
+from simulate.radiance.world.description.slab import Slab
 from simulate.radiance.world.description.surroundings import Sky, Weather, Where
 
 
@@ -29,8 +30,8 @@ class Scene:
         scatters none back.
     sky
         What shines in the sky of a place.
-    material, object, lamp
-        Tables of materials, objects and lamps.
+    material, object, lamp, slab
+        Tables of materials, objects, lamps and slabs.
     folder
         Where its files lie.
     """
@@ -43,10 +44,12 @@ class Scene:
     material: tuple[Surface, ...] = ()
     object: tuple[Object, ...] = ()
     lamp: tuple[LampPost, ...] = ()
+    slab: tuple[Slab, ...] = ()
     folder: str = "."
 
     def __post_init__(self) -> None:
-        for kind, things in (("material", self.material), ("object", self.object), ("lamp", self.lamp)):
+        tables = ("material", self.material), ("object", self.object), ("lamp", self.lamp), ("slab", self.slab)
+        for kind, things in tables:
             labels = [thing.label for thing in things]
             twice = sorted({label for label in labels if labels.count(label) > 1})
             if twice:

@@ -1,0 +1,181 @@
+"""The verb `temperatures`: surface temperatures of a scene out of doors over a day, and of what its camera sees."""
+
+import io
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from charact.cli import options
+from charact.cli.output import bad_input_ends, say
+from charact.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    from simulate.thermal.temperatures import Temperatures
+
+ZERO_C = 273.15
+# Per cent of the map's pixels between which its scale runs.
+SHOWN_PERCENT = (0.5, 99.5)
+WIDTH_INCHES, DPI = 9.0, 120
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the verb to the command."""
+    app.command()(temperatures)
+
+
+def temperatures(
+    scene: Annotated[Path, typer.Argument(help="Scene out of doors (.toml, or a shipped one's name).")],
+    out: Annotated[Path, typer.Argument(help="New folder for tables and pictures.")],
+    sensor: Annotated[
+        str, typer.Option(help="Camera whose lens and pixels the map has: a shipped one's name, or a TOML.")
+    ] = "pulnix-ag5745ef3",
+    within_mk: Annotated[
+        float, typer.Option(help="What terms left out may change at the scene's time, mK.", min=0.0)
+    ] = 20.0,
+    seed: options.Seed = 0,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Print what each term changes, and what is left out.")
+    ] = False,
+    events: options.Events = False,
+) -> None:
+    """Surface temperatures of a scene over the day before its time, and the map of what its camera sees.
+
+    Example: charact temperatures hangar warm --explain
+    """
+    with bad_input_ends(str(scene), events=events), progress_bar(events=events) as progress:
+        from charact.cli.simulating import described
+        from labdata.conditions import Conditions
+        from labdata.durable import write_durably
+        from labdata.errors import BadInput
+        from simulate.cameras import camera_of
+        from simulate.night import Night
+        from simulate.radiance.scene import LabScene, load_scene
+        from simulate.thermal.temperatures import temperatures_of
+
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise BadInput(f"OUT must be a new or empty folder, got {out}; nothing is overwritten")
+        loaded = load_scene(scene)
+        if isinstance(loaded, LabScene):
+            raise BadInput(f"surface temperatures need a scene out of doors, got the lab bench {loaded.name!r}")
+        view = Night(loaded, camera_of(described(sensor, None)), Conditions()).view
+        progress("balance of heat", 0.0)
+        found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
+        kelvin = found.map_k(view, lambda fraction: progress("map", fraction))
+        for note in found.balance.weather.notes:
+            say(note, events=events)
+        if explain:
+            print("\n".join(_terms(found, within_mk)))
+        title = f"{loaded.name}, {found.balance.weather.moment.isoformat(sep=' ', timespec='minutes')}"
+        out.mkdir(parents=True, exist_ok=True)
+        write_durably(out / "temperatures.csv", _table(found).encode())
+        write_durably(out / "temperatures.json", json.dumps(_document(found), indent=1).encode())
+        for name, figure in (("temperatures.png", _curves(found, title)), ("map.png", _map(kelvin, title))):
+            _save(figure, out / name)
+        _save_map(kelvin, out / "map.npz")
+        print(f"{out}: temperatures.csv, temperatures.png, map.png, map.npz (kelvin), temperatures.json (numbers used)")
+
+
+def _terms(found: "Temperatures", within_mk: float) -> list[str]:
+    """Return lines on the terms that are kept and left out."""
+    solution = found.solution
+    lines = [f"{'term':58}  {'changes at most, mK':>20}"]
+    for effects, verdict in ((solution.effects, "kept"), (solution.left_out, "left out")):
+        ordered = sorted(effects, key=lambda effect: -effect.influence)
+        lines += [f"{effect.name:58}  {effect.influence:20.3g}  {verdict}" for effect in ordered]
+    together = sum(effect.influence for effect in solution.left_out)
+    return [*lines, f"left out together: at most {together:.3g} mK; each may have {within_mk:g} mK"]
+
+
+def _table(found: "Temperatures") -> str:
+    import csv
+
+    hours, air, surfaces = found.means_c()
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["hour", "air_c", *(f"{name}_c" for name in surfaces)])
+    for row, hour in enumerate(hours):
+        rows.writerow([f"{hour:g}", f"{air[row]:.3f}", *(f"{values[row]:.3f}" for values in surfaces.values())])
+    return text.getvalue()
+
+
+def _document(found: "Temperatures") -> dict:
+    """Return terms, notes, and every number of the slabs with standing and source, as plain values."""
+    from dataclasses import asdict
+
+    balance, solution = found.balance, found.solution
+    slabs = dict(zip(balance.facets.names, balance.slabs, strict=True))
+    return {
+        "weather": list(balance.weather.notes),
+        "terms": [{"name": e.name, "changes_mk": e.influence, "kept": True} for e in solution.effects]
+        + [{"name": e.name, "changes_mk": e.influence, "kept": False} for e in solution.left_out],
+        "slabs": {
+            name: {"label": slab.label} | {key: asdict(number) for key, number in slab.parameters().items()}
+            for name, slab in slabs.items()
+        },
+    }
+
+
+def _curves(found: "Temperatures", title: str) -> "Figure":
+    """Temperatures of the air and of each object's materials against hours before the scene's time."""
+    from matplotlib.figure import Figure
+
+    _, air, surfaces = found.means_c()
+    hours = range(-24, 1)
+    figure = Figure(figsize=(WIDTH_INCHES, 0.6 * WIDTH_INCHES), layout="constrained")
+    axes = figure.subplots()
+    ordered = sorted(surfaces.items(), key=lambda item: -item[1][-1])
+    for number, (name, values) in enumerate(ordered):
+        style = ("-", "--", ":")[number // 10 % 3]
+        axes.plot(hours, values, style, color=f"C{number % 10}", lw=1.3, label=f"{name}  {values[-1]:.1f} C")
+    axes.plot(hours, air, color="black", lw=2.0, label=f"air  {air[-1]:.1f} C")
+    axes.set(xlabel="hours before the scene's time", ylabel="temperature, C", xlim=(-24, 0), xticks=range(-24, 1, 3))
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, frameon=False, title="mean at that time")
+    return figure
+
+
+def _map(kelvin: "np.ndarray", title: str) -> "Figure":
+    """Temperatures of the view's surfaces; the sky has none."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    celsius = kelvin - ZERO_C
+    seen = celsius[np.isfinite(celsius)]
+    low, high = np.percentile(seen, SHOWN_PERCENT) if seen.size else (0.0, 1.0)
+    rows, columns = celsius.shape
+    figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * rows / columns * 0.87 + 0.5), layout="constrained")
+    axes = figure.subplots()
+    axes.set_facecolor("lightgrey")
+    image = axes.imshow(celsius, cmap="inferno", vmin=low, vmax=max(high, low + 1.0), interpolation="nearest")
+    bar = figure.colorbar(image, ax=axes, extend="both", shrink=0.9, pad=0.02)
+    bar.set_label("surface temperature, C (sky: grey)")
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.set(xlabel="column, px", ylabel="row, px")
+    return figure
+
+
+def _save(figure: "Figure", path: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    from labdata.durable import write_durably
+
+    FigureCanvasAgg(figure)
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=DPI)
+    write_durably(path, content.getbuffer())
+
+
+def _save_map(kelvin: "np.ndarray", path: Path) -> None:
+    import numpy as np
+
+    from labdata.durable import write_durably
+
+    content = io.BytesIO()
+    np.savez_compressed(content, temperature_k=kelvin)
+    write_durably(path, content.getbuffer())

@@ -1,0 +1,240 @@
+"""What surfaces see of sun, sky and each other: facets of a scene, sampled by rays.
+
+A facet is all of an object's surface of one material that faces about one way. Its points stand for it in the balance
+of heat; single points of a picture differ from it by what they see of sun and sky.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.embree import ROW
+from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.even import Even
+from simulate.radiance.transport.points import frames
+from simulate.radiance.world.surfaces import Surfaces
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+# Points of a facet and rays of each to sky and neighbours; error of the sky view factor below 0.01.
+POINTS, RAYS = 64, 32
+# Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the elevation of each.
+RINGS = 12
+RING_SINE = np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
+# Components of a normal count as zero within 22.5 degrees: there are 26 directions, in a table of 27.
+SLANT, DIRECTIONS = 0.3827, 27
+
+
+def direction_of(normal: Array) -> Index:
+    """Return the number of the direction about which normals (place, 3) point, shape (place,)."""
+    sign = np.sign(normal) * (np.abs(normal) > SLANT)
+    return ((sign + 1.0) @ [9.0, 3.0, 1.0]).astype(np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facets:
+    """Facets of a scene.
+
+    Parameters
+    ----------
+    surfaces
+        The surfaces.
+    key
+        Ascending numbers of object, material and direction, shape (facet,).
+    area_m2
+        Shape (facet,), m2; of a mesh that stands in many places that of its first copy.
+    normal
+        Mean unit normal, shape (facet, 3).
+    faces
+        Rows of the triangles of each facet.
+    """
+
+    surfaces: Surfaces
+    key: Index
+    area_m2: Array
+    normal: Array
+    faces: tuple[Index, ...]
+
+    def __len__(self) -> int:
+        return len(self.key)
+
+    @property
+    def object(self) -> Index:
+        """Number of each one's object, shape (facet,)."""
+        return self.key // DIRECTIONS // len(self.surfaces.materials)
+
+    @property
+    def material(self) -> Index:
+        """Number of each one's material, shape (facet,)."""
+        return self.key // DIRECTIONS % len(self.surfaces.materials)
+
+    @property
+    def names(self) -> list[str]:
+        """OBJECT:MATERIAL of each."""
+        objects, materials = self.surfaces.objects, self.surfaces.materials
+        return [f"{objects[o]}:{materials[m]}" for o, m in zip(self.object, self.material, strict=True)]
+
+    @cached_property
+    def _of_row(self) -> Index:
+        """Facet of each triangle that is there once."""
+        found = np.zeros(len(self.surfaces.mesh.faces), np.int64)
+        for facet, faces in enumerate(self.faces):
+            found[faces] = facet
+        return found
+
+    def of_faces(self, face: Index) -> Index:
+        """Return the facet of each face, shape (face,): for a direction that a copy alone has, the nearest."""
+        if len(face) and face.max() < len(self._of_row):
+            return self._of_row[face]
+        normal = self.surfaces.tracer.normals(face)
+        key = _keys(self.surfaces, face & ROW, normal)
+        found = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
+        for lacking in np.unique(key[self.key[found] != key]):
+            same = np.flatnonzero(self.key // DIRECTIONS == lacking // DIRECTIONS)
+            here = key == lacking
+            found[here] = same[np.argmax(self.normal[same] @ normal[here][0])]
+        return found
+
+
+def _keys(surfaces: Surfaces, row: Index, normal: Array) -> Index:
+    body = surfaces.object_of[row] * len(surfaces.materials) + surfaces.material_of[row]
+    return body * DIRECTIONS + direction_of(normal)
+
+
+def facets_of(surfaces: Surfaces) -> Facets:
+    """Return the facets of surfaces."""
+    area = surfaces.area_m2
+    row = np.flatnonzero(area > 0.0)
+    normal = surfaces.tracer.normals(row)
+    key, which = np.unique(_keys(surfaces, row, normal), return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    faces = np.split(row[order], np.cumsum(np.bincount(which))[:-1])
+    mean = np.stack([np.bincount(which, area[row] * normal[:, axis]) for axis in range(3)], axis=1)
+    return Facets(
+        surfaces=surfaces,
+        key=key,
+        area_m2=np.bincount(which, area[row]).astype(float),
+        normal=mean / np.linalg.norm(mean, axis=1, keepdims=True),
+        faces=tuple(faces),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spots:
+    """Points on outer sides of surfaces.
+
+    Parameters
+    ----------
+    start_m, normal
+        Where rays start, a little above the surface, and the outer unit normal, each of shape (spot, 3).
+    """
+
+    start_m: Array
+    normal: Array
+
+    @classmethod
+    def on(cls, surfaces: Surfaces, face: Index, place_m: Array) -> "Spots":
+        """Return spots at places on faces."""
+        normal = surfaces.tracer.normals(face)
+        return cls(start_m=surfaces.tracer.above(face, place_m, normal), normal=normal)
+
+
+def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
+    """Return `POINTS` spots of each facet, one facet after the other, even over its area."""
+    corners, area = facets.surfaces.mesh.corners_m, facets.surfaces.area_m2
+    picked = []
+    for faces in facets.faces:
+        total = np.cumsum(area[faces])
+        at = (np.arange(POINTS) + rng.random()) / POINTS * total[-1]
+        picked.append(faces[np.minimum(np.searchsorted(total, at), len(faces) - 1)])
+    face = np.concatenate(picked)
+    first, second = Even.drawn(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
+    root = np.sqrt(first)
+    weight = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
+    return Spots.on(facets.surfaces, face, np.einsum("sc,sck->sk", weight, corners[face]))
+
+
+def sun_cosines(surfaces: Surfaces, spots: Spots, sun: Array) -> Array:
+    """Return the cosine of the sun's angle where it shines on spots, else 0, shape (time, spot).
+
+    Parameters
+    ----------
+    surfaces, spots
+        What hides the sun, and where.
+    sun
+        Directions of the sun, shape (time, 3).
+    """
+    found = np.maximum(sun @ spots.normal.T, 0.0) * (sun[:, 2] > 0.0)[:, None]
+    for time, way in enumerate(sun):
+        lit = np.flatnonzero(found[time])
+        if len(lit):
+            hidden = surfaces.tracer.blocked(spots.start_m[lit], np.broadcast_to(way, (len(lit), 3)))
+            found[time, lit[hidden]] = 0.0
+    return found
+
+
+def view(surfaces: Surfaces, spots: Spots, even: Even) -> tuple[Array, Index]:
+    """Return what spots see by rays of the cosine law.
+
+    Returns
+    -------
+    rings
+        Fraction of each ring of `RING_SINE` that is open sky, together the sky view factor, shape (spot, ring).
+    face
+        What each ray hits, `NOTHING` for sky or the ground's end, shape (spot, ray).
+    """
+    pairs = even.pairs()
+    radius, turn = np.sqrt(pairs[..., 0]), 2.0 * np.pi * pairs[..., 1]
+    along = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - pairs[..., 0])], axis=-1)
+    ways = (along @ frames(spots.normal)).reshape(-1, 3)
+    face = surfaces.tracer.first_hit(np.repeat(spots.start_m, even.rays, axis=0), ways)
+    sky = np.flatnonzero((face == NOTHING) & (ways[:, 2] > 0.0))
+    ring = np.minimum((ways[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)
+    count = np.bincount(sky // even.rays * RINGS + ring, minlength=len(pairs) * RINGS)
+    return count.reshape(-1, RINGS) / even.rays, face.reshape(-1, even.rays)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposure:
+    """What facets see, each the mean of its points.
+
+    Parameters
+    ----------
+    rings
+        Of each ring of the sky, shape (facet, ring).
+    sees
+        Fraction of the hemisphere in which one facet sees the other, cosine-weighted, shape (facet, facet).
+    beyond
+        Fraction that is neither sky nor surface: below the horizon where the scene ends, shape (facet,).
+    lit
+        Mean cosine of the sun where it shines, shape (time, facet).
+    """
+
+    rings: Array
+    sees: Array
+    beyond: Array
+    lit: Array
+
+    @property
+    def sky(self) -> Array:
+        """Sky view factor, shape (facet,)."""
+        return self.rings.sum(axis=1)
+
+
+def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposure:
+    """Return what facets see of sun (directions of shape (time, 3)), sky and each other."""
+    spots, count = spots_of(facets, rng), len(facets)
+    rings, face = view(facets.surfaces, spots, Even.drawn(len(spots.normal), RAYS, rng))
+    rings = rings.reshape(count, POINTS, RINGS).mean(axis=1)
+    face = face.reshape(count, -1)
+    viewer, ray = np.nonzero(face != NOTHING)
+    seen = facets.of_faces(face[viewer, ray])
+    sees = np.bincount(viewer * count + seen, minlength=count**2).reshape(count, count) / (POINTS * RAYS)
+    return Exposure(
+        rings=rings,
+        sees=sees,
+        beyond=np.maximum(1.0 - rings.sum(axis=1) - sees.sum(axis=1), 0.0),
+        lit=sun_cosines(facets.surfaces, spots, sun).reshape(len(sun), count, POINTS).mean(axis=2),
+    )

@@ -1,0 +1,299 @@
+"""Temperatures of layered slabs over time: implicit steps, the periodic state they start from, and their kernels.
+
+Heat flows through each slab only along its depth, and slabs do not act on each other. Properties do not change with
+temperature, so that the inside of a slab is linear: each step eliminates it from the back, solves the balance of the
+face by Newton's method, and substitutes back. All slabs are computed together.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.world.description.slab import Slab
+from simulate.thermal.convection import ZERO_C, Exchange
+
+Array = NDArray[np.float64]
+# Cells of a layer, each thicker than the one before: the day's wave on 0.6 m of soil has 0.15 % too much amplitude.
+CELLS, RATIO = 30, 1.15
+STEP_S = 300.0
+# Newton's method on the balance of the face ends below this change, K; it takes 3 to 5 steps.
+CONVERGED_K, MAX_STEPS = 1e-6, 60
+# The periodic state changes by less than this in a pass, K.
+PERIODIC_K, MAX_PASSES = 1e-4, 5000
+# A kernel is followed back until a day adds less than this fraction of it, in steps of an hour.
+KERNEL_FRACTION, MAX_DAYS, STEPS_OF_HOUR = 1e-4, 90, 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Columns:
+    """Cells of slabs, padded to the same number with cells that touch nothing.
+
+    Parameters
+    ----------
+    capacity
+        Heat capacity of each cell, shape (cell, surface), J m-2 K-1.
+    conductance
+        From the face to the first cell, from each to the next, 0 behind the last, shape (cell + 1, surface), W m-2 K-1.
+    back
+        From cells to what lies behind, 0 but for the last one and for padding, shape (cell, surface), W m-2 K-1.
+    back_k, max_k
+        Temperature behind, NaN: that of the air; and at which the face melts, or infinite, shape (surface,), K.
+    """
+
+    capacity: Array
+    conductance: Array
+    back: Array
+    back_k: Array
+    max_k: Array
+
+    @classmethod
+    def of(cls, slabs: Sequence[Slab], cells: int = CELLS) -> "Columns":
+        """Return the cells of slabs that have layers, so many for each layer."""
+        each = [_cells(slab, cells) for slab in slabs]
+        count = max(len(capacity) for capacity, _ in each)
+        capacity, conductance = np.ones((count, len(slabs))), np.zeros((count + 1, len(slabs)))
+        back = np.ones((count, len(slabs)))
+        for number, (slab, (stored, between)) in enumerate(zip(slabs, each, strict=True)):
+            capacity[: len(stored), number] = stored
+            conductance[: len(stored), number] = between[:-1]
+            behind = float(slab.back_w_m2_k)
+            back[: len(stored), number] = 0.0
+            back[len(stored) - 1, number] = behind * between[-1] / (behind + between[-1])
+        back_k = np.array([np.nan if slab.back_c is None else float(slab.back_c) + ZERO_C for slab in slabs])
+        max_k = np.array([np.inf if slab.max_c is None else float(slab.max_c) + ZERO_C for slab in slabs])
+        return cls(capacity=capacity, conductance=conductance, back=back, back_k=back_k, max_k=max_k)
+
+    def diagonal(self, rate: Array | float) -> Array:
+        """Return the matrix's diagonal for a rate of change (1/s) of each cell's temperature."""
+        return self.capacity * rate + self.conductance[:-1] + self.conductance[1:] + self.back
+
+
+def _cells(slab: Slab, cells: int) -> tuple[Array, Array]:
+    """Heat capacities of the cells of a slab, and conductances before, between and behind them."""
+    thickness, conductivity, stored = [], [], []
+    for layer in slab.layer:
+        growth = RATIO ** np.arange(cells)
+        thickness.append(float(layer.thickness_mm) * 1e-3 * growth / growth.sum())
+        conductivity.append(np.full(cells, float(layer.conductivity_w_m_k)))
+        stored.append(thickness[-1] * float(layer.density_kg_m3) * float(layer.specific_heat_j_kg_k))
+    half = 0.5 * np.concatenate(thickness) / np.concatenate(conductivity)
+    resistance = np.concatenate([half, [0.0]]) + np.concatenate([[0.0], half])
+    return np.concatenate(stored), 1.0 / resistance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forcing:
+    """What acts on surfaces at the end of each step; arrays of shape (step, surface) or (step, 1).
+
+    Parameters
+    ----------
+    flux_w_m2
+        Absorbed sun, sky and neighbours and heat sources, W m-2: all that does not depend on the surface's temperature.
+    air_k, wind_m_s, vapour_pa, pressure_hpa
+        Of the air.
+    emissivity
+        Shape (surface,).
+    exchange
+        Convection and condensation.
+    """
+
+    flux_w_m2: Array
+    air_k: Array
+    wind_m_s: Array
+    vapour_pa: Array
+    pressure_hpa: Array
+    emissivity: Array
+    exchange: Exchange
+
+    def __len__(self) -> int:
+        return len(self.flux_w_m2)
+
+    def part(self, steps: slice) -> "Forcing":
+        """Return what acts at some steps."""
+        timed = ("flux_w_m2", "air_k", "wind_m_s", "vapour_pa", "pressure_hpa")
+        return replace(self, **{name: getattr(self, name)[steps] for name in timed})
+
+    def loss(self, surface_k: Array, steps: int | slice) -> tuple[Array, Array]:
+        """Return what the face loses to sky and air at some steps, W m-2, and its derivative, W m-2 K-1."""
+        air = (self.air_k[steps], self.wind_m_s[steps], self.vapour_pa[steps], self.pressure_hpa[steps])
+        flux, slope = self.exchange.loss(surface_k, *air)
+        emitted = self.emissivity * STEFAN_BOLTZMANN * surface_k**3
+        return flux + emitted * surface_k, slope + 4.0 * emitted
+
+    def behind_k(self, columns: Columns, steps: int | slice) -> Array:
+        """Return the temperature behind slabs."""
+        return np.where(np.isnan(columns.back_k), self.air_k[steps], columns.back_k)
+
+
+def march(columns: Columns, forcing: Forcing, start_k: Array, step_s: float = STEP_S) -> tuple[Array, Array]:
+    """Return faces at the end of each step, shape (step, surface), and cells at the last, shape (cell, surface), K.
+
+    Parameters
+    ----------
+    columns, forcing, step_s
+        Slabs, what acts on them, and the length of a step, s.
+    start_k
+        Temperature of each cell before the first step, shape (cell, surface), K.
+
+    Raises
+    ------
+    ArithmeticError
+        If the balance of a face does not converge.
+
+    Notes
+    -----
+    Backward Euler. Crank-Nicolson rings on thin metal: 0.08 K with steps of an hour.
+    """
+    eliminated = _Elimination.of(columns.conductance, columns.diagonal(1.0 / step_s))
+    inside, face = start_k, start_k[0]
+    found = np.empty((len(forcing), columns.capacity.shape[1]))
+    for step in range(len(forcing)):
+        source = columns.capacity / step_s * inside + columns.back * forcing.behind_k(columns, step)
+        reduced = eliminated.reduce(source)
+        face = _balance_faces(columns, forcing, step, eliminated, reduced[0], face)
+        inside = eliminated.substitute(reduced, face)
+        found[step] = face
+    return found, inside
+
+
+def _balance_faces(
+    columns: Columns, forcing: Forcing, step: int, eliminated: "_Elimination", reduced: Array, face: Array
+) -> Array:
+    """Solve the balance of faces: what they absorb is what they lose and conduct inwards."""
+    front, through = columns.conductance[0], eliminated.pivot[0]
+    inward, offset = front * (1.0 - front / through), front * reduced / through
+    for attempt in range(MAX_STEPS):
+        lost, slope = forcing.loss(face, step)
+        change = (forcing.flux_w_m2[step] + offset - lost - inward * face) / (slope + inward)
+        # Where a law has a kink (dew point, air temperature) full steps may go to and fro across it.
+        face = np.minimum(face + (change if attempt < 10 else 0.5 * change), columns.max_k)
+        if np.abs(np.where(face < columns.max_k, change, 0.0)).max() < CONVERGED_K:
+            return face
+    raise ArithmeticError(f"the balance of a face must converge within {MAX_STEPS} steps")
+
+
+@dataclass(frozen=True)
+class _Elimination:
+    """Elimination of the inside of slabs from the back to the face; the arrays may have a first axis of harmonics."""
+
+    coupling: Array
+    pivot: Array
+
+    @classmethod
+    def of(cls, conductance: Array, diagonal: Array) -> "_Elimination":
+        pivot = np.array(diagonal)
+        for cell in range(len(pivot) - 2, -1, -1):
+            pivot[cell] -= conductance[cell + 1] ** 2 / pivot[cell + 1]
+        return cls(conductance[:-1], pivot)
+
+    def reduce(self, source: Any) -> Any:
+        """Return sources with those of the cells behind added."""
+        reduced = np.array(source, np.result_type(source, self.pivot))
+        for cell in range(len(reduced) - 2, -1, -1):
+            reduced[cell] += self.coupling[cell + 1] / self.pivot[cell + 1] * reduced[cell + 1]
+        return reduced
+
+    def substitute(self, reduced: Any, face: Any) -> Any:
+        """Return the temperature of each cell from that of the face."""
+        inside, before = np.empty_like(reduced), face
+        for cell in range(len(reduced)):
+            before = inside[cell] = (reduced[cell] + self.coupling[cell] * before) / self.pivot[cell]
+        return inside
+
+
+def periodic_start(columns: Columns, forcing: Forcing, step_s: float = STEP_S) -> tuple[Array, Array]:
+    """Return what a day leads to if it is repeated for ever: faces (step, surface), and cells as `march` has them, K.
+
+    Raises
+    ------
+    ArithmeticError
+        If the passes do not converge.
+
+    Notes
+    -----
+    For each harmonic of the day the slab is a linear admittance, that of the cells and steps of `march`. What the face
+    loses is split into a part linear in its temperature, which the harmonics solve exactly, and the remainder at each
+    time, which is repeated until it stays. The start is thus that of the non-linear slab, without days of spin-up.
+    """
+    steps, surfaces = len(forcing), columns.capacity.shape[1]
+    turn = np.exp(-2j * np.pi * np.arange(steps // 2 + 1) / steps)
+    rate = (1.0 - turn)[:, None] / step_s
+    # Harmonics stand in the middle: (cell, harmonic, surface).
+    diagonal = columns.capacity[:, None] * rate + columns.diagonal(0.0)[:, None]
+    eliminated = _Elimination.of(columns.conductance[:, None], diagonal)
+    behind = np.broadcast_to(forcing.behind_k(columns, slice(None)), (steps, surfaces))
+    reduced = eliminated.reduce(columns.back[:, None] * np.fft.rfft(behind, axis=0))
+    front, through = columns.conductance[0], eliminated.pivot[0]
+    admittance, offset = front * (1.0 - front / through), front * reduced[0] / through
+    face, melting = np.minimum(forcing.air_k, columns.max_k), np.zeros((steps, surfaces))
+    for _ in range(MAX_PASSES):
+        lost, slope = forcing.loss(face, slice(None))
+        linear = 0.5 * (slope.max(axis=0) + slope.min(axis=0))
+        remainder = np.fft.rfft(forcing.flux_w_m2 - melting - lost + linear * face, axis=0)
+        new = np.fft.irfft((remainder + offset) / (linear + admittance), steps, axis=0)
+        # Melting takes what would warm the face beyond its limit; the limit is met when it no longer changes.
+        taken = np.where(columns.max_k < np.inf, np.maximum(melting + linear * (new - columns.max_k), 0.0), 0.0)
+        new = np.minimum(new, columns.max_k)
+        change = max(np.abs(new - face).max(), np.abs((taken - melting) / linear).max())
+        face, melting = new, taken
+        if change < PERIODIC_K:
+            cells = eliminated.substitute(reduced, np.fft.rfft(face, axis=0))
+            weight = np.where((np.arange(len(turn)) == 0) | (2 * np.arange(len(turn)) == steps), 1.0, 2.0)
+            # The last time of the day comes one step before its first: harmonics turned back by one step.
+            at_end = np.einsum("h,chs->cs", weight * turn, cells).real / steps
+            return face, at_end
+    raise ArithmeticError(f"the periodic state must converge within {MAX_PASSES} passes")
+
+
+def kernels(columns: Columns, forcing: Forcing, faces_k: Array, step_s: float = STEP_S) -> Array:
+    """Return how the last temperature of each face depends on the flux at each time of day, K per W m-2.
+
+    Parameters
+    ----------
+    columns, forcing, faces_k
+        Slabs, what acts on them in the last day, and the temperatures of their faces in it, shape (step, surface), K.
+
+    Returns
+    -------
+    Array
+        Effect of 1 W m-2 more during a step of this day and of all days before it, shape (step, surface).
+
+    Notes
+    -----
+    The transpose of the linearised `march`, once backwards in time: exact, and as fast as one solution. Days before the
+    last one are followed in steps of an hour.
+    """
+    slope = np.array([forcing.loss(faces_k[step], step)[1] for step in range(len(forcing))])
+    slope = np.where(faces_k < columns.max_k, slope, np.inf)
+    front = columns.conductance[0]
+    found = np.zeros_like(slope)
+
+    def backwards(source: Array, steps: Sequence[int], length_s: float, last: bool) -> Array:
+        """Follow the sources of the transposed problem back through steps, and return those of the step before."""
+        for step in steps:
+            passed = front / (slope[step] + front)
+            diagonal = columns.diagonal(1.0 / length_s)
+            diagonal[0] -= front * passed
+            eliminated = _Elimination.of(columns.conductance, diagonal)
+            if last:
+                source[0] += passed
+            # Nothing comes through the face: what it passes on stands in the diagonal.
+            seen = eliminated.substitute(eliminated.reduce(source), np.zeros(slope.shape[1]))
+            effect = seen[0] * passed + (1.0 / (slope[step] + front) if last else 0.0)
+            within = round(length_s / step_s)
+            found[step - within + 1 : step + 1] += effect / within
+            source, last = columns.capacity / length_s * seen, False
+        return source
+
+    source = backwards(np.zeros_like(columns.capacity), range(len(slope) - 1, -1, -1), step_s, True)
+    hours = range(len(slope) - 1, -1, -STEPS_OF_HOUR)
+    for _ in range(MAX_DAYS):
+        before = found.sum(axis=0)
+        source = backwards(source, hours, STEPS_OF_HOUR * step_s, False)
+        if (found.sum(axis=0) - before <= KERNEL_FRACTION * before).all():
+            break
+    return found

@@ -1,0 +1,195 @@
+"""Surface temperatures of a scene: of its objects over a day, and of the pixels of a view at the scene's time."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.trace import NOTHING
+from simulate.radiance.transport.even import Even, evenly
+from simulate.radiance.transport.workers import workers
+from simulate.radiance.world.description.scene import Scene
+from simulate.radiance.world.site import Site
+from simulate.radiance.world.viewpoint import Viewpoint
+from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, SUN_STEPS, Balance, Solution
+from simulate.thermal.convection import ZERO_C
+from simulate.thermal.exposure import Spots, exposure_of, facets_of, sun_cosines, view
+from simulate.thermal.library import slab_of
+from simulate.thermal.slab import STEPS_OF_HOUR
+from simulate.thermal.weather import DAY_STEPS, weather_of
+
+Array = NDArray[np.float64]
+# Half of the noise-equivalent temperature difference of a 40 mK imager.
+TOLERANCE_MK = 20.0
+# Rays of a pixel to the sky; steps of the day with one direction of the sun for pixels; rows at a time.
+PIXEL_RAYS, SLOT_STEPS, ROWS = 64, 3, 16
+# References this near count alike, K.
+NEAR_K = 0.01
+
+
+@dataclass(frozen=True)
+class Temperatures:
+    """Temperatures of a scene.
+
+    Parameters
+    ----------
+    balance, solution
+        What acts on its facets, and their temperatures.
+    """
+
+    balance: Balance
+    solution: Solution
+
+    def means_c(self) -> tuple[list[float], Array, dict[str, Array]]:
+        """Return the temperatures of the day before the scene's time, by hours.
+
+        Returns
+        -------
+        hours, air_c, surfaces_c
+            25 hours of local time; the air's temperature, C; mean over the area of each OBJECT:MATERIAL, C.
+        """
+        weather, facets = self.balance.weather, self.balance.facets
+        steps = np.maximum(len(weather) - 1 - STEPS_OF_HOUR * np.arange(24, -1, -1), 0)
+        times = [weather.times[step] for step in steps]
+        hours = [round(time.hour + time.minute / 60.0 + time.second / 3600.0, 4) for time in times]
+        means = {}
+        for name in dict.fromkeys(facets.names):
+            of = np.array([other == name for other in facets.names])
+            faces = self.solution.faces_k[steps][:, of]
+            means[name] = np.average(faces, axis=1, weights=facets.area_m2[of]) - ZERO_C
+        return hours, weather.air_k[steps] - ZERO_C, means
+
+    def map_k(
+        self, viewpoint: Viewpoint, progress: Callable[[float], None] = lambda fraction: None
+    ) -> NDArray[np.float32]:
+        """Return the temperatures of the middles of a view's pixels at the scene's time, NaN for the sky, K.
+
+        Notes
+        -----
+        A pixel's point differs from its facet by what it sees of sun, sky and surfaces. Kernels make these fluxes a
+        temperature, from the facet as it is and from the same in the shade, weighted by how near each one is.
+        """
+        _ = self._references
+        parts, starts = [], list(range(0, viewpoint.shape[0], ROWS))
+        with workers(min(2, os.cpu_count() or 1)) as run:
+            for part in run(lambda row: self._rows(viewpoint, row), starts):
+                parts.append(part)
+                progress(len(parts) / len(starts))
+        return np.concatenate(parts)
+
+    def _rows(self, viewpoint: Viewpoint, start: int) -> NDArray[np.float32]:
+        surfaces, stop = self.balance.facets.surfaces, min(start + ROWS, viewpoint.shape[0])
+        grid = np.meshgrid(np.arange(start, stop), np.arange(viewpoint.shape[1]), indexing="ij")
+        row, col = (axis.ravel() for axis in grid)
+        origin, towards = viewpoint.rays(row + 0.5, col + 0.5)
+        hit = surfaces.tracer.hits(origin, towards)
+        met = hit.met
+        spots = Spots.on(surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met])
+        kelvin = np.full(len(row), np.nan, np.float32)
+        even = evenly(row[met], col[met], PIXEL_RAYS, [start])
+        kelvin[met] = self._spots_k(self.balance.facets.of_faces(hit.face[met]), spots, even)
+        return kelvin.reshape(stop - start, -1)
+
+    def _spots_k(self, facet: NDArray[np.int64], spots: Spots, even: Even) -> Array:
+        """Temperatures of spots by what they see of sun, sky and surfaces, from the references of their facets, K."""
+        facets, slots = self.balance.facets, np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS)
+        rings, face = view(facets.surfaces, spots, even)
+        spot, ray = np.nonzero(face != NOTHING)
+        other = facets.of_faces(face[spot, ray])
+        beyond = 1.0 - rings.sum(axis=1) - np.bincount(spot, minlength=len(facet)) / even.rays
+        sun = self.balance.weather.sun[LAST][slots]
+        up = np.flatnonzero(sun[:, 2] > 0.0)
+        lit = sun_cosines(facets.surfaces, spots, sun[up])
+        found, weight = [], []
+        for by in self._references:
+            change = np.einsum("sr,sr->s", by.rings[facet], rings) + by.beyond[facet] * beyond - by.due_k[facet]
+            change += np.bincount(spot, by.surfaces[facet[spot], other], len(facet)) / even.rays
+            change += np.einsum("ts,ts->s", by.sun[np.ix_(up, facet)], lit)
+            found.append(by.last_k[facet] + change)
+            weight.append(1.0 / (change**2 + NEAR_K**2))
+        return np.average(found, axis=0, weights=weight)
+
+    @cached_property
+    def _references(self) -> "tuple[_Reference, ...]":
+        solution, lit = self.solution, self.balance.exposure.lit
+        pairs = (solution.faces_k[-1], solution.kernel, lit), (solution.shaded_k, solution.shaded_kernel, 0.0 * lit)
+        return tuple(self._reference(*pair) for pair in pairs)
+
+    def _reference(self, last_k: Array, kernel: Array, lit: Array) -> "_Reference":
+        balance, weather, exposure = self.balance, self.balance.weather, self.balance.exposure
+        heating, emissivity = balance.heating, balance.emissivity
+        direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, SLOT_STEPS, kernel.shape[1]).sum(axis=1)
+        sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.reflected_sunlight)[LAST]
+        longwave = balance.radiosity(self.solution.faces_k[LAST])
+        ground = GROUND_REFLECTANCE * weather.global_w_m2[LAST], STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4
+        sun = heating * direct
+        sky = heating[:, None] * (kernel.T @ weather.diffuse_w_m2[LAST, None])
+        rings = sky + emissivity[:, None] * (kernel.T @ balance.rings[LAST])
+        surfaces = heating[:, None] * (kernel.T @ sunlight) + emissivity[:, None] * (kernel.T @ longwave)
+        beyond = heating * (kernel.T @ ground[0]) + emissivity * (kernel.T @ ground[1])
+        due = (rings * exposure.rings).sum(axis=1) + (surfaces * exposure.sees).sum(axis=1) + beyond * exposure.beyond
+        due += (sun * lit[np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS) // SUN_STEPS]).sum(axis=0)
+        return _Reference(last_k=last_k, due_k=due, sun=sun, rings=rings, surfaces=surfaces, beyond=beyond)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Reference:
+    """Last temperatures of facets, and what raises them, K.
+
+    Parameters
+    ----------
+    last_k, due_k
+        The temperature, and what of it is due to all that the facet sees, shape (facet,).
+    sun
+        By the sun in each slot of the day at a cosine of 1, shape (slot, facet).
+    rings, surfaces, beyond
+        By all that comes from each ring of the sky (facet, ring), from each facet (facet, facet) and from the ground
+        where the scene ends (facet,), were it all that is seen.
+    """
+
+    last_k: Array
+    due_k: Array
+    sun: Array
+    rings: Array
+    surfaces: Array
+    beyond: Array
+
+
+def temperatures_of(scene: Scene, *, tolerance_mk: float = TOLERANCE_MK, seed: int = 0) -> Temperatures:
+    """Return the surface temperatures of a scene.
+
+    Parameters
+    ----------
+    scene
+        A scene out of doors with a place, weather, and materials that have slabs.
+    tolerance_mk
+        What terms left out may change at the scene's time, mK.
+    seed
+        Seed of the points and rays by which facets see sun, sky and each other.
+
+    Raises
+    ------
+    BadInput
+        If the scene lacks a place, weather with wind, or the slab of a material; if its weather file does not suit.
+    """
+    weather, surfaces = weather_of(scene), Site(scene).surfaces
+    if not len(surfaces.mesh.faces):
+        raise BadInput(f"a scene must have an object with a surface for temperatures, got none in {scene.name!r}")
+    by_label = {surface.label: surface for surface in scene.material}
+    slabs = {name: slab_of(scene, by_label[name]) for name in surfaces.materials}
+    things, facets = {thing.label: thing for thing in scene.object}, facets_of(surfaces)
+    assert scene.weather is not None
+    balance = Balance(
+        facets=facets,
+        exposure=exposure_of(facets, weather.sun[LAST][::SUN_STEPS], np.random.default_rng(seed)),
+        slabs=tuple(slabs[surfaces.materials[number]] for number in facets.material),
+        things=tuple(things[surfaces.objects[number]] for number in facets.object),
+        weather=weather,
+        state=scene.weather,
+    )
+    return Temperatures(balance, balance.solve(tolerance_mk))

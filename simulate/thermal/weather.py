@@ -1,0 +1,235 @@
+"""The weather up to a scene's time, in steps: of files, or of a synthetic day through the scene's numbers."""
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.sky.ephemeris import EARTH_RADIUS_KM, Place
+from simulate.radiance.world.description.scene import Scene
+from simulate.radiance.world.description.surroundings import Weather as State
+from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, sun_under_cloud
+from simulate.thermal.convection import ZERO_C, dew_point_k
+from simulate.thermal.slab import STEP_S
+from simulate.thermal.weather_files import Record, read_weather
+
+Array = NDArray[np.float64]
+DAY_STEPS, MAX_DAYS = round(86400.0 / STEP_S), 5
+# Weather of a station farther away than this is refused, km.
+FARTHEST_KM = 200.0
+# Sunlight of hours is interpolated as a fraction of the clear sky's where that is more, W m-2.
+SHINES_W_M2 = 10.0
+STANDARD_HPA, SCALE_M = 1013.25, 8434.5
+MODELLED = "longwave of the sky was modelled (Berdahl and Martin), not measured: uncertain by 15 W/m2"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weather:
+    """Weather at the ends of steps of `STEP_S`, the last of which is the scene's time; arrays of shape (step,).
+
+    Parameters
+    ----------
+    place, moment
+        Where, and when it ends.
+    air_k, dew_point_k
+        Temperature and dew point of the air, K.
+    wind_m_s, pressure_hpa
+        At 10 m, m/s; hPa.
+    direct_w_m2, diffuse_w_m2
+        Direct normal and diffuse horizontal irradiance of the sun, W m-2.
+    longwave_w_m2
+        Longwave irradiance of level ground by the sky, W m-2.
+    notes
+        Where it comes from and what of it was modelled, in sentences.
+    """
+
+    place: Place
+    moment: datetime
+    air_k: Array
+    dew_point_k: Array
+    wind_m_s: Array
+    pressure_hpa: Array
+    direct_w_m2: Array
+    diffuse_w_m2: Array
+    longwave_w_m2: Array
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.air_k)
+
+    @cached_property
+    def times(self) -> list[datetime]:
+        """Ends of the steps."""
+        return _times(self.moment, len(self))
+
+    @cached_property
+    def sun(self) -> Array:
+        """Direction of the sun, shape (step, 3)."""
+        return sun_directions(self.place, self.times)[0]
+
+    @property
+    def global_w_m2(self) -> Array:
+        """Sunlight on level ground, shape (step,), W m-2."""
+        return self.direct_w_m2 * np.maximum(self.sun[:, 2], 0.0) + self.diffuse_w_m2
+
+
+def weather_of(scene: Scene) -> Weather:
+    """Return the weather before a scene's time: a day, or the full days up to `MAX_DAYS` that its files cover.
+
+    Raises
+    ------
+    BadInput
+        If the scene has no place or no weather with wind, or its file has gaps, another date or a place far away.
+    """
+    where, state = scene.place, scene.weather
+    if where is None:
+        raise BadInput(f"a scene must have a [place] with a time for surface temperatures, got none in {scene.name!r}")
+    if state is None or (state.wind_m_s is None and not state.file):
+        raise BadInput(
+            "a scene must have a [weather] with wind_m_s or with a file for surface temperatures, got "
+            f"{'none' if state is None else 'neither'} in {scene.name!r}"
+        )
+    place = Place(latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m)
+    if not state.file:
+        return _synthetic_day(state, place, where.moment)
+    names = (state.file,) if isinstance(state.file, str) else state.file
+    return weather_from_files([scene.file(name) for name in names], place, where.moment, state.linke_turbidity)
+
+
+def _times(moment: datetime, steps: int) -> list[datetime]:
+    return [moment - timedelta(seconds=(steps - 1 - step) * STEP_S) for step in range(steps)]
+
+
+def _synthetic_day(state: State, place: Place, moment: datetime) -> Weather:
+    """A day that passes through the state at the scene's time."""
+    times = _times(moment, DAY_STEPS)
+    sun, distance = sun_directions(place, times)
+    hour, pressure = solar_hour(place, times), np.full(DAY_STEPS, _pressure(place))
+    air, wind = course(hour, sun[:, 2] > 0.0)
+    if state.day == "constant":
+        air, wind = np.zeros(DAY_STEPS), np.ones(DAY_STEPS)
+    air_k = ZERO_C + state.temperature_c + state.daily_swing_k * (air - air[-1])
+    if state.dew_point_c is None and not 0.0 < state.relative_humidity <= 1.0:
+        raise BadInput(f"relative_humidity must lie above 0 and up to 1, got {state.relative_humidity:g}")
+    dew = dew_point_k(ZERO_C + state.temperature_c, state.relative_humidity)
+    dew = float(dew if state.dew_point_c is None else ZERO_C + state.dew_point_c)
+    dew_k, coldest = np.full(DAY_STEPS, min(dew, air_k.min())), air_k.min()
+    notes = (f"weather of a {state.day} day through the state at {moment.isoformat()}", MODELLED)
+    if dew > coldest:
+        notes += (
+            f"the dew point is that of the day's coldest air, {coldest - ZERO_C:.1f} C, not {dew - ZERO_C:.1f} C",
+        )
+    direct, diffuse = clear_sun(sun[:, 2], distance, place.altitude_m, state.linke_turbidity)
+    direct, diffuse = sun_under_cloud(direct, diffuse, sun[:, 2], state.cloud)
+    return Weather(
+        place=place,
+        moment=moment,
+        air_k=air_k,
+        dew_point_k=dew_k,
+        wind_m_s=(state.wind_m_s or 0.0) * wind / wind[-1],
+        pressure_hpa=pressure,
+        direct_w_m2=direct,
+        diffuse_w_m2=diffuse,
+        longwave_w_m2=sky_emissivity(dew_k, hour, pressure, state.cloud) * STEFAN_BOLTZMANN * air_k**4,
+        notes=notes,
+    )
+
+
+def weather_from_files(paths: list[Path], place: Place, moment: datetime, turbidity: float = 3.8) -> Weather:
+    """Return the weather of files up to a moment; see `weather_of`."""
+    records = [read_weather(path, moment) for path in paths]
+    names = ", ".join(record.name for record in records)
+    away = max(_distance_km(record.place, place) for record in records)
+    if away > FARTHEST_KM:
+        raise BadInput(
+            f"a weather file must be from within {FARTHEST_KM:g} km of the scene, got {names} {away:.0f} km away"
+        )
+    record = _join(records, names)
+    begins = np.concatenate([record.time_s[:1], record.time_s[1:][np.diff(record.time_s) > 2.0 * record.interval_s]])
+    begin = begins[begins <= moment.timestamp()].max(initial=record.time_s[0])
+    covered = (moment.timestamp() - begin + record.interval_s) / 86400.0
+    times = _times(moment, DAY_STEPS * int(np.clip(covered, 1, MAX_DAYS)))
+    found = {name: _column_at(record, name, times) for name in record.columns}
+    sun, distance = sun_directions(place, times)
+    clear = clear_sun(sun[:, 2], distance, place.altitude_m, turbidity)
+    for name, light in zip(("direct_w_m2", "diffuse_w_m2"), clear, strict=True):
+        if record.interval_s > STEP_S:
+            found[name] = _sunlight(record, name, times, light)
+    air_k, dew_k = (found[name] + ZERO_C for name in ("air_c", "dew_point_c"))
+    pressure = found.get("pressure_hpa", np.full(len(times), _pressure(place)))
+    notes = tuple(note for record in records for note in record.notes)
+    if "longwave_w_m2" not in found:
+        cloud = found.get("cloud", np.zeros(len(times)))
+        emissivity = sky_emissivity(dew_k, solar_hour(place, times), pressure, cloud)
+        found["longwave_w_m2"] = emissivity * STEFAN_BOLTZMANN * air_k**4
+        notes += (MODELLED if "cloud" in found else f"{MODELLED}, for a clear sky",)
+    return Weather(
+        place=place,
+        moment=moment,
+        air_k=air_k,
+        dew_point_k=np.minimum(dew_k, air_k),
+        pressure_hpa=pressure,
+        notes=(f"weather of {names}, {away:.0f} km away", *notes),
+        **{name: found[name] for name in ("wind_m_s", "direct_w_m2", "diffuse_w_m2", "longwave_w_m2")},
+    )
+
+
+def _join(records: list[Record], names: str) -> Record:
+    """Return the rows of several files, with the columns that all have."""
+    first = records[0]
+    time_s, order = np.unique(np.concatenate([record.time_s for record in records]), return_index=True)
+    common = [name for name in first.columns if all(name in record.columns for record in records)]
+    columns = {name: np.concatenate([record.columns[name] for record in records])[order] for name in common}
+    return replace(first, name=names, time_s=time_s, columns=columns)
+
+
+def _column_at(record: Record, name: str, times: list[datetime]) -> Array:
+    """Return a column at times, linear between rows; gaps longer than a step or a row are refused."""
+    seconds = np.array([time.timestamp() for time in times])
+    fine = np.isfinite(record.columns[name])
+    known = record.time_s[fine]
+    # Rows stand for the interval before or around them: one may lack at either end.
+    ends = [seconds[0] - record.interval_s, seconds[-1] + record.interval_s]
+    inside = np.concatenate([ends[:1], known[(known > ends[0]) & (known < ends[1])], ends[1:]])
+    gap = int(np.argmax(np.diff(inside)))
+    if inside[gap + 1] - inside[gap] > max(STEP_S, 1.01 * record.interval_s):
+        start, end = (datetime.fromtimestamp(inside[index], UTC).isoformat() for index in (gap, gap + 1))
+        raise BadInput(
+            f"a weather file must cover the day before the scene's time without gaps, got {record.name} without {name} "
+            f"between {start} and {end}"
+        )
+    return np.interp(seconds, known, record.columns[name][fine])
+
+
+def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) -> Array:
+    """Return sunlight at times from means over hours: their fraction of the clear sky's is interpolated."""
+    seconds = np.array([time.timestamp() for time in times])
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (clear + np.concatenate([clear[:1], clear[:-1]]))) * STEP_S])
+    ends = np.concatenate([[seconds[0] - STEP_S], seconds])
+    mean = np.interp(record.time_s, ends, total) - np.interp(record.time_s - record.interval_s, ends, total)
+    mean /= record.interval_s
+    within = (record.time_s - record.interval_s >= ends[0]) & (record.time_s <= ends[-1])
+    lit = (mean > SHINES_W_M2) & within & np.isfinite(record.columns[name])
+    if not lit.any():
+        return np.zeros(len(times))
+    middle = record.time_s[lit] - 0.5 * record.interval_s
+    return clear * np.interp(seconds, middle, record.columns[name][lit] / mean[lit])
+
+
+def _pressure(place: Place) -> float:
+    return float(STANDARD_HPA * np.exp(-place.altitude_m / SCALE_M))
+
+
+def _distance_km(one: Place, other: Place) -> float:
+    """Distance of two places, straight through the earth, km."""
+    points = []
+    for place in (one, other):
+        latitude, longitude = np.deg2rad([place.latitude_deg, place.longitude_deg])
+        level = np.cos(latitude)
+        points.append(np.array([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)]))
+    return float(EARTH_RADIUS_KM * np.linalg.norm(points[0] - points[1]))

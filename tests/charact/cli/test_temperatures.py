@@ -1,0 +1,105 @@
+"""`charact temperatures`: tables and pictures of a scene, what was left out, and what is refused in one sentence."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from charact.cli.application import app
+from labdata.sensors import load_camera, save_sensor
+
+SCENE = """
+name = "crate on paving"
+place = { latitude_deg = 43.16, longitude_deg = -77.61, time = 1998-06-24T02:00:00-04:00 }
+weather = { temperature_c = 16, relative_humidity = 0.7, wind_m_s = 1 }
+camera = { position_m = [0, -9, 3], look_at_m = [0, 0, 1] }
+[[material]]
+label = "paving"
+library = "concrete"
+[[material]]
+label = "paint"
+library = "olive-drab-paint"
+[[object]]
+label = "ground"
+shape = "ground"
+size_m = [400]
+material = "paving"
+[[object]]
+label = "crate"
+shape = "box"
+size_m = [2, 2, 2]
+material = "paint"
+"""
+
+
+def charact(*arguments: object):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "crate.toml"
+    path.write_text(SCENE)
+    return path
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Write the description of a camera of few pixels and the same field, and return its path."""
+    sensor = load_camera("pulnix-ag5745ef3")
+    shrunk = replace(sensor, ccd=replace(sensor.ccd, rows=32, columns=48))
+    focal = "optics.focal_length_mm"
+    save_sensor(shrunk.with_values({focal: float(sensor.parameters()[focal]) / 16.0}), tmp_path / "small.toml")
+    return tmp_path / "small.toml"
+
+
+def test_tables_map_and_pictures_agree(scene, small, tmp_path):
+    out = tmp_path / "warm"
+    done = charact("temperatures", scene, out, "--sensor", small, "--explain")
+    assert done.exit_code == 0, done.output
+    with open(out / "temperatures.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["hour", "air_c", "ground:paving_c", "crate:paint_c"]
+    assert len(rows) == 25 and float(rows[-1]["hour"]) == 2.0 and float(rows[-1]["air_c"]) == 16.0
+    kelvin = np.load(out / "map.npz")["temperature_k"]
+    assert kelvin.shape == (32, 48)
+    warmest, coldest = np.nanmax(kelvin) - 273.15, np.nanmin(kelvin) - 273.15
+    assert coldest < 16.0 < float(rows[-1]["ground:paving_c"]) < warmest + 0.5
+    assert all((out / name).stat().st_size > 10_000 for name in ("temperatures.png", "map.png"))
+    document = json.loads((out / "temperatures.json").read_text())
+    conductivity = document["slabs"]["ground:paving"]["layer 1 conductivity_w_m_k"]
+    assert conductivity["value"] == 1.4 and conductivity["standing"] == "default" and conductivity["source"]
+    left = [term for term in document["terms"] if not term["kept"]]
+    assert left and sum(term["changes_mk"] for term in left) < 40.0
+    for term in document["terms"]:
+        assert f"{term['name']} " in done.stdout
+    assert "modelled" in done.stderr
+    again = charact("temperatures", scene, out, "--sensor", small)
+    assert again.exit_code == 1 and "nothing is overwritten" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("wind_m_s = 1", "cloud = 0"), "wind_m_s"),
+        (("weather = {", "# weather = {"), "[weather]"),
+        (("wind_m_s = 1", 'file = "absent.epw"'), "must exist"),
+        (('library = "concrete"', "reflectance = [0.3]"), "'paving' without one"),
+        (("wind_m_s = 1", "wind = 1"), "unknown key 'wind'"),
+        (('material = "paint"', 'material = "paint"\nheat_hours = [20, 30]'), "heat_hours must lie"),
+        (('material = "paint"', 'material = "paint"\ntemperature_c = 5\nabove_air_k = 5'), "either a temperature_c"),
+    ],
+)
+def test_a_scene_that_lacks_something_is_refused_in_one_sentence(scene, small, tmp_path, change, words):
+    scene.write_text(SCENE.replace(*change))
+    done = charact("temperatures", scene, tmp_path / "warm", "--sensor", small)
+    assert done.exit_code == 1 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "warm").exists()
+
+
+def test_a_lab_bench_has_no_surface_temperatures(tmp_path):
+    done = charact("temperatures", "bench", tmp_path / "warm")
+    assert done.exit_code == 1 and "out of doors" in done.stderr

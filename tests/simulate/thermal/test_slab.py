@@ -1,0 +1,225 @@
+"""Slabs against exact solutions of conduction, and their periodic start and kernels against long runs."""
+
+import numpy as np
+import pytest
+from scipy.special import erfc
+
+from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.thermal.convection import vapour_pressure_pa
+from simulate.thermal.slab import CELLS, RATIO, Columns, kernels, march, periodic_start
+from tests.simulate.thermal.slabs import (
+    ASPHALT,
+    CONCRETE,
+    DAY,
+    DRY_SOIL,
+    HOUR,
+    STEEL,
+    forcing_of,
+    reference_day,
+    slab_of,
+)
+
+NAMES = ("concrete", "asphalt", "dry soil")
+LAYERS = (CONCRETE, ASPHALT, DRY_SOIL)
+GROUND = Columns.of([slab_of(layer) for layer in LAYERS])
+STEPS = 288
+TIME = (np.arange(STEPS) + 1) * 300.0
+
+
+def harmonic(series):
+    """Return amplitude and lag in hours of the columns of a day against a sine."""
+    first = np.exp(-2j * np.pi * TIME / DAY) @ series * 2.0 / STEPS
+    return np.abs(first), (-np.angle(first * 1j) / (2.0 * np.pi) * 24.0) % 24.0
+
+
+def centres(mm: float = 600.0):
+    """Depths of the centres of cells, m."""
+    size = RATIO ** np.arange(CELLS)
+    size *= 1e-3 * mm / size.sum()
+    return np.cumsum(size) - 0.5 * size
+
+
+@pytest.mark.parametrize(
+    ("h", "amplitude", "lag"),
+    [
+        (1e-6, (6.9662, 9.6956, 18.9235), (3.0, 3.0, 3.0)),
+        (13.3, (3.9134, 4.5774, 5.7334), (1.5604, 1.3001, 0.8247)),
+    ],
+)
+def test_a_sine_of_flux_moves_the_face_as_the_half_space(h, amplitude, lag):
+    flux = 100.0 * np.sin(2.0 * np.pi * TIME / DAY)[:, None] * np.ones(3)
+    forcing = forcing_of(flux, 290.0, h=h)
+    _, start = periodic_start(GROUND, forcing)
+    found, late = harmonic(march(GROUND, forcing, start)[0])
+    assert found == pytest.approx(amplitude, rel=2e-3)
+    assert late == pytest.approx(lag, abs=0.03)
+
+
+def test_a_sine_of_the_face_sinks_in_by_the_penetration_depth():
+    # A convection this strong holds the face at the temperature of the air.
+    forcing = forcing_of(np.zeros((STEPS, 1)), 290.0 + np.sin(2.0 * np.pi * TIME / DAY), h=1e7)
+    concrete = Columns.of([slab_of(CONCRETE)])
+    _, cells = periodic_start(concrete, forcing)
+    inside = []
+    for step in range(STEPS):
+        _, cells = march(concrete, forcing.part(slice(step, step + 1)), cells)
+        inside.append(cells[:, 0])
+    amplitude, late = harmonic(np.array(inside))
+    depth, penetration = centres(), np.sqrt(2.0 * 1.4 / (2300.0 * 880.0) / (2.0 * np.pi / DAY))
+    near = depth < 0.15
+    assert penetration == pytest.approx(0.13792, abs=1e-5)
+    assert amplitude[near] == pytest.approx(np.exp(-depth / penetration)[near], abs=4e-3)
+    assert late[near] == pytest.approx((depth / penetration)[near] * 12.0 / np.pi, abs=0.03)
+
+
+@pytest.mark.parametrize("hours", [1.0, 6.0])
+def test_a_step_of_the_face_sinks_in_as_erfc(hours):
+    steps = round(hours * 60.0)
+    concrete = Columns.of([slab_of(CONCRETE)])
+    _, cells = march(concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=1e7), np.zeros((CELLS, 1)), 60.0)
+    exact = erfc(centres() / (2.0 * np.sqrt(1.4 / (2300.0 * 880.0) * hours * HOUR)))
+    assert cells[:, 0] == pytest.approx(exact, abs=5e-3)
+
+
+def test_a_step_of_flux_or_of_air_warms_the_face_as_the_half_space():
+    concrete, steps = Columns.of([slab_of(CONCRETE)]), 360
+    flux, _ = march(concrete, forcing_of(np.full((steps, 1), 100.0), 0.0), np.zeros((CELLS, 1)), 60.0)
+    assert flux[[59, 359], 0] == pytest.approx([4.02195, 9.85173], rel=5e-3)
+    air, _ = march(concrete, forcing_of(np.zeros((steps, 1)), 1.0, h=13.3), np.zeros((CELLS, 1)), 60.0)
+    assert air[[9, 59, 359], 0] == pytest.approx([0.185750, 0.370765, 0.612756], abs=5e-3)
+
+
+def test_a_layered_slab_conducts_as_its_resistances_in_series():
+    layers = ((*CONCRETE[:3], 100.0), (0.04, 30.0, 1400.0, 80.0), (0.5, 1200.0, 1000.0, 12.0))
+    slab = slab_of(*layers, back_w_m2_k=8.0, back_c=20.0)
+    forcing = forcing_of(np.full((STEPS, 1), 50.0), 273.15, h=10.0)
+    face, cells = periodic_start(Columns.of([slab]), forcing)
+    resistance = 0.1 / 1.4 + 0.08 / 0.04 + 0.012 / 0.5 + 1.0 / 8.0
+    exact = 273.15 + (50.0 + 20.0 / resistance) / (10.0 + 1.0 / resistance)
+    assert face[-1, 0] == pytest.approx(exact, abs=1e-3)
+    assert np.argmax(np.abs(np.diff(cells[:, 0]))) >= CELLS - 1
+
+
+@pytest.mark.parametrize(
+    ("sky", "emissivity", "h", "depression"),
+    [
+        (0.70, 0.9, 3.0, 13.455),
+        (0.75, 0.9, 0.0, 19.649),
+        (0.75, 0.9, 3.0, 11.131),
+        (0.75, 0.9, 10.0, 5.657),
+        (0.75, 0.1, 6.0, 1.399),
+        (0.85, 0.9, 15.0, 2.514),
+    ],
+)
+def test_an_insulated_plate_cools_to_its_balance(sky, emissivity, h, depression):
+    flux = np.full((STEPS, 1), emissivity * sky * STEFAN_BOLTZMANN * 283.15**4)
+    face, _ = periodic_start(Columns.of([slab_of(STEEL)]), forcing_of(flux, 283.15, emissivity=emissivity, h=h))
+    assert 283.15 - face[-1, 0] == pytest.approx(depression, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("layer", "emissivity", "h", "tau_s"),
+    [
+        ((150.0, 2700.0, 900.0, 1.0), 0.9, 5.0, 252.4),
+        ((45.0, 7850.0, 470.0, 5.0), 0.9, 15.0, 940.0),
+        ((1.0, 2500.0, 800.0, 4.0), 0.84, 5.0, 858.5),
+    ],
+)
+def test_thin_slabs_follow_with_the_time_constant_of_a_lump(layer, emissivity, h, tau_s):
+    columns, steps = Columns.of([slab_of(layer)]), 400
+    flux = np.full((steps, 1), emissivity * STEFAN_BOLTZMANN * 283.0**4)
+    start = np.full((CELLS, 1), 283.1)
+    face, _ = march(columns, forcing_of(flux, 283.0, emissivity=emissivity, h=h), start, tau_s / 200.0)
+    excess = face[:, 0] - 283.0
+    assert (200.0 * tau_s / 200.0) / np.log(excess[99] / excess[299]) == pytest.approx(tau_s, rel=0.02)
+
+
+def test_the_converged_reference_day():
+    slabs = [slab_of(layer) for layer in LAYERS] + [slab_of(STEEL, back_w_m2_k=8.0)]
+    hour, forcing = reference_day([0.6, 0.9, 0.7, 0.7], [0.92, 0.95, 0.94, 0.9])
+    face = periodic_start(Columns.of(slabs), forcing)[0] - 273.15
+    assert face.min(axis=0) == pytest.approx([13.40, 13.16, 10.31, 9.07], abs=0.05)
+    assert face.max(axis=0) == pytest.approx([39.22, 52.47, 48.05, 44.38], abs=0.05)
+    for other, times in ((2, (5.867, 18.0)), (3, (6.133, 16.267))):
+        above = face[:, other] > face[:, 0]
+        crossings = hour[1:][np.diff(above.astype(int)) != 0]
+        assert crossings == pytest.approx(times, abs=0.1)
+
+
+def test_a_day_of_history_is_enough_from_the_periodic_start_and_not_from_a_uniform_one():
+    _, forcing = reference_day([0.6, 0.9, 0.7], [0.92, 0.95, 0.94], end_h=2.0)
+    _, start = periodic_start(GROUND, forcing)
+    converged = np.full_like(start, 291.15)
+    for _ in range(40):
+        _, converged = march(GROUND, forcing.part(slice(5, None, 6)), converged, 1800.0)
+    for _ in range(4):
+        faces, converged = march(GROUND, forcing, converged)
+    found, _ = march(GROUND, forcing, start)
+    uniform, _ = march(GROUND, forcing, np.full_like(start, forcing.air_k[-1, 0]))
+    assert found[-1] == pytest.approx(faces[-1], abs=0.05)
+    assert (np.abs(uniform[-1] - faces[-1]) > 0.5).all()
+
+
+def test_the_periodic_start_is_where_days_lead_with_wind_dew_and_a_melting_face():
+    slabs = [slab_of(CONCRETE), slab_of(STEEL, back_w_m2_k=5.0), slab_of((0.25, 300.0, 2090.0, 300.0), max_c=0.0)]
+    columns = Columns.of([*slabs, slab_of((0.8, 1700.0, 800.0, 200.0), (0.04, 30.0, 1400.0, 50.0), back_w_m2_k=8.0)])
+    _, calm = reference_day([0.6, 0.7, 0.2, 0.6], [0.92, 0.9, 0.98, 0.93])
+    more = {"vapour_pa": vapour_pressure_pa(283.15), "wind_m_s": 2.0 + 2.0 * np.sin(2.0 * np.pi * TIME / DAY)}
+    forcing = forcing_of(
+        calm.flux_w_m2, calm.air_k[:, 0], emissivity=calm.emissivity, law="buoyant", upward=[1.0, 1.0, 1.0, 0.0], **more
+    )
+    face, start = periodic_start(columns, forcing)
+    again, end = march(columns, forcing, start)
+    assert again == pytest.approx(face, abs=2e-3)
+    assert end == pytest.approx(start, abs=2e-3)
+    assert face[:, 2].max() == 273.15
+
+
+def test_kernels_are_the_effect_of_lost_sun():
+    columns = Columns.of([slab_of(layer) for layer in LAYERS] + [slab_of(STEEL, back_w_m2_k=8.0)])
+    numbers = ([0.6, 0.9, 0.7, 0.7], [0.92, 0.95, 0.94, 0.9])
+    hour, lit = reference_day(*numbers, end_h=2.0)
+    face, _ = periodic_start(columns, lit)
+    kernel = kernels(columns, lit, face)
+    for shade, error in (((11.0, 12.0), 0.02), ((12.0, 24.0), 0.1), ((0.0, 24.0), 0.3)):
+        _, shaded = reference_day(*numbers, end_h=2.0, shade=shade)
+        lost = periodic_start(columns, shaded)[0][-1] - face[-1]
+        linear = (kernel * (shaded.flux_w_m2 - lit.flux_w_m2)).sum(axis=0)
+        assert linear == pytest.approx(lost, abs=error)
+    assert lost[:1] == pytest.approx(-3.7, abs=0.3)
+    assert hour[-1] == 2.0 and kernel[:, 3].sum() < 0.1
+
+
+@pytest.mark.parametrize("trial", range(12))
+def test_any_slabs_in_any_weather_start_where_days_lead(trial):
+    rng = np.random.default_rng([trial, 7])
+
+    def layer():
+        return tuple(10.0 ** rng.uniform(low, high) for low, high in ((-1.7, 2.3), (1.3, 4.0), (2.6, 3.7), (-2.0, 3.0)))
+
+    slabs = []
+    for number in range(5):
+        numbers = {"back_w_m2_k": 10.0 ** rng.uniform(-2.0, 2.0)} | ({"max_c": 0.0} if number == 0 else {})
+        slabs.append(slab_of(*(layer() for _ in range(rng.integers(1, 4))), **numbers))
+    columns = Columns.of(slabs)
+    air = rng.uniform(250.0, 300.0) + rng.uniform(0.0, 20.0) * np.sin(2.0 * np.pi * (TIME / DAY - rng.random()))
+    sun = (
+        rng.uniform(0.0, 1100.0)
+        * np.maximum(np.sin(2.0 * np.pi * (TIME / DAY - 0.25)), 0.0)
+        * (rng.random(STEPS) > 0.3)
+    )
+    emissivity, absorptivity = rng.uniform(0.02, 1.0, 5), rng.uniform(0.0, 1.0, 5)
+    sky = rng.uniform(0.5, 1.05) * STEFAN_BOLTZMANN * air[:, None] ** 4
+    forcing = forcing_of(
+        absorptivity * sun[:, None] + emissivity * sky,
+        air,
+        emissivity=emissivity,
+        h=2.0,
+        law=("buoyant", "mcadams", "watmuff", "constant")[trial % 4],
+        wind_m_s=rng.choice([0.0, 1.0, 15.0]) * rng.random(STEPS),
+        vapour_pa=vapour_pressure_pa(air.min() - rng.choice([0.0, 5.0, 20.0])),
+        upward=rng.uniform(-1.0, 1.0, 5),
+    )
+    face, start = periodic_start(columns, forcing)
+    assert march(columns, forcing, start)[0] == pytest.approx(face, abs=3e-3)
+    assert (face[:, 0] <= 273.15).all()
