@@ -420,10 +420,10 @@ def _happens(plant: Plant, which: int) -> None:
     elif kind < 6:
         _of(lines, detail).break_down(_of(TROUBLES, which // 3), back_after_s=1.0 if detail % 2 else float("inf"))
     elif kind < 8:
-        lab.door_lux = _of((0.0, 1e-4, 1e-3, 9e-3, 1.2e-2, 50.0), detail)
+        lab.door_lux = _of((0.0, 1e-4, 1e-3, 9e-3, 0.1, 50.0), detail)
         if detail % 2:
             plant.show_frame()
-        plant.passes((1.1, 2.3)[detail % 2])
+        plant.passes(2.3)
     elif kind < 9:
         plant.silent_until_s = now_s + (0.3, 0.45, 2.0)[detail % 3]
         plant.passes((0.3, 1.7)[detail % 2])
