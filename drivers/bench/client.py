@@ -34,6 +34,9 @@ SERVER_SILENCE_S = SILENCE_S + BEAT_S
 SAFE_S = FALL_S + REOPEN_S + 5.0
 """Longest time that the safe action may take, s: a lost port is awaited, then the voltage followed down."""
 
+START_S = 15.0
+"""Longest time that the server may take to start, s."""
+
 SLICE_S = 0.1
 RESERVE_BYTES = 8 << 20
 """Memory that is kept for the safe action."""
@@ -97,7 +100,7 @@ class BenchClient:
                 stderr=subprocess.DEVNULL,
             )
         self._server = Connection(ours)
-        self._heard_s = time.monotonic() + FALL_S  # a process takes its time to start
+        self._heard_s = time.monotonic() + START_S
         opened = self._replies[0] = queue.SimpleQueue()
         self._server.send(self._setup)
         self._guard = threading.Thread(target=self._guard_server, name="bench", daemon=True)

@@ -343,10 +343,12 @@ def main() -> None:
     server = BenchServer(connection, setup, log)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, server.stop)
-    server.serve()
-    log.close(LOG_S)
-    # Whatever a thread still waits for, a disk or a line, must not keep this process and its ports.
-    os._exit(0)
+    try:
+        server.serve()
+        log.close(LOG_S)
+    finally:
+        # Whatever a thread still waits for, a disk or a line, must not keep this process and its ports.
+        os._exit(0)
 
 
 if __name__ == "__main__":
