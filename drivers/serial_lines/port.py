@@ -155,7 +155,8 @@ class SerialPort(_DescriptorPort):
     def _not_open(self, path: str, error: object) -> InstrumentDisconnected:
         if "exclusively lock" in str(error):
             error = "another program has locked it (a run that just ended follows the voltage down for some seconds)"
-        return InstrumentDisconnected.of(self._name, f"have its port {path} free to open", error)
+        sentence = f"the port {path} of the {self._name} must be free to open, got {error}"
+        return InstrumentDisconnected(sentence, instrument=self._name)
 
 
 class InheritedPort(_DescriptorPort):

@@ -50,7 +50,7 @@ class PrologixLine(FramedLine):
         self._set_up()
         self._say("++addr")
         if (address := self._until(self._end, "++addr").strip()) != self._address.split()[1]:
-            raise self.reply_error(f"have an adapter that stays at {self._address}", repr(address))
+            raise self.reply_error(f"keep the address {self._address.split()[1]}", repr(address))
 
     def _set_up(self) -> None:
         if not self._is_set_up:

@@ -13,7 +13,7 @@ from drivers.cameras.v4l2.device import Device, KernelDevice, query_device
 from drivers.cameras.v4l2.listing import capture_capability, format_codes, list_sizes
 from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage, picture_of
 from drivers.cameras.v4l2.structures import CAPTURE, Format, StreamParameters, words
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 

@@ -5,7 +5,7 @@ from typing import Literal
 
 from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.device import MOST_LISTED, Device, is_gone
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.errors import BadInput
 
 GAIN, AUTOMATIC_GAIN = 0x00980913, 0x00980912

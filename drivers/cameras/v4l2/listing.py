@@ -8,7 +8,7 @@ from drivers.cameras.v4l2.controls import Control, list_controls
 from drivers.cameras.v4l2.device import Device, KernelDevice, listed
 from drivers.cameras.v4l2.pixels import LAYOUTS
 from drivers.cameras.v4l2.structures import CAPTURE, four_letters, words
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 
 _DISCRETE = 1
 
