@@ -1,5 +1,7 @@
 """What can go wrong with an instrument: a small tree, each branch one that a caller can do something about."""
 
+from typing import Any, Self
+
 
 class BenchError(Exception):
     """An instrument failed.
@@ -12,19 +14,18 @@ class BenchError(Exception):
         super().__init__(sentence)
         self.instrument = instrument
 
+    @classmethod
+    def of(cls, instrument: str, rule: str, got: object, **details: Any) -> Self:
+        """Return the error of an instrument that broke a rule; `details` are further arguments of the class."""
+        return cls(f"the {instrument} must {rule}, got {got}", instrument=instrument, **details)
+
 
 class InstrumentTimeout(BenchError):
-    """No answer, or only a part of one, within the time allowed.
-
-    Use this when the line is open and the instrument says nothing: it may be off, hung, or late.
-    """
+    """No answer, or a part of one, within the time allowed: the line is open and the instrument off, hung or late."""
 
 
 class InstrumentDisconnected(BenchError):
-    """The port is gone, cannot be opened or is held by another program.
-
-    Use this when talking again makes no sense before somebody looks at the cable.
-    """
+    """The port is gone, cannot be opened or is held by another program: somebody has to look at the cable."""
 
 
 class InstrumentRejected(BenchError):
@@ -39,28 +40,20 @@ class InstrumentRejected(BenchError):
 
 
 class InstrumentTripped(BenchError):
-    """The high-voltage supply switched itself off.
-
-    Use this when a person has to find out why before the voltage is raised again.
-    """
+    """The high-voltage supply switched itself off: a person has to find out why before the voltage is raised again."""
 
 
 class InstrumentReplyError(BenchError):
-    """The answer is not of the form that the question asks for.
+    """The answer is not of the form that the question asks for: another instrument, or another answer, is there."""
 
-    Use this when another instrument, or an answer to another question, is on the line.
-    """
+
+class CameraError(BenchError):
+    """A camera is missing, is held by another program, refuses a setting, or stopped sending."""
 
 
 class BenchServerLost(BenchError):
-    """The process that owns the serial ports is gone or does not answer.
-
-    Use this when no process guards the bench any more: make it safe by other means.
-    """
+    """The process that owns the serial ports is gone or does not answer: make the bench safe by other means."""
 
 
 class BenchStopped(BenchError):
-    """The bench is being made safe, and only the safe action may speak to its instruments.
-
-    Use this in a procedure that has to end without an order of its own.
-    """
+    """The bench is being made safe, and only the safe action may speak: a procedure ends without another order."""

@@ -1,26 +1,20 @@
 """What acquisition asks of a rig: a camera whose frames carry their own numbers, a bench, and an operator."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import BenchError
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
 
 
-class CameraError(BenchError):
-    """A camera is missing, is held by another program, refuses a setting, or stopped sending."""
-
-
-class Capture(Protocol):
+class Capture(Iterable[Frame], AbstractContextManager["Capture"], Protocol):
     """A running capture: iterate it for whole frames; frames that arrive in part are counted, never handed out."""
 
     @property
@@ -32,14 +26,6 @@ class Capture(Protocol):
     def losses(self) -> tuple[LostFrames, ...]:
         """The same frames with their numbers and why they are not whole."""
         ...
-
-    def __iter__(self) -> Iterator[Frame]: ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 class Camera(Protocol):
@@ -64,21 +50,14 @@ class Camera(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class FrameLevels:
-    """How bright a frame is.
-
-    Parameters
-    ----------
-    mean
-        Mean pixel value, of full scale.
-    saturated
-        Share of pixels at full scale, 0..1.
-    allowed
-        Share that its step allows, 0..1.
-    """
+    """How bright a frame is."""
 
     mean: float
+    """Mean pixel value, of full scale."""
     saturated: float
+    """Share of pixels at full scale, 0..1."""
     allowed: float = 0.0
+    """Share that its step allows, 0..1."""
 
     @classmethod
     def of(cls, pixels: NDArray, full_scale_dn: float, *, allowed: float = 0.0) -> "FrameLevels":

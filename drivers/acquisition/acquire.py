@@ -1,27 +1,31 @@
 """Acquisition: a plan becomes a session, step by step, and the tube is safe whichever way it ends."""
 
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Self
 
-from drivers.acquisition.frame_format_check import picture_of
-from drivers.acquisition.plan_check import check_plan
+from drivers.acquisition.forecast import sentences_out_of_step
+from drivers.acquisition.plan_check import check_plan, picture_of, same_but_wires
 from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
-from drivers.acquisition.run_progress import RunProgress
-from drivers.acquisition.run_start import bit_depth, keep_plan, session_writer
-from drivers.acquisition.saturation_search import search
 from drivers.interface import Bench, Camera, Operator
 from labdata.background import BackgroundWriter
+from labdata.border import from_toml, to_toml
 from labdata.calibrated_gain import gain_table_of, in_volts
+from labdata.capture import PIXEL_BITS, CameraSettings
+from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
+from labdata.limits import limits_in_force
 from labdata.plan import Judge, Plan
-from labdata.sensors import load_sensor
-from labdata.session import Session, open_session
+from labdata.sensor import Sensor
+from labdata.sensors import load_sensor, save_sensor, shipped
+from labdata.session import MANIFEST, Session, open_session
+from labdata.store import SessionWriter
 from labdata.store.storage import Storage
 
+PLAN = "plan.toml"
 LOG = "log.jsonl"
 
 PROGRESS_S = 1.0
@@ -96,39 +100,35 @@ def acquire(
         plan = in_volts(plan, sensor)
         check_plan(plan, folder, sensor)
         _require_judge(plan, judge)
-        keep_plan(plan, folder, resume=resume)
+        _keep_plan(plan, folder, resume=resume)
         log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume))
         eye = opened.enter_context(camera)
         settings = eye.configure(picture_of(plan, sensor))
         log("camera opened", camera=eye.identifier, **vars(settings))
-        writer = opened.enter_context(session_writer(plan, folder, sensor, settings))
-        finished, partial, doubtful = writer.finished, writer.partial, writer.doubtful
+        writer = opened.enter_context(_session_writer(plan, folder, sensor, settings))
         storage = opened.enter_context(Storage(writer))
         opened.callback(operator.darken)
         operator = tube.guard(operator)
-        log("bench opened", finished=finished, broken_off=partial, doubtful=doubtful)
+        log("bench opened", finished=writer.finished, broken_off=writer.partial, doubtful=writer.doubtful)
         run = Run(
-            folder,
+            plan=plan,
+            sensor=sensor,
+            folder=folder,
+            writer=writer,
             storage=storage,
             log=log,
             camera=eye,
             bench=tube,
             operator=operator,
             settings=settings,
-            full_scale_dn=2.0 ** bit_depth(sensor, settings) - 1.0,
+            full_scale_dn=2.0 ** _bit_depth(sensor, settings) - 1.0,
             judge=judge,
-            settle=plan.settle,
-            gain_table=gain_table_of(plan, sensor),
-            pace=_pace(plan, finished),
             progress=report,
-            finished=finished,
-            partial=partial,
-            doubtful=doubtful,
         )
         with asked.running(), _safe_first(tube):
-            _take(run, plan, finished, asked)
+            run.take_all(asked)
         storage.wait()
-        run.report_end()
+        report("all frames are stored", 1.0)
     return open_session(folder)
 
 
@@ -161,22 +161,56 @@ def _safe_first(bench: Bench) -> Iterator[None]:
     bench.safe()
 
 
-def _pace(plan: Plan, finished: Container[str]) -> RunProgress:
-    """Return how far the frames of a plan are, stacks that are finished counted as done."""
-    return RunProgress(
-        frames=sum(step.most_frames for step in plan.steps),
-        done=sum(step.most_frames for step in plan.steps if step.label in finished),
+def _bit_depth(sensor: Sensor | None, settings: CameraSettings) -> int:
+    """Return the bits of the digitiser: those of the sensor's description, else those of the camera's format."""
+    return sensor.video.bit_depth if sensor else PIXEL_BITS[settings.pixel_format or "Mono16"]
+
+
+def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
+    """Keep the plan beside its session, or compare it with the one kept there."""
+    kept = folder / PLAN
+    if not resume:
+        if kept.exists() or (folder / MANIFEST).exists():
+            raise BadInput(f"a run must begin in a folder without a session, or be resumed, got {folder}")
+        folder.mkdir(parents=True, exist_ok=True)
+        write_durably(kept, to_toml(plan).encode())
+        return
+    if not kept.exists():
+        raise BadInput(f"a resumed run must have been begun before, got no {PLAN} in {folder}")
+    if difference := same_but_wires(plan, from_toml(kept, Plan)):
+        raise BadInput(f"a resumed run must keep its plan, got another {difference} than {kept} has")
+
+
+def _session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: CameraSettings) -> SessionWriter:
+    """Begin the session in a folder, or go on with the one that is there."""
+    if (folder / MANIFEST).exists():
+        return SessionWriter.resume(folder)
+    order, table = settings.field_order, gain_table_of(plan, sensor)
+    interlaced = None if order is None else order in ("top first", "bottom first")
+    notes = (
+        None if order is None else f"field order of the camera: {order}",
+        *settings.notes,
+        None if table is None else table.provenance,
+        None if plan.lamp is None else plan.lamp.provenance,
+        *sentences_out_of_step(plan, sensor),
+        *limits_in_force(plan.limits, sensor, plan.overrides).overridden,
+    )
+    return SessionWriter.create(
+        folder,
+        name=plan.name,
+        sensor=_sensor_name(plan, folder, sensor),
+        bit_depth=_bit_depth(sensor, settings),
+        interlaced=sensor.video.interlaced if sensor else interlaced,
+        notes=tuple(note for note in notes if note is not None),
     )
 
 
-def _take(run: Run, plan: Plan, finished: Container[str], asked: RunControl) -> None:
-    """Take the stacks that are not finished, and search where a step asks for it."""
-    for step in plan.steps:
-        if step.search is not None:
-            search(run, step, step.search, asked)
-        elif step.label not in finished:
-            run.between_steps(asked)
-            run.take(step)
+def _sensor_name(plan: Plan, folder: Path, sensor: Sensor | None) -> str | None:
+    """Return how the session names its sensor: a shipped one by name, any other by a copy inside the session."""
+    if sensor is None or plan.sensor in shipped():
+        return plan.sensor
+    save_sensor(sensor, folder / "sensor.toml")
+    return "sensor.toml"
 
 
 def _require_judge(plan: Plan, judge: Judge | None) -> None:

@@ -27,52 +27,29 @@ FRAMES_PER_S = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class StepForecast:
-    """What one step would do; a step that may stop early counts with all its frames.
-
-    Parameters
-    ----------
-    step
-        The step.
-    seconds
-        Time with everything, s.
-    anode_na_per_cm2
-        Current density that its light would ask of the plate, nA/cm2.
-    share_of_limit
-        That, over what is allowed.
-    dose
-        What the tube would go through.
-    """
+    """What one step would do; a step that may stop early counts with all its frames."""
 
     step: Step
     seconds: float
+    """Time with everything, s."""
     anode_na_per_cm2: float
+    """Current density that its light would ask of the plate, nA/cm2."""
     share_of_limit: float
+    """That, over what is allowed."""
     dose: Dose
 
 
 @dataclass(frozen=True, kw_only=True)
 class Forecast:
-    """What a whole plan would do.
-
-    Parameters
-    ----------
-    steps
-        Its steps, in order.
-    bytes
-        What its frames would take on the disk; 0 where no sensor tells the size of a frame.
-    limits
-        The limits in force.
-    gain_table
-        The calibration in force, or None.
-    out_of_step
-        One sentence for each way in which gate and fields do not keep step.
-    """
+    """What a whole plan would do, in the order of its steps."""
 
     steps: tuple[StepForecast, ...]
     bytes: int
+    """What its frames would take on the disk; 0 where no sensor tells the size of a frame."""
     limits: LimitsInForce
     gain_table: GainTable | None
     out_of_step: tuple[str, ...] = ()
+    """One sentence for each way in which gate and fields do not keep step."""
 
     @property
     def seconds(self) -> float:
@@ -91,24 +68,15 @@ class Forecast:
 
 
 def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
-    """Return what a plan would do.
-
-    Parameters
-    ----------
-    plan
-        The plan, in volts, checked by `check_plan`.
-    sensor
-        The camera it is for, or None.
-    """
+    """Return what a plan, in volts and checked by `check_plan`, would do with a camera."""
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     befores = (None, *plan.steps[:-1])
     steps = tuple(_step(plan, step, before, sensor, limits) for step, before in zip(plan.steps, befores, strict=True))
-    table = gain_table_of(plan, sensor)
     return Forecast(
         steps=steps,
         bytes=bytes_of(plan, sensor),
         limits=limits,
-        gain_table=table,
+        gain_table=gain_table_of(plan, sensor),
         out_of_step=sentences_out_of_step(plan, sensor),
     )
 

@@ -1,13 +1,13 @@
 """What is checked of a plan before anything is switched on."""
 
 import shutil
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
-from drivers.acquisition.frame_format_check import check_picture, frame_bytes_of
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import FIELD_RATE_HZ
 from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
+from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
 from labdata.gating import Gating
 from labdata.lamp import Lamp
@@ -47,7 +47,7 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
         _check_light(step, plan.lamp)
         _check_rules(step.brightest, limits, plan.gating.most_hz(field_hz(sensor)))
         _check_phase(step, plan.gating, field_hz(sensor))
-    check_picture(plan, sensor)
+    _check_picture(plan, sensor)
     _check_disk(plan, folder, sensor)
 
 
@@ -56,9 +56,21 @@ def field_hz(sensor: Sensor | None) -> float:
     return float(sensor.video.field_rate_hz) if sensor else FIELD_RATE_HZ
 
 
+def picture_of(plan: Plan, sensor: Sensor | None) -> CameraSettings:
+    """Ask for what the plan names, else for the whole sensor at its depth; the rest stays as it is."""
+    whole = CameraSettings()
+    if sensor is not None:
+        rows, columns = sensor.ccd.rows, sensor.ccd.columns
+        wide = "Mono8" if sensor.video.bit_depth <= 8 else "Mono16"
+        whole = CameraSettings(rows=rows, columns=columns, first_row=0, first_column=0, pixel_format=wide)
+    return replace(whole, **{name: value for name, value in vars(plan.picture).items() if value is not None})
+
+
 def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
-    """Bytes that the frames of a plan will take."""
-    return sum(step.most_frames for step in plan.steps) * frame_bytes_of(plan, sensor)
+    """Bytes that the frames of a plan will take; 0 where neither plan nor sensor states the size of a frame."""
+    picture = picture_of(plan, sensor)
+    pixel_bytes = 1 if PIXEL_BITS[picture.pixel_format or "Mono16"] <= 8 else 2
+    return sum(step.most_frames for step in plan.steps) * (picture.rows or 0) * (picture.columns or 0) * pixel_bytes
 
 
 def same_but_wires(plan: Plan, other: Plan) -> str | None:
@@ -82,7 +94,9 @@ def _check_step(step: Step, sensor: Sensor | None) -> None:
     for name in _NEEDED[step.kind]:
         if getattr(step.target, name) is None:
             raise BadInput(f"a {step.kind} target must have its {name}, got none in {step.label!r}")
-    _check_settable(step)
+    for name in _SET_BY_NOBODY:
+        if (value := getattr(asked, name)) is not None:
+            raise BadInput(f"{name} must be left out of a plan, as no driver sets it, got {value} in {step.label!r}")
     exposure_s = asked.exposure_s or (1.0 / float(sensor.video.field_rate_hz) if sensor else None)
     # A gate of one field time is written rounded; one per mille more than the exposure is still that.
     if asked.gate_ns is not None and exposure_s is not None and asked.gate_ns > exposure_s * 1e9 * 1.001:
@@ -133,11 +147,25 @@ def _check_phase(step: Step, gating: Gating, field_hz: float) -> None:
         )
 
 
-def _check_settable(step: Step) -> None:
-    for name in _SET_BY_NOBODY:
-        value = getattr(step.conditions, name)
-        if value is not None:
-            raise BadInput(f"{name} must be left out of a plan, as no driver sets it, got {value} in {step.label!r}")
+def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
+    """Refuse (BadInput) a picture that the sensor does not have, parts its fields, or cuts its codes."""
+    if sensor is None:
+        return
+    asked = picture_of(plan, sensor)
+    for first, size, there in (
+        ("first_row", "rows", sensor.ccd.rows),
+        ("first_column", "columns", sensor.ccd.columns),
+    ):
+        end = (getattr(asked, first) or 0) + (getattr(asked, size) or 0)
+        if end > there:
+            raise BadInput(f"{first} + {size} of the picture must not exceed the sensor's {there}, got {end}")
+    if sensor.video.interlaced and (asked.first_row or 0) % 2:
+        raise BadInput(f"first_row of interlaced video must be even, so that fields keep order, got {asked.first_row}")
+    bits = PIXEL_BITS[asked.pixel_format or "Mono16"]
+    if bits < sensor.video.bit_depth:
+        raise BadInput(
+            f"pixel_format must hold the sensor's {sensor.video.bit_depth} bits, got {asked.pixel_format} of {bits}"
+        )
 
 
 def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:

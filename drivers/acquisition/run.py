@@ -1,27 +1,28 @@
 """One run with everything open: each step set, filled and finished in the order that spares the tube."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.acquisition.read_back import merged, require_same
 from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
-from drivers.errors import BenchError
-from drivers.interface import Bench, Camera, CameraError, FrameLevels, Operator
-from labdata.calibrated_gain import by_calibration
+from drivers.errors import BenchError, CameraError
+from drivers.interface import Bench, Camera, FrameLevels, Operator
+from labdata.adaptive import SaturationSearch
+from labdata.calibrated_gain import by_calibration, gain_table_of
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
-from labdata.gain_table import GainTable
-from labdata.plan import Judge, Settle, Step, Watcher
+from labdata.plan import Judge, Plan, Step, Watcher
+from labdata.sensor import Sensor
 from labdata.session import open_session
+from labdata.store import SessionWriter
 from labdata.store.storage import Storage, StoredStack
 
 LOOK_S = 0.1
@@ -34,64 +35,94 @@ CAMERA_S = 15.0
 PROBE_SHARE = 0.01
 """Share of the gate's width at which a light that a person set is looked at first."""
 
+SAME, SAME_LIGHT = 1e-3, 0.02
+"""Relative difference within which an instrument, and a light meter, which repeats less well, reads back the same."""
+
+OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
+"""What nobody set: it is recorded as it was, and need not be the same again."""
+
 DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one for the phosphor
 
 
+@dataclass(kw_only=True)
 class Run:
-    """Takes steps; made by `acquire` once camera, storage and bench are open."""
+    """Takes the steps of a plan, in volts; made by `acquire` once camera, storage and bench are open."""
 
-    def __init__(
-        self,
-        folder: Path,
-        *,
-        storage: Storage,
-        log: EventLog,
-        camera: Camera,
-        bench: Bench,
-        operator: Operator,
-        settings: CameraSettings,
-        full_scale_dn: float,
-        judge: Judge | None,
-        settle: Settle,
-        gain_table: GainTable | None,
-        pace: RunProgress,
-        progress: Callable[[str, float], None],
-        finished: Sequence[str],
-        partial: Mapping[str, int],
-        doubtful: Mapping[str, str],
-    ) -> None:
-        self._folder, self._storage, self._log = folder, storage, log
-        self._camera, self._bench, self._operator = camera, bench, operator
-        self._settings, self._full_scale_dn, self._judge = settings, full_scale_dn, judge
-        self._pace, self._progress = pace, progress
-        self._settle, self._gain_table, self._before = settle, gain_table, None
-        self.finished, self._partial, self._doubtful = finished, partial, doubtful
+    plan: Plan
+    sensor: Sensor | None
+    folder: Path
+    writer: SessionWriter
+    storage: Storage
+    log: EventLog
+    camera: Camera
+    bench: Bench
+    operator: Operator
+    settings: CameraSettings
+    full_scale_dn: float
+    judge: Judge | None
+    progress: Callable[[str, float], None]
 
-    def between_steps(self, requests: RunControl) -> None:
+    def __post_init__(self) -> None:
+        self._gain_table, self._before = gain_table_of(self.plan, self.sensor), None
+        self._finished, self._partial, self._doubtful = self.writer.finished, self.writer.partial, self.writer.doubtful
+        frames = {step.label: step.most_frames for step in self.plan.steps}
+        done = sum(frames[label] for label in frames if label in self._finished)
+        self._pace = RunProgress(frames=sum(frames.values()), done=done)
+
+    def take_all(self, requests: RunControl) -> None:
+        """Take the stacks that are not finished, and search where a step asks for it; `requests` ends or pauses it."""
+        for step in self.plan.steps:
+            if step.search is not None:
+                self._search(step, step.search, requests)
+            elif step.label not in self._finished:
+                self._between_steps(requests)
+                self._take(step)
+
+    def _search(self, step: Step, wanted: SaturationSearch, requests: RunControl) -> None:
+        """Find the light that saturates, from the step's on, each level a stack; finished levels are read instead."""
+        seen: list[tuple[float, bool]] = []
+        is_new = False
+        begin_lux = step.conditions.illuminance_lux or 0.0
+        while (lux := wanted.next_lux(begin_lux, seen)) is not None:
+            level = step.level(lux, f"{step.label}-{len(seen) + 1}")
+            if level.label in self._finished:
+                self._look_back(level, watcher := self._watcher(level))
+                self._pace.done += level.frames
+                seen.append((lux, watcher.saturated()))
+                continue
+            self._between_steps(requests)
+            seen.append((lux, self._take(level)))
+            is_new = True
+        if is_new:
+            sentence = f"search {step.label!r}: {wanted.verdict(seen)}"
+            self.log("remark", sentence=sentence)
+            self.storage.remark(sentence)
+
+    def _between_steps(self, requests: RunControl) -> None:
         """Stop or pause if that was asked; the gate is shut, and while the run pauses the light is out."""
         if requests.pause and not requests.stop:
-            self._log("paused")
-            self._operator.darken()
+            self.log("paused")
+            self.operator.darken()
         requests.between_steps(self._look)
 
-    def take(self, step: Step) -> bool:
+    def _take(self, step: Step) -> bool:
         """Take one stack and return whether it is saturated."""
         clock = StepClock()
         self._pace.step_begins()
         self._tell(step, 0)
-        self._log("step begins", step=step.label)
+        self.log("step begins", step=step.label)
         anew, watcher = self._put_aside(step), self._watcher(step)
         there = 0 if anew else self._partial.get(step.label, 0)
         before = self._look_back(step, watcher) if there else None
         conditions = self._set(step, clock)
         conditions, silent = self._read_meters(conditions, clock)
         if before is not None:
-            require_same(before, conditions, label=step.label)
+            _require_same(before, conditions, label=step.label)
         stack = self._begin(step, conditions)
         losses, enough = self._fill(step, stack, there, watcher, clock)
         stack.finish(losses, (*self._notes(there, anew, enough, watcher), *silent))
         self._pace.done += step.frames
-        self._log(
+        self.log(
             "step finished",
             step=step.label,
             lost_frames=sum(map(len, losses)),
@@ -102,33 +133,15 @@ class Run:
         )
         return watcher.saturated()
 
-    def report_end(self) -> None:
-        """Report that all is on the disk."""
-        self._progress("all frames are stored", 1.0)
-
-    def read_saturated(self, step: Step) -> bool:
-        """Return whether a stack that an earlier run finished is saturated."""
-        watcher = self._watcher(step)
-        for pixels in open_session(self._folder).stack(step.label).read().data:
-            self._look()
-            watcher.see(pixels)
-        self._pace.done += step.frames
-        return watcher.saturated()
-
-    def remark(self, sentence: str) -> None:
-        """Add a remark to the session and its log, once."""
-        self._log("remark", sentence=sentence)
-        self._storage.remark(sentence)
-
     def _put_aside(self, step: Step) -> str | None:
         """Put the frames of an earlier run aside that may not show what their stack says, and say so."""
         why = self._doubtful.get(step.label)
         if why is None:
             return None
-        return f"taken anew, the frames before are in {self._storage.put_aside(step.label).name}: {why}"
+        return f"taken anew, the frames before are in {self.storage.put_aside(step.label).name}: {why}"
 
     def _watcher(self, step: Step) -> Watcher:
-        return _Unwatched() if self._judge is None else self._judge.watch(step, self._full_scale_dn)
+        return _Unwatched() if self.judge is None else self.judge.watch(step, self.full_scale_dn)
 
     def _set(self, step: Step, clock: StepClock) -> Conditions:
         """Set what a step asks in the order that spares the tube, and return what was read back.
@@ -137,42 +150,42 @@ class Run:
         """
         asked = step.conditions
         with clock.wire():
-            light = self._operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
-            with self._bench.patience(CAMERA_S):
-                self._settings = self._camera.configure(
+            light = self.operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
+            with self.bench.patience(CAMERA_S):
+                self.settings = self.camera.configure(
                     CameraSettings(exposure_s=asked.exposure_s, gain_db=asked.camera_gain_db)
                 )
-            tube = self._bench.set_conditions(asked)
+            tube = self.bench.set_conditions(asked)
             if asked.illuminance_lux:
                 self._require_dark()
-                light = self._operator.place(
+                light = self.operator.place(
                     kind=step.kind,
                     target=step.target,
                     illuminance_lux=asked.illuminance_lux,
                     filter_density=asked.filter_density,
                 )
-                if self._operator.is_by_hand:
+                if self.operator.is_by_hand:
                     self._probe_light(step)
-                    tube = self._bench.set_conditions(asked)
-        self._wait(self._settle.wait_s(self._before, asked), clock)
+                    tube = self.bench.set_conditions(asked)
+        self._wait(self.plan.settle.wait_s(self._before, asked), clock)
         self._before = asked
-        camera = Conditions(exposure_s=self._settings.exposure_s, camera_gain_db=self._settings.gain_db)
-        return merged(asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera)
+        camera = Conditions(exposure_s=self.settings.exposure_s, camera_gain_db=self.settings.gain_db)
+        return _conditions_in_force(asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera)
 
     def _read_meters(self, conditions: Conditions, clock: StepClock) -> tuple[Conditions, tuple[str, ...]]:
         """Read the auxiliary meters once all has settled; one that keeps silent is noted."""
         with clock.wire():
-            read, silent = self._bench.read_meters()
+            read, silent = self.bench.read_meters()
         for sentence in silent:
-            self._log("meter silent", sentence=sentence)
-        return merged(conditions, read), silent
+            self.log("meter silent", sentence=sentence)
+        return _conditions_in_force(conditions, read), silent
 
     def _look(self) -> None:
         """Look after the bench and the disk, and show that the run lives."""
-        self._bench.check()
-        if self._storage.stalled_s > DISK_S:
+        self.bench.check()
+        if self.storage.stalled_s > DISK_S:
             raise BadInput(
-                f"the disk must take a frame within {DISK_S:g} s, got {self._storage.stalled_s:.1f} s without one; "
+                f"the disk must take a frame within {DISK_S:g} s, got {self.storage.stalled_s:.1f} s without one; "
                 "find what holds it up, then resume"
             )
 
@@ -186,33 +199,33 @@ class Run:
 
     def _require_dark(self) -> None:
         """Before the first light: a frame through the open gate must be dark."""
-        if not self._bench.dark_seen:
-            self._bench.dark_frame_seen(self._one_frame(0.0))
+        if not self.bench.dark_seen:
+            self.bench.dark_frame_seen(self._one_frame(0.0))
 
     def _probe_light(self, step: Step) -> None:
         """Show the bench a frame in a light that a person set, with the gate open for a hundredth of the time only."""
         asked = step.conditions
-        self._bench.set_conditions(replace(asked, gate_ns=PROBE_SHARE * (asked.gate_ns or 0.0)))
-        self._bench.frame_seen(self._one_frame(step.allowed_saturation))
+        self.bench.set_conditions(replace(asked, gate_ns=PROBE_SHARE * (asked.gate_ns or 0.0)))
+        self.bench.frame_seen(self._one_frame(step.allowed_saturation))
 
     def _one_frame(self, allowed: float) -> FrameLevels:
-        capture = self._camera.capture(frames=1, discard=DISCARDED_FRAMES, while_waiting=self._look)
+        capture = self.camera.capture(frames=1, discard=DISCARDED_FRAMES, while_waiting=self._look)
         with capture as running:
             (frame,) = running
-        return FrameLevels.of(frame.pixels, self._full_scale_dn, allowed=allowed)
+        return FrameLevels.of(frame.pixels, self.full_scale_dn, allowed=allowed)
 
     def _look_back(self, step: Step, watcher: Watcher) -> Conditions:
         """Judge the frames of a stack that is gone on with, and return the conditions under which it was begun."""
-        entry = open_session(self._folder).stack(step.label)
+        entry = open_session(self.folder).stack(step.label)
         for pixels in entry.read().data:
             self._look()
             watcher.see(pixels)
         return entry.conditions
 
     def _begin(self, step: Step, conditions: Conditions) -> StoredStack:
-        pixel = np.uint8 if PIXEL_BITS[self._settings.pixel_format or "Mono16"] <= 8 else np.uint16
-        shape = (self._settings.rows or 0, self._settings.columns or 0)
-        return self._storage.begin_stack(
+        pixel = np.uint8 if PIXEL_BITS[self.settings.pixel_format or "Mono16"] <= 8 else np.uint16
+        shape = (self.settings.rows or 0, self.settings.columns or 0)
+        return self.storage.begin_stack(
             step.label, step.kind, shape, pixel, conditions, asked=step.conditions, target=step.target
         )
 
@@ -228,7 +241,7 @@ class Run:
         with ExitStack() as running:
             with clock.wire():
                 capture = running.enter_context(
-                    self._camera.capture(frames=step.frames - there, discard=DISCARDED_FRAMES, while_waiting=self._look)
+                    self.camera.capture(frames=step.frames - there, discard=DISCARDED_FRAMES, while_waiting=self._look)
                 )
             try:
                 with self._doubting(stack):
@@ -245,7 +258,7 @@ class Run:
                 self._shut(step, stack, clock)
             except BaseException as error:
                 # The gate first: stopping a camera may take long.
-                make_safe_after(error, self._bench)
+                make_safe_after(error, self.bench)
                 with suppress(BadInput):
                     stack.lose(capture.losses)
                 raise
@@ -255,16 +268,16 @@ class Run:
 
     def _show(self, step: Step, pixels: NDArray, allowed: float) -> None:
         """Show the bench how bright a frame is."""
-        levels = FrameLevels.of(pixels, self._full_scale_dn, allowed=allowed)
-        if step.kind == "dark" and not self._bench.dark_seen:
-            self._bench.dark_frame_seen(levels)
-        self._bench.frame_seen(levels)
+        levels = FrameLevels.of(pixels, self.full_scale_dn, allowed=allowed)
+        if step.kind == "dark" and not self.bench.dark_seen:
+            self.bench.dark_frame_seen(levels)
+        self.bench.frame_seen(levels)
 
     def _shut(self, step: Step, stack: StoredStack, clock: StepClock) -> None:
         """Compare the tube with what was set, then shut the gate: no target moves before an open one."""
         with self._doubting(stack), clock.wire():
-            self._bench.verify()
-            self._bench.set_conditions(replace(step.conditions, gate_ns=None))
+            self.bench.verify()
+            self.bench.set_conditions(replace(step.conditions, gate_ns=None))
 
     def _notes(self, there: int, anew: str | None, enough: str | None, watcher: Watcher) -> tuple[str, ...]:
         filled_up = f"broken off after {there} frames and filled up by a later run" if there else None
@@ -272,7 +285,7 @@ class Run:
 
     def _tell(self, step: Step, frames: int) -> None:
         sentence = f"{step.label}: {frames} of {step.frames} frames{self._pace.words(frames)}"
-        self._progress(sentence, self._pace.share(frames))
+        self.progress(sentence, self._pace.share(frames))
 
     @contextmanager
     def _doubting(self, stack: StoredStack) -> Iterator[None]:
@@ -300,6 +313,29 @@ class _Unwatched:
 
     def complaint(self) -> str | None:
         return None
+
+
+def _conditions_in_force(asked: Conditions, *read_back: Conditions) -> Conditions:
+    """Return the conditions in force: what was read back where something was, else what was asked."""
+    for part in read_back:
+        known = {item.name: value for item in fields(Conditions) if (value := getattr(part, item.name)) is not None}
+        asked = replace(asked, **known)
+    return asked
+
+
+def _require_same(before: Conditions, now: Conditions, *, label: str) -> None:
+    """Refuse (BadInput) to go on with a stack under other conditions than it was begun under."""
+    for item in fields(Conditions):
+        if item.name in OBSERVED:
+            continue
+        first, second = getattr(before, item.name), getattr(now, item.name)
+        if first is None or second is None:
+            continue
+        if abs(second - first) > (SAME_LIGHT if item.name == "illuminance_lux" else SAME) * abs(first):
+            raise BadInput(
+                f"a resumed step must read back what it did in its first run, got {item.name} of {second:g} "
+                f"after {first:g} in {label!r}"
+            )
 
 
 def make_safe_after(error: BaseException, bench: Bench) -> None:

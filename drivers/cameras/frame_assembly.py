@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import Frame, LostFrames, losses_before
 from labdata.errors import BadInput
 

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from drivers.cameras.frame_assembly import POLL_S, FrameCapture
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.errors import BadInput
 from labdata.opened import OpenStack, open_stack

@@ -5,7 +5,6 @@ from typing import ClassVar
 from drivers.instruments.gate_limits import Gate
 from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.line import FramedLine
-from drivers.serial_lines.replies import query_int, rejected_error, verify_read_back
 from labdata.gating import HOLDOFF, Sync
 
 GATE_LEVEL_V = 4.0
@@ -36,21 +35,20 @@ class DelayGenerator(Gate):
     shut_commands = (f"TSRC {SINGLE_SHOT}", "LPOL 1,1", "LOFF 1,0")
     """No triggers, and an idle level of 0 V, which keeps the gate unit closed."""
 
+    shut_settings = (
+        ("trigger source", "TSRC?", SINGLE_SHOT),
+        ("output polarity", "LPOL? 1", 1),
+        ("idle level", "LOFF? 1", 0),
+    )
     step_ns, dead_ns = 5e-3, 100.0
     sources: ClassVar[dict[Sync, int]] = {"free-running": INTERNAL, "triggered": EXTERNAL, "line-locked": LINE}
     source_command, source_question, delay_question = "TSRC", "TSRC?", "DLAY? {}"
     status_question, triggered_bit, lost_bit = "INSR?", 1, 2
 
     def identify(self) -> str:
-        """Return the instrument's identity and empty its error queue; another instrument is InstrumentReplyError."""
         identity = self._identity("*IDN?", r".*DG645.*", "a DG645")
         self.line.write("*CLS")
         return identity
-
-    def _verify_shut(self) -> None:
-        self._verify("trigger source", "TSRC?", SINGLE_SHOT)
-        self._verify("output polarity", "LPOL? 1", 1)
-        self._verify("idle level", "LOFF? 1", 0)
 
     def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
         for edge in _OTHER_EDGES:
@@ -78,13 +76,13 @@ class DelayGenerator(Gate):
             self._set(f"PRES {prescaler},1")
         self._set(f"HOLD {seconds:.12f}")
         self._set("ADVT 1")
-        verify_read_back(self.line, "HOLD?", seconds, within=1e-9)
-        verify_read_back(self.line, "ADVT?", 1)
+        self.line.verify_read_back("HOLD?", seconds, within=1e-9)
+        self.line.verify_read_back("ADVT?", 1)
 
     def _refuse_errors(self, command: str) -> None:
-        if code := query_int(self.line, "LERR?"):
+        if code := self.line.query_int("LERR?"):
             meaning = ERRORS.get(code, "an error it does not explain")
-            raise rejected_error(self.line, f"accept {command!r}", f"error {code}: {meaning}", code=code)
+            raise self.line.rejected_error(f"accept {command!r}", f"error {code}: {meaning}", code=code)
 
 
 MODEL = InstrumentModel(

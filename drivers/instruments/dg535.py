@@ -10,7 +10,6 @@ from typing import ClassVar
 from drivers.instruments.gate_limits import Gate
 from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.prologix import PrologixLine
-from drivers.serial_lines.replies import query_int, rejected_error, reply_error
 from labdata.errors import BadInput
 from labdata.gating import Sync
 
@@ -34,31 +33,30 @@ class Dg535(Gate):
     """The delay generator; it has no trigger holdoff and takes no trigger of the camera."""
 
     shut_commands = (f"TM {SINGLE_SHOT}", f"OM {AB},{TTL}", f"OP {AB},{POSITIVE}")
+    shut_settings = (
+        ("trigger source", "TM", SINGLE_SHOT),
+        ("output level", f"OM {AB}", TTL),
+        ("output polarity", f"OP {AB}", POSITIVE),
+    )
     step_ns, dead_ns = 5e-3, 1000.0
     sources: ClassVar[dict[Sync, int]] = {"free-running": INTERNAL, "line-locked": LINE}
     source_command, source_question, delay_question = "TM", "TM", "DT {}"
     status_question, triggered_bit, lost_bit = "IS", 4, 16
 
     def identify(self) -> str:
-        """Return what kind it is, recognised by the form of a delay, and clear old errors."""
+        """Recognise it by the form of a delay, and clear old errors."""
         if not _DELAY.fullmatch(answer := self.line.ask(f"DT {A}")):
-            raise reply_error(self.line, f"answer DT {A} with an edge and a delay, as a DG535 does", repr(answer))
+            raise self.line.reply_error(f"answer DT {A} with an edge and a delay, as a DG535 does", repr(answer))
         self.line.ask("ES")
         return "DG535"
 
     def check_pulse(
         self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
     ) -> None:
-        """Refuse (BadInput) a pulse that does not fit between two triggers, is finer than 5 ps, or has no holdoff."""
         if sync not in self.sources:
             # Nothing in it would keep a trigger input that rings from opening the gate far too often.
             raise BadInput(f"a DG535 must be {' or '.join(self.sources)}, as it has no trigger holdoff, got {sync}")
         super().check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
-
-    def _verify_shut(self) -> None:
-        self._verify("trigger source", "TM", SINGLE_SHOT)
-        self._verify("output level", f"OM {AB}", TTL)
-        self._verify("output polarity", f"OP {AB}", POSITIVE)
 
     def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
         for edge in (C, D):
@@ -74,10 +72,10 @@ class Dg535(Gate):
         return self._verify_delay("gate width", B, A, width_ns)
 
     def _refuse_errors(self, command: str) -> None:
-        if status := query_int(self.line, "ES"):
+        if status := self.line.query_int("ES"):
             meanings = ", ".join(meaning for bit, meaning in enumerate(ERRORS) if status >> bit & 1)
-            raise rejected_error(
-                self.line, f"accept {command!r}", f"error status {status}: {meanings or 'unexplained'}", code=status
+            raise self.line.rejected_error(
+                f"accept {command!r}", f"error status {status}: {meanings or 'unexplained'}", code=status
             )
 
 

@@ -1,9 +1,7 @@
 """The filters: a Thorlabs FW102C wheel with six or twelve positions."""
 
 from drivers.instruments.instrument import Instrument, InstrumentModel
-from drivers.serial_lines.echo_checked_line import EchoCheckedLine
-from drivers.serial_lines.line import InstrumentLine, KnownAnswer
-from drivers.serial_lines.replies import query_int, rejected_error, reply_error, verify_read_back
+from drivers.serial_lines.line import EchoCheckedLine, InstrumentLine, KnownAnswer
 from labdata.errors import BadInput
 
 SENSORS_OFF = "sensors=0"
@@ -35,7 +33,7 @@ class PromptLine(EchoCheckedLine):
         said = self._until(PROMPT, question, within_s=TURN_S if question.startswith(TURNING) else None)
         echo, mark, answer = said.partition(END)
         if echo != question or not mark:
-            raise reply_error(self, f"echo {question!r}", repr(said[:80]))
+            raise self.reply_error(f"echo {question!r}", repr(said[:80]))
         return answer.strip()
 
     def _refusal(self, answer: str) -> str | None:
@@ -50,44 +48,36 @@ class FilterWheel(Instrument):
         self._seen: int | None = None
 
     def identify(self) -> str:
-        """Return the identity, and have the wheel's own lamps out; another instrument is InstrumentReplyError."""
+        """Identify it, and have the wheel's own lamps out."""
         identity = self._identity(KNOWN.question, r"(?i).*FW(102|212).*", "an FW102C or FW212C")
         self.line.write(SENSORS_OFF)
-        verify_read_back(self.line, "sensors?", 0)
+        self.line.verify_read_back("sensors?", 0)
         return identity
 
     def look(self) -> None:
         """Ask where the wheel stands; if somebody has turned it since the first look, that is InstrumentRejected."""
         now = self.position()
         if self._seen not in (None, now):
-            raise rejected_error(self.line, f"stay at {self._seen}", f"{now}: somebody turned it")
+            raise self.line.rejected_error(f"stay at {self._seen}", f"{now}: somebody turned it")
         self._seen = now
 
     @property
     def positions(self) -> int:
         """How many positions the wheel has."""
-        return query_int(self.line, "pcount?")
+        return self.line.query_int("pcount?")
 
     def position(self) -> int:
         """Where the wheel stands, counted from 1; somebody may have turned it at its buttons."""
-        return query_int(self.line, "pos?")
+        return self.line.query_int("pos?")
 
     def turn_to(self, position: int) -> int:
-        """Turn the wheel, wait until it stands, and return the position read back.
-
-        Raises
-        ------
-        BadInput
-            If the wheel has no such position.
-        InstrumentRejected
-            If it stands elsewhere afterwards.
-        """
+        """Turn the wheel, wait until it stands, and return the position read back; one that it lacks is BadInput."""
         count = self.positions
         if not 1 <= position <= count:
             raise BadInput(f"the filter must be one of 1 to {count}, got {position}")
         self.line.write(f"pos={position}")
         if (reached := self.position()) != position:
-            raise rejected_error(self.line, f"turn to {position}", f"{reached}")
+            raise self.line.rejected_error(f"turn to {position}", f"{reached}")
         self._seen = reached
         return reached
 

@@ -7,8 +7,7 @@ from typing import ClassVar
 
 from drivers.errors import InstrumentRejected
 from drivers.instruments.instrument import Instrument
-from drivers.serial_lines.line import InstrumentLine
-from drivers.serial_lines.replies import LONGEST_QUOTE, parse_float, query_int, rejected_error
+from drivers.serial_lines.line import LONGEST_QUOTE, InstrumentLine
 from labdata.errors import BadInput
 from labdata.gating import Sync
 
@@ -28,6 +27,9 @@ class Gate(Instrument):
     shut_commands: ClassVar[tuple[str, ...]]
     """Commands that shut the gate at once, sent one by one when the tube is made safe."""
 
+    shut_settings: ClassVar[tuple[tuple[str, str, int], ...]]
+    """What a shut gate reads back: setting, question and answer."""
+
     step_ns: ClassVar[float]
     dead_ns: ClassVar[float]
     """Time after the longest delay before the next trigger is taken, ns."""
@@ -46,19 +48,12 @@ class Gate(Instrument):
         self._external_hz, self._triggered_s = 0.0, 0.0
 
     def look(self) -> None:
-        """Compare every setting with what it was set to, and require the triggers of an external source.
-
-        Raises
-        ------
-        InstrumentRejected
-            If a setting has changed, or triggers stay away or are lost.
-        """
+        """Compare every setting with what it was set to, and require the triggers of an external source."""
         if not self._kept:
-            query_int(self.line, self.source_question)
+            self.line.query_int(self.source_question)
         for question, (setting, answer) in self._kept.items():
             if (now := self.line.ask(question)) != answer:
-                raise rejected_error(
-                    self.line,
+                raise self.line.rejected_error(
                     f"keep its {setting} at {answer[:LONGEST_QUOTE]}",
                     f"{now[:40]}: somebody changed it at the panel, or it lost its settings",
                 )
@@ -68,22 +63,9 @@ class Gate(Instrument):
     def check_pulse(
         self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
     ) -> None:
-        """Refuse a pulse that this model cannot make.
+        """Refuse (BadInput) a pulse that this model cannot make; the parameters are those of `open`.
 
-        Parameters
-        ----------
-        width_ns, delay_ns
-            Width, and delay after the trigger, ns.
-        rate_hz
-            Triggers a second, Hz.
-        sync
-            What triggers.
-
-        Raises
-        ------
-        BadInput
-            If the pulse is not over before the next trigger, or the generator would round width or delay by more than
-            a millionth of the pulse.
+        The pulse must be over before the next trigger, and width and delay are rounded by at most a millionth of it.
         """
         longest_ns = 1e9 / rate_hz - self.dead_ns - delay_ns
         if not self.step_ns <= width_ns <= longest_ns:
@@ -101,7 +83,8 @@ class Gate(Instrument):
         """Shut the gate: no triggers, idle level 0 V; read back."""
         self._kept, self._external_hz = {}, 0.0
         self._set(*self.shut_commands)
-        self._verify_shut()
+        for setting, question, value in self.shut_settings:
+            self._verify(setting, question, value)
 
     def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
         """Open the gate for a time at each trigger.
@@ -133,7 +116,7 @@ class Gate(Instrument):
         self.shut()
         del self._kept[self.source_question]
         read_ns = self._program(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
-        query_int(self.line, self.status_question)
+        self.line.query_int(self.status_question)
         self._set(f"{self.source_command} {self.sources[sync]}")
         self._verify("trigger source", self.source_question, self.sources[sync])
         self._triggered_s = time.monotonic()
@@ -152,21 +135,17 @@ class Gate(Instrument):
         """Set and read back everything but the trigger source of a gate that is shut; return the width, ns."""
 
     @abstractmethod
-    def _verify_shut(self) -> None:
-        """Read back trigger source and idle level."""
-
-    @abstractmethod
     def _refuse_errors(self, command: str) -> None:
         """Raise InstrumentRejected if the instrument did not accept a command."""
 
     def _require_triggers(self, rate_hz: float, *, is_external: bool) -> None:
-        status, now_s = query_int(self.line, self.status_question), time.monotonic()
+        status, now_s = self.line.query_int(self.status_question), time.monotonic()
         if status & self.lost_bit:
-            raise rejected_error(self.line, "use every trigger", f"some lost at {rate_hz:g} Hz")
+            raise self.line.rejected_error("use every trigger", f"some lost at {rate_hz:g} Hz")
         if status & self.triggered_bit:
             self._triggered_s = now_s
         elif is_external and now_s - self._triggered_s >= MISSED_TRIGGERS / rate_hz:
-            raise rejected_error(self.line, f"be triggered {rate_hz:g} times a second", "no trigger")
+            raise self.line.rejected_error(f"be triggered {rate_hz:g} times a second", "no trigger")
 
     def _set(self, *commands: str) -> None:
         for command in commands:
@@ -176,10 +155,7 @@ class Gate(Instrument):
     def _verify(self, setting: str, question: str, value: float, *, within: float = 0.0) -> None:
         """Read a setting back and keep the answer; one that is not as it was set is InstrumentRejected."""
         kept = self._kept  # where the safe action shuts the gate meanwhile, this answer belongs to nothing
-        answer = self.line.ask(question)
-        if abs((read := parse_float(answer, line=self.line, question=question)) - value) > within:
-            raise rejected_error(self.line, f"answer {question} with {value:g} as set", f"{read:g}")
-        kept[question] = setting, answer
+        kept[question] = setting, self.line.verify_read_back(question, value, within=within)
 
     def _verify_delay(self, setting: str, edge: int, reference: int, delay_ns: float) -> float:
         """Read the delay of an edge after another back, ns, and keep the answer."""
@@ -187,9 +163,9 @@ class Gate(Instrument):
         answer = self.line.ask(question)
         after, _, seconds = answer.partition(",")
         if after != str(reference):
-            raise rejected_error(self.line, f"keep edge {edge} behind edge {reference}", repr(answer))
-        read_ns = parse_float(seconds, line=self.line, question=question) * 1e9
+            raise self.line.rejected_error(f"keep edge {edge} behind edge {reference}", repr(answer))
+        read_ns = self.line.parse_float(seconds, question) * 1e9
         if abs(read_ns - delay_ns) > self.step_ns:
-            raise rejected_error(self.line, f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back")
+            raise self.line.rejected_error(f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back")
         kept[question] = setting, answer
         return read_ns

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from drivers.instruments.instrument import InstrumentModel
 from drivers.instruments.voltage_limits import FALL_S, SETTLED_V, Supply
 from drivers.serial_lines.prologix import PrologixLine
-from drivers.serial_lines.replies import query_float, query_int, rejected_error
 
 STEP_LARGEST_V = 50.0
 STEP_S = 0.2
@@ -25,31 +24,24 @@ class HighVoltage(Supply):
     lowest_v, highest_v = 50.0, 5000.0  # the minimum is recalled
 
     def identify(self) -> str:
-        """Return the instrument's identity and clear old status; another instrument is InstrumentReplyError."""
         identity = self._identity("*IDN?", r"(?i).*(PS3\d\d|2290).*", "of the PS300 series")
         self.line.write("*CLS")
         return identity
 
     def prepare(self, *, limit_v: float) -> None:
-        """Switch off, and make the supply itself refuse more than a limit, V; an old trip is InstrumentTripped."""
         self.order_off()
         if self._status() & (VOLTAGE_TRIP | CURRENT_TRIP):
             raise self._tripped("before anything was switched on")
         self._set(f"VSET {self.lowest_v:.0f}")
         self._set(f"VLIM {limit_v:.0f}")
-        if (kept_v := query_float(self.line, "VLIM?")) > limit_v:
-            raise rejected_error(self.line, f"keep a limit of {limit_v:g} V", f"{kept_v:g} V back")
+        if (kept_v := self.line.query_float("VLIM?")) > limit_v:
+            raise self.line.rejected_error(f"keep a limit of {limit_v:g} V", f"{kept_v:g} V back")
 
     def measured_v(self) -> float:
-        """Voltage at the output, V."""
-        return query_float(self.line, "VOUT?")
+        return self.line.query_float("VOUT?")
 
     def check_on(self) -> None:
-        """Raise InstrumentTripped if the supply switched itself off.
-
-        Reading the status byte clears its trips: only the one owner of the line may do it.
-        """
-        status = self._status()
+        status = self._status()  # reading it clears its trips: only the one owner of the line may do it
         if status & VOLTAGE_TRIP:
             raise self._tripped("on voltage")
         if status & CURRENT_TRIP:
@@ -59,7 +51,7 @@ class HighVoltage(Supply):
 
     def _require_off(self) -> None:
         if self._status() & HV_ON:
-            raise rejected_error(self.line, "stay off", "high voltage on: somebody switched it on at the panel")
+            raise self.line.rejected_error("stay off", "high voltage on: somebody switched it on at the panel")
 
     def _order_off(self) -> None:
         self._set(OFF_COMMAND)
@@ -68,11 +60,11 @@ class HighVoltage(Supply):
         """Switch on; a trip that was not cleared at the instrument is InstrumentTripped."""
         self._set(f"VSET {self.lowest_v:.0f}")
         self.line.write("HVON")
-        if query_int(self.line, "*ESR?") & EXECUTION_ERROR:
+        if self.line.query_int("*ESR?") & EXECUTION_ERROR:
             raise self._tripped("not cleared since: find its cause, then clear it at the instrument")
 
     def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
-        start_v = query_float(self.line, "VSET?")
+        start_v = self.line.query_float("VSET?")
         step_v = min(STEP_LARGEST_V, rate_v_per_s * STEP_S)
         began_s, level_v = time.monotonic(), start_v
         while level_v < goal_v:
@@ -103,17 +95,17 @@ class HighVoltage(Supply):
             before_v = now_v
         self.check_on()
         if abs(now_v - goal_v) > SETTLED_V:
-            raise rejected_error(self.line, f"put out {goal_v:g} V as set", f"{now_v:g} V")
+            raise self._wrong_output(goal_v, f"{now_v:g} V")
         return now_v
 
     def _set(self, command: str) -> None:
         self.line.write(command)
-        if code := query_int(self.line, "*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
+        if code := self.line.query_int("*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
             meaning = "not possible in its present state or range" if code & EXECUTION_ERROR else "not understood"
-            raise rejected_error(self.line, f"accept {command!r}", f"event status {code}: {meaning}", code=code)
+            raise self.line.rejected_error(f"accept {command!r}", f"event status {code}: {meaning}", code=code)
 
     def _status(self) -> int:
-        return query_int(self.line, "*STB?")
+        return self.line.query_int("*STB?")
 
 
 MODEL = InstrumentModel(

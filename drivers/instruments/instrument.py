@@ -8,7 +8,6 @@ from typing import Any
 
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.port import Port, SerialPort
-from drivers.serial_lines.replies import reply_error
 from labdata.wires import Role
 
 
@@ -36,7 +35,7 @@ class Instrument(ABC):
         """Ask who answers; an answer not of a form is InstrumentReplyError."""
         identity = self.line.ask(question)
         if not re.fullmatch(form, identity):
-            raise reply_error(self.line, f"be {kinds}", repr(identity[:80]))
+            raise self.line.reply_error(f"be {kinds}", repr(identity[:80]))
         return identity
 
 

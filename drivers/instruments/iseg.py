@@ -10,9 +10,7 @@ from collections.abc import Callable
 
 from drivers.instruments.instrument import InstrumentModel
 from drivers.instruments.voltage_limits import POLL_S, SETTLED_V, Supply
-from drivers.serial_lines.echo_checked_line import EchoCheckedLine
-from drivers.serial_lines.line import InstrumentLine, KnownAnswer
-from drivers.serial_lines.replies import query_int, rejected_error, reply_error
+from drivers.serial_lines.line import EchoCheckedLine, InstrumentLine, KnownAnswer
 from labdata.errors import BadInput
 
 SLOWEST_V_PER_S, FASTEST_V_PER_S = 2, 255
@@ -65,7 +63,7 @@ class IsegLine(EchoCheckedLine):
         self._send(question.encode("ascii") + END)
         echo = self._until(END, f"the echo of {question}")
         if echo != question:
-            raise reply_error(self, f"echo {question!r}", repr(echo[:80]))
+            raise self.reply_error(f"echo {question!r}", repr(echo[:80]))
         return self._until(END, question).strip()
 
     def _refusal(self, answer: str) -> str | None:
@@ -91,8 +89,8 @@ class Iseg(Supply):
         """Return serial number, firmware and ratings, and clear old latches; a negative unit is InstrumentRejected."""
         identity = self._identity(KNOWN.question, KNOWN.form, "an iseg supply of the legacy command set")
         self.highest_v = float(identity.split(";")[2].removesuffix("V"))
-        if not query_int(self.line, "T1") & POSITIVE:
-            raise rejected_error(self.line, "be of positive polarity", "a negative one: turn its polarity switch")
+        if not self.line.query_int("T1") & POSITIVE:
+            raise self.line.rejected_error("be of positive polarity", "a negative one: turn its polarity switch")
         return identity
 
     def prepare(self, *, limit_v: float) -> None:
@@ -105,47 +103,42 @@ class Iseg(Supply):
             raise self._tripped(f"{TRIPS[state]} before anything was switched on")
         position_v = self.highest_v * SWITCH_STEP_PERCENT / 100.0
         allowed_v = math.ceil(limit_v / position_v - 1e-9) * position_v
-        kept_v = self.highest_v * query_int(self.line, "M1") / 100.0
+        kept_v = self.highest_v * self.line.query_int("M1") / 100.0
         if kept_v > allowed_v + 0.5:
-            raise rejected_error(
-                self.line,
+            raise self.line.rejected_error(
                 f"limit itself to {allowed_v:g} V for a limit of {limit_v:g} V",
                 f"{kept_v:g} V: turn its rotary switch down",
             )
 
     def measured_v(self) -> float:
-        """Voltage at the output, V."""
         return self._volts("U1")
 
     def check_on(self) -> None:
-        """Raise InstrumentTripped if the unit took its voltage off.
-
-        Reading the state clears a latched trip: only the one owner of the line may do it.
-        """
         self._require_untripped()
         if self._volts("D1") < self.lowest_v:
             raise self._tripped("without a word: its set value is gone, as after a loss of power")
 
     def _require_untripped(self) -> None:
+        # Reading the state clears a latched trip: only the one owner of the line may do it.
         if (state := self._state()) in TRIPS:
             raise self._tripped(TRIPS[state])
 
     def _require_off(self) -> None:
         if (state := self._state()) in ("L2H", "MAN"):
-            raise rejected_error(self.line, "stay off", f"{state}: somebody switched it on at the panel")
+            raise self.line.rejected_error("stay off", f"{state}: somebody switched it on at the panel")
 
     def _order_off(self) -> None:
         for command in self.off_commands[:2]:
             self.line.write(command)
-        self._start()
+        self._state("G1")
 
     def _switch_on(self) -> None:
         """Raise to the lowest voltage; a unit that is switched off or to manual at its panel is InstrumentRejected."""
-        status = query_int(self.line, "T1")
+        status = self.line.query_int("T1")
         if status & SWITCH_OFF:
-            raise rejected_error(self.line, "be switched on at its panel", "its switch off")
+            raise self.line.rejected_error("be switched on at its panel", "its switch off")
         if status & MANUAL:
-            raise rejected_error(self.line, "be under remote control", "its switch at manual")
+            raise self.line.rejected_error("be under remote control", "its switch at manual")
         self._go(self.lowest_v, FASTEST_V_PER_S)
 
     def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
@@ -165,7 +158,7 @@ class Iseg(Supply):
             check()
             self.check_on()
             if time.monotonic() > deadline_s:
-                raise rejected_error(self.line, f"put out {goal_v:g} V as set", f"{now_v:g} V")
+                raise self._wrong_output(goal_v, f"{now_v:g} V")
             time.sleep(POLL_S)
         return now_v
 
@@ -173,26 +166,20 @@ class Iseg(Supply):
         self.line.write(f"V1={rate_v_per_s}")
         self.line.write(f"D1={goal_v:.0f}")
         if abs((kept_v := self._volts("D1")) - goal_v) > self.step_v / 2:
-            raise rejected_error(self.line, f"keep a set value of {goal_v:g} V", f"{kept_v:g} V back")
-        self._start()
+            raise self.line.rejected_error(f"keep a set value of {goal_v:g} V", f"{kept_v:g} V back")
+        self._state("G1")
 
-    def _start(self) -> None:
-        self._known_state(self.line.ask("G1"), "G1")
-
-    def _state(self) -> str:
-        return self._known_state(self.line.ask("S1"), "S1")
-
-    def _known_state(self, answer: str, question: str) -> str:
-        name, mark, state = answer.partition("=")
+    def _state(self, question: str = "S1") -> str:
+        """Return the state, which the unit also says when it starts a ramp ("G1")."""
+        name, mark, state = (answer := self.line.ask(question)).partition("=")
         if name != "S1" or not mark or state.strip() not in STATES:
-            raise reply_error(self.line, f"answer {question} with its state", repr(answer))
+            raise self.line.reply_error(f"answer {question} with its state", repr(answer))
         return state.strip()
 
     def _volts(self, question: str) -> float:
         answer = self.line.ask(question)
-        value = legacy_number(answer)
-        if value is None:
-            raise reply_error(self.line, f"answer {question} with a number", repr(answer))
+        if (value := legacy_number(answer)) is None:
+            raise self.line.reply_error(f"answer {question} with a number", repr(answer))
         return value
 
 

@@ -8,7 +8,6 @@ import re
 
 from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.line import FramedLine, KnownAnswer
-from drivers.serial_lines.replies import query_float, query_int, rejected_error, reply_error, verify_read_back
 from labdata.errors import BadInput
 
 KNOWN = KnownAnswer(question="n?", form=r".*DC2[01]\d\d.*")
@@ -24,31 +23,30 @@ class LightSource(Instrument):
     dark_commands = ("o 0",)
 
     def identify(self) -> str:
-        """Return the name and clear an old error; another instrument is InstrumentReplyError."""
         name = self._identity(KNOWN.question, KNOWN.form, "a DC2100 or DC2010")
         self._error()
         return name
 
     def look(self) -> None:
         """Raise what the status says is wrong with the diode."""
-        status = query_int(self.line, "r?")
+        status = self.line.query_int("r?")
         for bit, meaning in FAULTS.items():
             if status & bit:
-                raise rejected_error(self.line, "light its diode", meaning, code=status)
+                raise self.line.rejected_error("light its diode", meaning, code=status)
 
     def prepare(self, *, limit_a: float) -> None:
         """Go dark, and make the driver itself refuse more than a current, A."""
         self.darken()
         self._set(f"m {CONSTANT_CURRENT}")
         self._set(f"l {_milliamperes(limit_a)}")
-        if (kept_ma := query_float(self.line, "l?")) > 1e3 * limit_a + 0.5:
-            raise rejected_error(self.line, f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
+        if (kept_ma := self.line.query_float("l?")) > 1e3 * limit_a + 0.5:
+            raise self.line.rejected_error(f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
 
     def darken(self) -> None:
         """Take the light out; read back."""
         for command in self.dark_commands:
             self._set(command)
-        verify_read_back(self.line, "o?", 0)
+        self.line.verify_read_back("o?", 0)
 
     def shine(self, current_a: float) -> float:
         """Drive the diode with a current and return it as read back, A.
@@ -62,24 +60,23 @@ class LightSource(Instrument):
         """
         milliamperes = _milliamperes(current_a)
         self._set(f"cc {milliamperes}")
-        verify_read_back(self.line, "cc?", milliamperes)
+        self.line.verify_read_back("cc?", milliamperes)
         self._set("o 1")
-        verify_read_back(self.line, "o?", 1)
+        self.line.verify_read_back("o?", 1)
         self.look()
-        return query_float(self.line, "cc?") * 1e-3
+        return self.line.query_float("cc?") * 1e-3
 
     def _set(self, command: str) -> None:
         self.line.write(command)
         code, meaning = self._error()
         if code:
-            raise rejected_error(self.line, f"accept {command!r}", f"error {code}: {meaning}", code=code)
+            raise self.line.rejected_error(f"accept {command!r}", f"error {code}: {meaning}", code=code)
 
     def _error(self) -> tuple[int, str]:
         """The last error, which asking takes away."""
         answer = self.line.ask("e?")
-        match = _ERROR.fullmatch(answer)
-        if match is None:
-            raise reply_error(self.line, "answer e? with a code and its meaning", repr(answer))
+        if (match := _ERROR.fullmatch(answer)) is None:
+            raise self.line.reply_error("answer e? with a code and its meaning", repr(answer))
         return int(match[1]), match[2].strip()
 
 

@@ -4,7 +4,6 @@ import re
 
 from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.line import FramedLine
-from drivers.serial_lines.replies import query_float, rejected_error, reply_error, verify_read_back
 
 AVERAGED = 100
 """Readings averaged into one, of about 3000 a second."""
@@ -32,20 +31,20 @@ class PowerMeter(Instrument):
     def tune(self, wavelength_nm: float) -> None:
         """Have it correct for the sensitivity of its head at a wavelength, nm; read back."""
         self._set(f"SENS:CORR:WAV {wavelength_nm:g}")
-        verify_read_back(self.line, "SENS:CORR:WAV?", wavelength_nm, within=0.5)
+        self.line.verify_read_back("SENS:CORR:WAV?", wavelength_nm, within=0.5)
 
     def power_w(self) -> float:
         """Power on the head, W."""
-        return query_float(self.line, "MEAS:POW?")
+        return self.line.query_float("MEAS:POW?")
 
     def _set(self, command: str) -> None:
         self.line.write(command)
         answer = self.line.ask("SYST:ERR?")
         match = _ERROR.fullmatch(answer)
         if match is None:
-            raise reply_error(self.line, "answer SYST:ERR? with a code and its meaning", repr(answer))
+            raise self.line.reply_error("answer SYST:ERR? with a code and its meaning", repr(answer))
         if code := int(match[1]):
-            raise rejected_error(self.line, f"accept {command!r}", f"error {code}: {match[2]}", code=code)
+            raise self.line.rejected_error(f"accept {command!r}", f"error {code}: {match[2]}", code=code)
 
 
 MODEL = InstrumentModel(

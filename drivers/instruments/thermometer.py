@@ -4,7 +4,6 @@ import re
 
 from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.line import FramedLine, KnownAnswer
-from drivers.serial_lines.replies import parse_float, reply_error
 
 CHANNEL = "In1"
 KNOWN = KnownAnswer(question="*IDN?", form=r"(?i).*(CTC100|PTC10).*")
@@ -27,18 +26,18 @@ class Thermometer(Instrument):
     def temperature_c(self) -> float:
         """Temperature of the sensor, degrees Celsius; a sensor that is open or missing is InstrumentReplyError."""
         unit = self._asked(f"{CHANNEL}.units?")
-        value = parse_float(self._asked(f"{CHANNEL}.value?"), line=self.line, question=f"{CHANNEL}.value?")
+        value = self.line.parse_float(self._asked(f"{CHANNEL}.value?"), f"{CHANNEL}.value?")
         if unit.endswith("C"):
             return value
         if unit == "K":
             return value - ZERO_C_IN_K
-        raise reply_error(self.line, "measure in degrees Celsius or kelvin", repr(unit))
+        raise self.line.reply_error("measure in degrees Celsius or kelvin", repr(unit))
 
     def _asked(self, question: str) -> str:
         answer = self.line.ask(question)
         match = _SAID.fullmatch(answer)
         if match is None:
-            raise reply_error(self.line, f"answer {question} with a value", repr(answer))
+            raise self.line.reply_error(f"answer {question} with a value", repr(answer))
         return match[1]
 
 

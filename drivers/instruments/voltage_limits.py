@@ -6,10 +6,9 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import ClassVar
 
-from drivers.errors import InstrumentTripped
+from drivers.errors import InstrumentRejected, InstrumentTripped
 from drivers.instruments.instrument import Instrument
 from drivers.serial_lines.line import InstrumentLine
-from drivers.serial_lines.replies import rejected_error
 from labdata.errors import BadInput
 
 FALL_S = 15.0
@@ -57,19 +56,14 @@ class Supply(Instrument):
     def look(self) -> None:
         """Compare the output with what was set: on, no trip and near the set-point; off, not on again and not rising.
 
-        Raises
-        ------
-        InstrumentTripped
-            If the supply switched itself off.
-        InstrumentRejected
-            If somebody changed the voltage or switched it on at the panel.
+        A supply that switched itself off is InstrumentTripped, one that was set at its panel InstrumentRejected.
         """
         if self.is_on:
             self._require_untripped()
             if self._reached_v is not None and abs((now_v := self.measured_v()) - self._reached_v) > HELD_V:
                 self.check_on()
-                raise rejected_error(
-                    self.line, f"put out {self._reached_v:g} V as set", f"{now_v:g} V: somebody changed it at the panel"
+                raise self.line.rejected_error(
+                    f"put out {self._reached_v:g} V as set", f"{now_v:g} V: somebody changed it at the panel"
                 )
         elif self._fallen_to_v is None:
             self.measured_v()
@@ -78,8 +72,7 @@ class Supply(Instrument):
             now_v = self.measured_v()
             self._fallen_to_v = min(self._fallen_to_v, now_v)
             if now_v > self._fallen_to_v + HELD_V:
-                raise rejected_error(
-                    self.line,
+                raise self.line.rejected_error(
                     f"stay off, at {self._fallen_to_v:g} V or less",
                     f"{now_v:g} V: somebody switched it on at the panel",
                 )
@@ -108,8 +101,8 @@ class Supply(Instrument):
         deadline_s = time.monotonic() + FALL_S
         while (volts := self.measured_v()) > DISCHARGED_V:
             if time.monotonic() > deadline_s:
-                raise rejected_error(
-                    self.line, f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V"
+                raise self.line.rejected_error(
+                    f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V"
                 )
             time.sleep(POLL_S)
         return volts
@@ -121,21 +114,9 @@ class Supply(Instrument):
         self.is_on = True
 
     def raise_to(self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None) -> float:
-        """Raise the voltage of a supply that is on, no faster than a rate.
+        """Raise the voltage of a supply that is on, no faster than a rate, and return the settled output, V.
 
-        Parameters
-        ----------
-        goal_v
-            Voltage to reach, V.
-        rate_v_per_s
-            Largest rate, V/s.
-        check
-            Called at every step; what it raises ends the ramp.
-
-        Returns
-        -------
-        float
-            Voltage measured at the output once settled, V.
+        `check` is called at every step; what it raises ends the ramp.
 
         Raises
         ------
@@ -192,4 +173,7 @@ class Supply(Instrument):
         """Lower the voltage, and return the settled output, V."""
 
     def _tripped(self, how: str) -> InstrumentTripped:
-        return InstrumentTripped(f"the {self.line.name} must stay on, got a trip {how}", instrument=self.line.name)
+        return InstrumentTripped.of(self.line.name, "stay on", f"a trip {how}")
+
+    def _wrong_output(self, goal_v: float, got: str) -> InstrumentRejected:
+        return self.line.rejected_error(f"put out {goal_v:g} V as set", got)

@@ -1,5 +1,6 @@
 """Lines to instruments: one command out, one complete answer back, each wait bounded, and the safe action first."""
 
+import math
 import re
 import threading
 import time
@@ -8,11 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from drivers.errors import BenchError, BenchStopped, InstrumentReplyError, InstrumentTimeout
+from drivers.errors import BenchError, BenchStopped, InstrumentRejected, InstrumentReplyError, InstrumentTimeout
 from drivers.serial_lines.port import ANSWER_S, SLICE_S, Port
 
 LONGEST_ANSWER = 4096
 """Bytes after which an answer without an end is no answer."""
+
+LONGEST_QUOTE = 100
+"""Characters of an answer that a sentence repeats."""
 
 QUIET_S = 0.05
 
@@ -86,6 +90,42 @@ class InstrumentLine(ABC):
                 self._in_step = False
                 raise
 
+    def query_float(self, question: str) -> float:
+        """Ask, and return the answer as a finite number; anything else is InstrumentReplyError."""
+        return self.parse_float(self.ask(question), question)
+
+    def query_int(self, question: str) -> int:
+        """Ask, and return the answer as a whole number; anything else is InstrumentReplyError."""
+        value = self.query_float(question)
+        if value != round(value):
+            raise self.reply_error(f"answer {question} with a whole number", f"{value:g}")
+        return round(value)
+
+    def parse_float(self, answer: str, question: str) -> float:
+        """Return the answer to a question as a finite number; anything else is InstrumentReplyError."""
+        try:
+            value = float(answer)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.reply_error(f"answer {question} with a number", repr(answer))
+        return value
+
+    def verify_read_back(self, question: str, value: float, *, within: float = 0.0) -> str:
+        """Ask for a setting and return the answer; one that is not as it was set is InstrumentRejected."""
+        answer = self.ask(question)
+        if abs((read := self.parse_float(answer, question)) - value) > within:
+            raise self.rejected_error(f"answer {question} with {value:g} as set", f"{read:g}")
+        return answer
+
+    def reply_error(self, rule: str, got: str) -> InstrumentReplyError:
+        """Return the error of an answer that is not of the form its question asks for."""
+        return InstrumentReplyError.of(self.name, rule, got[:LONGEST_QUOTE])
+
+    def rejected_error(self, rule: str, got: str, *, code: int | None = None) -> InstrumentRejected:
+        """Return the error of an instrument that did not obey."""
+        return InstrumentRejected.of(self.name, rule, got[:LONGEST_QUOTE], code=code)
+
     def order(self, command: str) -> None:
         """Send a command that must go out, whatever became of the exchange before; its answer is not waited for."""
         with self._turn:
@@ -138,10 +178,7 @@ class InstrumentLine(ABC):
 
     def _require_turn(self) -> None:
         if self._taken_over.is_set() and not self._caller.is_safing:
-            raise BenchStopped(
-                f"the {self.name} must obey the safe action alone, got a command of another thread",
-                instrument=self.name,
-            )
+            raise BenchStopped.of(self.name, "obey the safe action alone", "a command of another thread")
 
     def _send(self, data: bytes) -> None:
         self._require_turn()
@@ -155,18 +192,12 @@ class InstrumentLine(ABC):
             self._require_turn()
             if (left_s := deadline_s - time.monotonic()) <= 0:
                 partial = f"only {self._received[:80]!r}" if self._received else "nothing"
-                raise InstrumentTimeout(
-                    f"the {self.name} must answer {question} within {within_s:g} s, got {partial}",
-                    instrument=self.name,
-                )
+                raise InstrumentTimeout.of(self.name, f"answer {question} within {within_s:g} s", partial)
             self._received += self._port.receive(min(left_s, SLICE_S))
             if len(self._received) > LONGEST_ANSWER and end not in self._received:
                 began, self._received = self._received[:40], b""
-                raise InstrumentReplyError(
-                    f"the {self.name} must end its answer to {question} within {LONGEST_ANSWER} bytes, "
-                    f"got more that begin {began!r}",
-                    instrument=self.name,
-                )
+                rule = f"end its answer to {question} within {LONGEST_ANSWER} bytes"
+                raise self.reply_error(rule, f"more that begin {began!r}")
         piece, self._received = self._received.split(end, 1)
         return piece.decode("ascii", "replace")
 
@@ -175,10 +206,7 @@ class InstrumentLine(ABC):
         deadline_s = time.monotonic() + self._answer_s
         while not re.fullmatch(known.form, answer := self._until(end, known.question).strip()):
             if time.monotonic() > deadline_s:
-                raise InstrumentTimeout(
-                    f"the {self.name} must answer {known.question} in a known form, got {answer[:80]!r}",
-                    instrument=self.name,
-                )
+                raise InstrumentTimeout.of(self.name, f"answer {known.question} in a known form", repr(answer[:80]))
 
     def _drain(self, *, quiet_s: float = QUIET_S, within_s: float | None = None) -> None:
         """Throw away what came, until the line is quiet for a time or the time allowed is over."""
@@ -221,7 +249,6 @@ class FramedLine(InstrumentLine):
         self._end, self._command_end, self._known = answer_end, command_end, known
 
     def write(self, command: str) -> None:
-        """Send a command that has no answer."""
         with self._turn:
             self._say(command)
 
@@ -239,3 +266,25 @@ class FramedLine(InstrumentLine):
         self._drain()
         self._say(self._known.question)
         self._await_known(self._end, self._known)
+
+
+class EchoCheckedLine(InstrumentLine):
+    """Commands and answers over a line that echoes: each exchange is compared with its echo, or begun anew.
+
+    An echo of another command is InstrumentReplyError, an answer that is an error of the unit InstrumentRejected.
+    """
+
+    def write(self, command: str) -> None:
+        """Send a setting, which has no answer beyond its echo; one that comes is InstrumentRejected."""
+        if answer := self.ask(command):
+            raise self.rejected_error(f"accept {command!r} in silence", repr(answer))
+
+    def ask(self, question: str) -> str:
+        answer = super().ask(question)
+        if meaning := self._refusal(answer):
+            raise self.rejected_error(f"accept {question!r}", meaning)
+        return answer
+
+    @abstractmethod
+    def _refusal(self, answer: str) -> str | None:
+        """Return what an answer says is wrong; None where it is no error."""

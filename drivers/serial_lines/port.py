@@ -52,7 +52,6 @@ class _DescriptorPort:
         self._descriptor, self._name, self._place = descriptor, name, place
 
     def fileno(self) -> int:
-        """File descriptor of the open port."""
         return self._descriptor
 
     def send(self, data: bytes) -> None:
@@ -63,15 +62,12 @@ class _DescriptorPort:
                 data = data[os.write(self._descriptor, data) :]
             except BlockingIOError:
                 if not self._is_ready(select.POLLOUT, deadline_s - time.monotonic()):
-                    raise InstrumentTimeout(
-                        f"the {self._name} must take a command within {ANSWER_S:g} s, got no room on {self._place}",
-                        instrument=self._name,
-                    ) from None
+                    rule = f"take a command within {ANSWER_S:g} s"
+                    raise InstrumentTimeout.of(self._name, rule, f"no room on {self._place}") from None
             except OSError as error:
                 raise self._disconnected(error) from None
 
     def receive(self, timeout_s: float) -> bytes:
-        """Bytes that came, waiting at most `timeout_s` for the first."""
         if not self._is_ready(select.POLLIN, timeout_s):
             return b""
         try:
@@ -95,9 +91,7 @@ class _DescriptorPort:
         return timeout_s >= 0 and bool(waiting.poll(math.ceil(1e3 * timeout_s)))
 
     def _disconnected(self, error: object) -> InstrumentDisconnected:
-        return InstrumentDisconnected(
-            f"the {self._name} must stay on {self._place}, got: {error}", instrument=self._name
-        )
+        return InstrumentDisconnected.of(self._name, f"stay on {self._place}", error)
 
 
 class SerialPort(_DescriptorPort):
@@ -161,9 +155,8 @@ class SerialPort(_DescriptorPort):
     def _not_open(self, path: str, error: object) -> InstrumentDisconnected:
         if "exclusively lock" in str(error):
             error = "another program has locked it (a run that just ended follows the voltage down for some seconds)"
-        return InstrumentDisconnected(
-            f"the port {path} of the {self._name} must be free to open, got: {error}", instrument=self._name
-        )
+        sentence = f"the port {path} of the {self._name} must be free to open, got {error}"
+        return InstrumentDisconnected(sentence, instrument=self._name)
 
 
 class InheritedPort(_DescriptorPort):

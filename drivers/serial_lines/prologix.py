@@ -1,6 +1,5 @@
 """The line to a GPIB instrument behind a Prologix GPIB-USB adapter."""
 
-from drivers.errors import InstrumentReplyError
 from drivers.serial_lines.line import FramedLine, KnownAnswer
 from drivers.serial_lines.port import ANSWER_S, Port
 
@@ -27,13 +26,11 @@ class PrologixLine(FramedLine):
         self._is_set_up = False
 
     def write(self, command: str) -> None:
-        """Send a command that has no answer, through an adapter that was set up."""
         with self._turn:
             self._set_up()
             self._say(_escape(command))
 
     def reopen(self) -> None:
-        """Open the port anew; the adapter is set up again before the next command."""
         with self._turn:
             self._is_set_up = False
             super().reopen()
@@ -53,11 +50,7 @@ class PrologixLine(FramedLine):
         self._set_up()
         self._say("++addr")
         if (address := self._until(self._end, "++addr").strip()) != self._address.split()[1]:
-            raise InstrumentReplyError(
-                f"the adapter of the {self.name} must keep the address {self._address.split()[1]}, "
-                f"got {address[:80]!r}",
-                instrument=self.name,
-            )
+            raise self.reply_error(f"keep the address {self._address.split()[1]}", repr(address))
 
     def _set_up(self) -> None:
         if not self._is_set_up:

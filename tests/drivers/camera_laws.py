@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame
 from labdata.errors import BadInput
 

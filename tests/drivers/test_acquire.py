@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from drivers.acquisition.frame_format_check import picture_of
-from drivers.acquisition.plan_check import bytes_of, check_plan
-from drivers.errors import BenchError, InstrumentTripped
-from drivers.interface import CameraError
+from drivers.acquisition.plan_check import bytes_of, check_plan, picture_of
+from drivers.errors import BenchError, CameraError, InstrumentTripped
 from labdata.adaptive import SaturationSearch, Until
 from labdata.border import from_toml
 from labdata.capture import CameraSettings

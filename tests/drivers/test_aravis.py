@@ -10,7 +10,7 @@ import pytest
 
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.cameras.aravis.connection import list_cameras
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.cameras.aravis.camera import AravisCamera
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.sensors import load_sensor
 from labdata.target import Target

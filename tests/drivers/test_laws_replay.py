@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.cameras.replay import LONGEST_PAUSE_S, ReplayCamera
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame, lost_for
 from labdata.conditions import Conditions
 from labdata.errors import BadInput

@@ -5,19 +5,27 @@ import pytest
 from drivers.errors import InstrumentRejected, InstrumentReplyError, InstrumentTripped
 from drivers.instruments.delay_generator import DelayGenerator
 from drivers.instruments.high_voltage import HighVoltage
+from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
 
 
-class Exchanges:
+class Exchanges(InstrumentLine):
     """A line that knows what must be said, in order, and what is answered (None: nothing)."""
 
     def __init__(self, *expected: tuple[str, str | None], name: str = "instrument") -> None:
-        self.name, self._expected = name, list(expected)
+        super().__init__(None, name=name)  # type: ignore[arg-type]
+        self._expected = list(expected)
 
     def write(self, command: str) -> None:
         self._next(command, None)
 
-    def ask(self, question: str) -> str:
+    def _order(self, command: str) -> None:
+        self.write(command)
+
+    def _get_into_step(self) -> None:
+        pass
+
+    def _exchange(self, question: str) -> str:
         answer = self._next(question, "an answer")
         assert answer is not None, f"{question} is answered by nothing"
         return answer

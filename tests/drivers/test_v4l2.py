@@ -9,7 +9,7 @@ import pytest
 
 from drivers.cameras.v4l2 import V4l2Camera
 from drivers.cameras.v4l2.fields import ALTERNATE, BOTTOM, BOTTOM_THEN_TOP, INTERLACED, TOP, TOP_THEN_BOTTOM
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from tests.drivers.camera_laws import taken
 from tests.drivers.fake_video import COLUMNS, ROWS, FakeDevice, Sent, luma, steadily

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from drivers.cameras.v4l2 import V4l2Camera, list_devices
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame
 from tests.drivers.camera_laws import Bench, CameraLaws, taken
 

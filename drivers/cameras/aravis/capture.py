@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from drivers.cameras.aravis.connection import SUSPICION_S, Connection
 from drivers.cameras.aravis.library import BUFFER_FAULTS, BUFFER_SUCCESS
 from drivers.cameras.frame_assembly import POLL_S, FrameCapture, IncompleteFrame, RunningNumbers
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame
 
 _Bytes = NDArray[np.uint16]

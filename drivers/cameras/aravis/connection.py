@@ -15,7 +15,7 @@ from typing import TypeVar, cast
 
 from drivers.cameras.aravis.library import PACKET_SOCKET_DISABLED, Aravis, aravis
 from drivers.cameras.frame_assembly import POLL_S
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 
 T = TypeVar("T")
 

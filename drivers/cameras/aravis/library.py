@@ -6,7 +6,7 @@ from ctypes import POINTER, byref, c_bool, c_char_p, c_double, c_int, c_size_t, 
 from functools import cache
 from typing import Any
 
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 
 NAMES = ("libaravis-0.8.so.0", "libaravis-0.8.dylib", "libaravis-0.8-0.dll")
 PACKET_SOCKET_DISABLED = 1  # ArvGvStreamOption

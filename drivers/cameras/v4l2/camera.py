@@ -12,7 +12,7 @@ from drivers.cameras.v4l2.device import Device, offers, query_device
 from drivers.cameras.v4l2.listing import Control, capture_capability, format_codes, list_sizes
 from drivers.cameras.v4l2.pixels import LAYOUTS, BufferImage, picture_of
 from drivers.cameras.v4l2.structures import CAPTURE, Format, StreamParameters, words
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 

@@ -22,7 +22,7 @@ from drivers.cameras.v4l2.structures import (
     Format,
     Request,
 )
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.capture import Frame
 from labdata.errors import BadInput
 

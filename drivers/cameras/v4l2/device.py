@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.cameras.v4l2.structures import Request
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 
 MOST_LISTED = 256
 """More formats, sizes, inputs or controls than this is a list without an end."""

@@ -8,7 +8,7 @@ from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.device import MOST_LISTED, Device, listed, offers, query_device
 from drivers.cameras.v4l2.pixels import LAYOUTS
 from drivers.cameras.v4l2.structures import CAPTURE, four_letters, words
-from drivers.interface import CameraError
+from drivers.errors import CameraError
 from labdata.errors import BadInput
 
 GAIN, AUTOMATIC_GAIN = 0x00980913, 0x00980912

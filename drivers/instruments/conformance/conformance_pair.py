@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from drivers.instruments.models import InstrumentModel
+from drivers.instruments.instrument import InstrumentModel
+from labdata.wires import Role
 
 WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip", "panel")
 """What a pair can be made to suffer; a late answer comes 0.6 s after its time, "panel" changes a setting by hand."""
@@ -40,6 +41,22 @@ class ConformancePair(Protocol):
 
 
 Rule = Callable[[ConformancePair], None]
+_RULES: dict[Role | None, list[Rule]] = {}
+
+
+def rule_of(role: Role | None) -> Callable[[Rule], Rule]:
+    """Enter a rule among those of a role; None: of every instrument."""
+
+    def enter(rule: Rule) -> Rule:
+        _RULES.setdefault(role, []).append(rule)
+        return rule
+
+    return enter
+
+
+def rules_for(model: InstrumentModel) -> tuple[Rule, ...]:
+    """Return the rules that hold for a model: those of every instrument, and those of its role."""
+    return (*_RULES[None], *_RULES[model.role])
 
 
 def identify_driver(pair: ConformancePair) -> Any:

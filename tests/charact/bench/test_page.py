@@ -201,7 +201,7 @@ def test_a_slow_onlooker_gets_the_newest_view_and_holds_up_nobody(seed) -> None:
 def test_a_source_that_fails_ends_the_views_with_its_sentence() -> None:
     class Failing(Told):
         def __iter__(self):
-            from drivers.interface import CameraError
+            from drivers.errors import CameraError
 
             raise CameraError("camera X has gone")
             yield

@@ -16,9 +16,8 @@ import numpy as np
 
 from charact.cli.judge import SaturationJudge
 from charact.cli.prompting import PromptingOperator
-from drivers.acquisition.acquire import acquire
+from drivers.acquisition.acquire import PLAN, acquire
 from drivers.acquisition.run_control import RunControl
-from drivers.acquisition.run_start import PLAN
 from drivers.bench.setup import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.errors import BenchError
