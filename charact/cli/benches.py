@@ -169,7 +169,7 @@ def _bench(
         lines=lines,
         lamp=plan.lamp,
         meters=plan.meters,
-        gate_hz=field_hz(sensor),
+        field_hz=field_hz(sensor),
         gating=plan.gating,
         dose=_ledger(plan, session),
         session=str(session),

@@ -48,15 +48,7 @@ class Interlock:
         self._watchers.append(watcher)
 
     def foresee(self, *commands: Command, state: TubeState | None = None) -> None:
-        """Refuse (InterlockRefused) commands that would be refused one after the other; nothing is ordered.
-
-        Parameters
-        ----------
-        commands
-            The commands.
-        state
-            The state to begin with; None: the present one.
-        """
+        """Refuse (InterlockRefused) commands that would be refused one after the other, from a state on."""
         state = self._state if state is None else state
         for command in commands:
             refuse(state, command, self.limits, self._clock(), self._rules)

@@ -30,15 +30,7 @@ METER_TOLERANCE = 1.25
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """One reason to refuse a command.
-
-    Parameters
-    ----------
-    name
-        Name of the rule.
-    breach
-        Called as breach(state, command, limits, now_s); a sentence "rule, got value" where the command breaks it.
-    """
+    """One reason to refuse a command: breach(state, command, limits, now_s) returns a sentence "rule, got value"."""
 
     name: str
     breach: Callable[[TubeState, Command, LimitsInForce, float], str | None]
@@ -46,15 +38,7 @@ class Rule:
 
 @dataclass(frozen=True, kw_only=True)
 class Reaction:
-    """One reason to make the tube safe at once.
-
-    Parameters
-    ----------
-    name
-        Name of the rule.
-    reason
-        Called as reason(state, limits, now_s); a sentence where the tube must be made safe.
-    """
+    """One reason to make the tube safe at once: reason(state, limits, now_s) returns a sentence."""
 
     name: str
     reason: Callable[[TubeState, LimitsInForce, float], str | None]

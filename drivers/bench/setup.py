@@ -1,9 +1,9 @@
 """What a bench is made of: instruments, limits, calibrations and files; and the way to it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
@@ -52,9 +52,9 @@ class BenchSetup:
     limits: LimitsInForce
     log: Path
     lamp: Lamp | None = None
-    meters: Meters
+    meters: Meters = field(default_factory=Meters)
     field_hz: float = FIELD_RATE_HZ
-    gating: Gating
+    gating: Gating = field(default_factory=Gating)
     dose: DoseLedger | None = None
     session: str = ""
 
@@ -69,12 +69,7 @@ def open_bench(
     *,
     log: str | Path,
     lines: "Mapping[Role, InstrumentLine] | None" = None,
-    lamp: Lamp | None = None,
-    meters: Meters | None = None,
-    gate_hz: float = FIELD_RATE_HZ,
-    gating: Gating | None = None,
-    dose: DoseLedger | None = None,
-    session: str = "",
+    **details: Any,
 ) -> "BenchClient | LocalBench":
     """Return a bench, to be used in a `with` block.
 
@@ -84,15 +79,13 @@ def open_bench(
 
     Parameters
     ----------
-    wires, log, lamp, meters, gating, dose, session
-        See `BenchSetup`.
+    wires, log, details
+        See `BenchSetup`; details are its other fields.
     limits
         What may never be exceeded. A plan's bare limits are completed by those of a tube that nobody described.
     lines
         Lines to the instruments by role, ready-made, where there are no serial ports; the bench then lives in this
         process, and no other process makes the tube safe.
-    gate_hz
-        Fields of the camera per second, Hz.
 
     Raises
     ------
@@ -101,17 +94,8 @@ def open_bench(
     """
     if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
         raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")
-    setup = BenchSetup(
-        wires=wires,
-        limits=limits if isinstance(limits, LimitsInForce) else limits_in_force(limits),
-        log=Path(log).absolute(),
-        lamp=lamp,
-        meters=meters or Meters(),
-        field_hz=gate_hz,
-        gating=gating or Gating(),
-        dose=dose,
-        session=session,
-    )
+    in_force = limits if isinstance(limits, LimitsInForce) else limits_in_force(limits)
+    setup = BenchSetup(wires=wires, limits=in_force, log=Path(log).absolute(), **details)
     if lines is None:
         from drivers.bench.client import BenchClient
 

@@ -113,10 +113,7 @@ class TubeBench(LightControl):
         if self._dose is not None:
             self.interlock.watch(self._dose.watch)
         self._crew, self._making_safe = Crew(), threading.Lock()
-        self._gate_hz, self._most_hz = (
-            setup.gating.rate_hz(setup.field_hz),
-            setup.gating.most_hz(setup.field_hz),
-        )
+        self._gate_hz, self._most_hz = setup.gating.rate_hz(setup.field_hz), setup.gating.most_hz(setup.field_hz)
         self.fault: BenchError | None = None
         """What failed since the bench was opened; nothing makes the tube hotter before it is opened anew."""
         self.report: SafeStateReport | None = None
@@ -259,13 +256,7 @@ class TubeBench(LightControl):
         self.react()
 
     def read_meters(self) -> Reading:
-        """Read light and temperature, and return a sentence for each meter that does not answer and is not needed.
-
-        Raises
-        ------
-        BenchError
-            If a meter that is needed does not answer, or reads a light that the tube must be made safe for.
-        """
+        """Read light and temperature, and return a sentence for each meter that does not answer and is not needed."""
         self.check()
         with self._using("light-meter", "thermometer"):
             read, silent = self._meters.read()
@@ -279,7 +270,7 @@ class TubeBench(LightControl):
         if station is None or self._setup.meters.lux_per_w is None or not station.procedure.acquire(blocking=False):
             return
         try:
-            lux = self._meters.read_light().metered_lux
+            lux = self._meters.read_light(station.driver)["metered_lux"]
         except BenchError as error:
             if self._setup.meters.light_needed and not isinstance(error, BenchStopped):
                 self.fail(error)

@@ -229,7 +229,7 @@ def _exit_code(client: Client, rig: CampaignRig, plan: Plan, session: Path, *, s
         rig.wires,
         limits_in_force(plan.limits, rig.sensor, plan.overrides),
         log=rig.log,
-        gate_hz=float(rig.sensor.video.field_rate_hz),
+        field_hz=float(rig.sensor.video.field_rate_hz),
         gating=plan.gating,
         dose=DoseLedger(rig.ledger),
         session=str(session),
