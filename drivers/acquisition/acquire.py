@@ -101,7 +101,7 @@ def acquire(
         check_plan(plan, folder, sensor)
         _require_judge(plan, judge)
         _keep_plan(plan, folder, resume=resume)
-        log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume))
+        log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume, say=asked.say))
         eye = opened.enter_context(camera)
         settings = eye.configure(picture_of(plan, sensor))
         log("camera opened", camera=eye.identifier, **vars(settings))
@@ -220,7 +220,7 @@ def _require_judge(plan: Plan, judge: Judge | None) -> None:
 
 
 @contextmanager
-def _logged(path: Path, *, plan: str, resume: bool) -> Iterator[EventLog]:
+def _logged(path: Path, *, plan: str, resume: bool, say: Callable[[str], None]) -> Iterator[EventLog]:
     """Open the session's log; its last line says how the run ended, if anybody lived to write it."""
     log = EventLog(path)
     log("run begins", plan=plan, resume=resume)
@@ -233,4 +233,5 @@ def _logged(path: Path, *, plan: str, resume: bool) -> Iterator[EventLog]:
     else:
         log("run ends", whole=True)
     finally:
-        log.close()
+        if unwritten := log.close():
+            say(f"{unwritten} events could not be written to {path}")

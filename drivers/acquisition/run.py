@@ -32,8 +32,8 @@ DISK_S = 1.2
 CAMERA_S = 15.0
 """Longest time in which a camera may take its settings, the gate being shut, s."""
 
-PROBE_SHARE = 0.01
-"""Share of the gate's width at which a light that a person set is looked at first."""
+PROBE_SHARE, PROBE_NS = 0.01, 100.0
+"""Share of the gate's width at which a light that a person set is looked at first, in whole ns, and its least width."""
 
 SAME, SAME_LIGHT = 1e-3, 0.02
 """Relative difference within which an instrument, and a light meter, which repeats less well, reads back the same."""
@@ -205,7 +205,8 @@ class Run:
     def _probe_light(self, step: Step) -> None:
         """Show the bench a frame in a light that a person set, with the gate open for a hundredth of the time only."""
         asked = step.conditions
-        self.bench.set_conditions(replace(asked, gate_ns=PROBE_SHARE * (asked.gate_ns or 0.0)))
+        gate_ns = asked.gate_ns or 0.0
+        self.bench.set_conditions(replace(asked, gate_ns=max(round(PROBE_SHARE * gate_ns), min(gate_ns, PROBE_NS))))
         self.bench.frame_seen(self._one_frame(step.allowed_saturation))
 
     def _one_frame(self, allowed: float) -> FrameLevels:

@@ -30,7 +30,7 @@ class RunControl:
     """
 
     def __init__(self, say: Callable[[str], None] = lambda sentence: None) -> None:
-        self._say = say
+        self.say = say
         self.stop = False
         """End the run when the present step is finished."""
         self.pause = False
@@ -108,7 +108,7 @@ class RunControl:
             Called all the while; raises what went wrong at the bench.
         """
         if self.pause and not self.stop:
-            self._say(PAUSED)
+            self.say(PAUSED)
         while self.pause and not self.stop:
             look()
             time.sleep(LOOK_S)
@@ -121,12 +121,12 @@ class RunControl:
         if self.stop or not self._running:
             raise KeyboardInterrupt
         self.stop = True
-        self._say(STOPPING)
+        self.say(STOPPING)
 
     def _paused(self, number: int, frame: FrameType | None) -> None:
         self.pause = not self.pause
         if self.pause:
-            self._say(PAUSING)
+            self.say(PAUSING)
 
 
 def _end(number: int, _frame: FrameType | None) -> None:

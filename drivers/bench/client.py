@@ -60,11 +60,6 @@ class BenchClient:
     A thread shows the server that this process lives and when the run itself last did, watches the server, and makes
     the tube safe over the server's own ports when that ends or falls silent. Nothing has to be opened, started or
     allocated for it then.
-
-    Parameters
-    ----------
-    setup
-        What the bench is made of.
     """
 
     wires_left_out: tuple[str, ...] = ()

@@ -23,13 +23,7 @@ LARGEST_BYTES = 1 << 17
 
 @dataclass(frozen=True, kw_only=True)
 class Beat:
-    """A sign of life.
-
-    Parameters
-    ----------
-    age_s
-        Time since the run itself showed one, s; 0 for the server.
-    """
+    """A sign of life, and the time since the run itself showed one, s (0 for the server)."""
 
     age_s: float = 0.0
 
@@ -75,13 +69,7 @@ class MadeSafe:
 
 
 class Connection:
-    """One end of the conversation.
-
-    Parameters
-    ----------
-    end
-        One end of a pair of `SOCK_SEQPACKET` sockets, which keep messages whole.
-    """
+    """One end of the conversation, over one of a pair of `SOCK_SEQPACKET` sockets, which keep messages whole."""
 
     def __init__(self, end: socket.socket) -> None:
         self._socket = end

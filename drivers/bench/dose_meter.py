@@ -13,19 +13,8 @@ LONGEST_S = 10.0
 
 
 class DoseMeter:
-    """Integrates the current that may have flowed and keeps it.
+    """Integrates the current that may have flowed and keeps it in the ledger of a tube.
 
-    Parameters
-    ----------
-    ledger
-        Where doses are kept.
-    limits
-        Limits in force; they know the tube's load.
-    session
-        Name of the session, for readers of the ledger.
-
-    Notes
-    -----
     It counts what may be true of the tube (`TubeState`), so that it errs on the side of too much; a state of which
     nothing has been read yet is not counted.
     """

@@ -1,6 +1,6 @@
 """Light and targets behind the interlock: whoever places them, nothing is placed or lit without leave."""
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from drivers.errors import BenchError
 from labdata.conditions import Conditions
@@ -8,21 +8,9 @@ from labdata.session import Kind
 from labdata.target import Target
 
 if TYPE_CHECKING:
+    from drivers.bench.client import BenchClient
+    from drivers.bench.local_bench import LocalBench
     from drivers.interface import Operator
-
-
-class LightCommands(Protocol):
-    """The commands of a bench that concern light, see `LightControl`."""
-
-    def light_unknown(self) -> bool: ...
-    def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None: ...
-    def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None: ...
-    def darken(self) -> None: ...
-    def shut_gate(self) -> None: ...
-    def shine(
-        self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None
-    ) -> Conditions: ...
-    def check(self) -> None: ...
 
 
 class GuardedLight:
@@ -36,7 +24,7 @@ class GuardedLight:
         Asked before each placement, given what the meter reads after it.
     """
 
-    def __init__(self, operator: "Operator", bench: LightCommands) -> None:
+    def __init__(self, operator: "Operator", bench: "BenchClient | LocalBench") -> None:
         self._operator, self._bench = operator, bench
         self._has_lamp = bench.light_unknown()
         operator.while_waiting = self.while_waiting = bench.check

@@ -16,15 +16,7 @@ from labdata.wires import Role
 
 
 class LocalBench(TubeBench):
-    """A bench without a server: whoever gives orders looks after the instruments as well, by `check`.
-
-    Parameters
-    ----------
-    setup
-        What the bench is made of.
-    lines
-        Lines to the instruments, by role.
-    """
+    """A bench without a server: whoever gives orders looks after the instruments as well, by `check`."""
 
     wires_left_out = (
         "serial lines: the instruments answer inside this process",

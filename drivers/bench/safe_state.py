@@ -179,20 +179,7 @@ def make_safe(
 class _Task:
     """Orders on one line, each tried whatever became of the one before, until the instrument reads back that it obeyed.
 
-    Parameters
-    ----------
-    instrument
-        The instrument; None: it could not be reached.
-    name
-        What sentences call it.
-    record
-        Called with each step.
-    label
-        Beginning of the name of each step.
-    orders
-        Name of its commands.
-    verify
-        Name of the last step, and of the method that does it.
+    `orders` names the driver's commands, and `verify` the last step and the method that does it.
     """
 
     def __init__(

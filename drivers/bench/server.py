@@ -60,19 +60,7 @@ COMMANDS = (
 
 
 class BenchServer:
-    """The server of one client.
-
-    Parameters
-    ----------
-    connection
-        To the client.
-    setup
-        The bench.
-    log
-        Takes each step; it must not block.
-    clock
-        Monotonic time, s.
-    """
+    """The server of one client; `log` takes each step and must not block, `clock` is monotonic time, s."""
 
     def __init__(
         self,
@@ -200,10 +188,9 @@ class BenchServer:
             self._client.send(Reply(number=0, error=error))
             return
         self._client.send(Reply(number=0))
-        inhibitor = SuspendInhibitor(self._log)
+        self._inhibitor = inhibit_suspend(self._log)
         while not self._over.is_set():
             self.obey(self.orders.get())
-        inhibitor.release()
 
     def _open_stations(self) -> dict[Role, Station]:
         lines: dict[Role, InstrumentLine] = {}
@@ -297,32 +284,18 @@ class SafeOrder:
     done: threading.Event = field(default_factory=threading.Event)
 
 
-class SuspendInhibitor:
-    """Keeps the machine from suspending while the tube may be hot, where systemd-logind is there to be asked.
-
-    Parameters
-    ----------
-    log
-        Takes what came of it.
-    """
-
-    def __init__(self, log: Record) -> None:
-        command = ["systemd-inhibit", "--what=sleep:handle-lid-switch", "--who=charact", "--mode=block"]
-        command += ["--why=an image intensifier may be hot", "cat"]
-        self._process: subprocess.Popen | None = None
-        try:
-            # `cat` ends with this process, whatever ends it, and the inhibitor with `cat`.
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-            )
-            log("suspend inhibited")
-        except OSError as error:
-            log("suspend not inhibited", error=str(error))
-
-    def release(self) -> None:
-        """Let the machine suspend again."""
-        if self._process is not None:
-            self._process.kill()
+def inhibit_suspend(log: Record) -> subprocess.Popen | None:
+    """Keep the machine from suspending while this process lives, where systemd-logind is there to be asked."""
+    command = ["systemd-inhibit", "--what=sleep:handle-lid-switch", "--who=charact", "--mode=block"]
+    command += ["--why=an image intensifier may be hot", "cat"]
+    try:
+        # `cat` ends with this process, whatever ends it, and the inhibitor with `cat`.
+        held = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    except OSError as error:
+        log("suspend not inhibited", error=str(error))
+        return None
+    log("suspend inhibited")
+    return held
 
 
 def main() -> None:

@@ -85,16 +85,10 @@ class TubeBench(LightControl):
 
     Parameters
     ----------
-    setup
-        What the bench is made of.
-    stations
-        The instruments, by role.
     record
         Called with each safety step; it must not block.
     on_failure
         Called, from any thread and without delay, when something failed that the tube must be made safe for.
-    clock
-        Monotonic time, s.
     """
 
     def __init__(
