@@ -363,7 +363,8 @@ KINDS: dict[str, Draw] = {
     "trip of the supply": _trip,
     "power of an instrument gone": _power_cut(back=False),
     "power of an instrument off and on": _power_cut(back=True),
-    "packet loss": _seen(lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3)))),
+    # The tube stays as planned: a run ends only when more frames are broken than a camera may send.
+    "packet loss": _seen(lambda rng: Faults(lost_packet_share=float(rng.uniform(0.02, 0.3))), limit_s=5.0),
     "camera stalls": _seen(lambda rng: Faults(stalled=True), silence_s=SILENCE_S, ends_run=True),
     "clocks jump": _clock_jump,
     KILL_CLIENT: _struck("client", KILL),
