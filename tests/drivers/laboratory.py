@@ -147,6 +147,7 @@ class Laboratory:
     beat_s: float = -math.inf
     stamp_s: float = -math.inf
     fault_s: float = math.inf
+    cold_s: float = -math.inf  # when the tube was last seen safe
     stopped_by: str = ""
     """What nothing may be made hotter after: the end of the server, a safe action since the present order began."""
     demands: dict[str, float] = field(default_factory=dict)
@@ -303,6 +304,7 @@ class Laboratory:
         """Look for a tube that is hot though something demands the safe state."""
         if self.open[0] == 0.0 and self.volts == 0.0:
             self.demands.clear()
+            self.cold_s = CLOCK.now_s
         since_s, why = self._demand()
         if CLOCK.now_s - since_s > SAFE_AFTER_S:
             for hot, line in ((self.open[0] > 0.0, self.gate.line), (self.volts > 0.0, self.supply.line)):
@@ -310,7 +312,7 @@ class Laboratory:
                     self.hurts.append(f"the {line.name} was hot {why} for {CLOCK.now_s - since_s:.2f} s")
 
     def _demand(self) -> tuple[float, str]:
-        """Since when something demands the safe state, and why; for ever from now where nothing does."""
+        """Since when something demands the safe state of a hot tube, and why; a time to come where nothing does."""
         now_s, lines = CLOCK.now_s, (self.gate.line, self.supply.line)
         present = {
             "under too much current": not self.anode_na_per_cm2(self.known_lux) <= 1.3 * self.most_na_per_cm2,
@@ -328,7 +330,7 @@ class Laboratory:
             **{f"with a {line.name} changed by hand": line.changed_s + NOTICED_AFTER_S for line in lines},
             **{f"with a broken {line.name}": line.since_s + NOTICED_AFTER_S for line in lines if line.is_seen_broken},
         }
-        return min(((since_s, why) for why, since_s in all_since_s.items()), default=(math.inf, ""))
+        return min((max(since_s, self.cold_s), why) for why, since_s in all_since_s.items())
 
     def _gets_safe(self, line: Wire) -> None:
         """An instrument gets safe now: it must not be late, but for one whose port is back only now."""
