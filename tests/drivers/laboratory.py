@@ -265,6 +265,12 @@ class Laboratory:
         self.lamp_a += share * (current_a - self.lamp_a)
         self._lit(LUX_PER_A * current_a * 10.0 ** -DENSITIES[self.thought - 1])
 
+    def opens_door(self, lux: float) -> None:
+        """Light comes in, or less than before; more than before nobody has seen yet."""
+        if lux > self.door_lux:
+            self.door_seen = self.door_noted = False
+        self.door_lux = lux
+
     def _lit(self, lux: float) -> None:
         self.light_shown = False
         if lux == 0.0:

@@ -422,7 +422,7 @@ def _happens(plant: Plant, which: int) -> None:
     elif kind < 5:
         _of(lines, detail).break_down(_of(TROUBLES, which // 3), back_after_s=1.0 if detail % 2 else float("inf"))
     elif kind < 8:
-        lab.door_lux = _of((0.0, 1e-4, 1e-3, 6e-3, 9e-3, 0.1, 50.0), detail)
+        lab.opens_door(_of((0.0, 1e-4, 1e-3, 6e-3, 9e-3, 0.1, 50.0), detail))
         if detail % 2:
             plant.show_frame()
         plant.passes(2.3)
@@ -444,8 +444,10 @@ def _happens(plant: Plant, which: int) -> None:
 
 
 def _by_hand(plant: Plant, which: int) -> None:
-    """Somebody turns a knob at a front panel."""
+    """Somebody turns a knob at a front panel; a server that has failed or ended does not look at its instruments."""
     lab, now_s = plant.lab, CLOCK.now_s
+    if plant.over or lab.fault_s <= now_s:
+        return
     if which % 4 == 0:
         lab.open, lab.gate.line.changed_s = (1e6, 50.0), now_s
     elif which % 4 == 1:
