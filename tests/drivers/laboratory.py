@@ -251,14 +251,18 @@ class Laboratory:
         self.volts, self.supply.line.changed_s = 0.0, math.inf
 
     def places(self, lux: float, target: Target, point: bool, share: float) -> None:
-        """A person places a target and sets the light: that of the lamp, behind the filter that is thought to stand."""
+        """A person places a target and sets the light to what a meter should read, as far as known with what comes in.
+
+        Where there is a lamp it is that of the lamp, behind the filter that is thought to stand.
+        """
         if (target, point) != self.before and self.open[0] > 0.0 and self.gate.line.changed_s == math.inf:
             self.hurts.append("a target moved before an open gate")
         self.before = (target, point)
+        own_lux = max(0.0, lux - (self.door_lux if self.door_seen else 0.0))
         if not self.has_lamp:
-            self.placed_lux += share * (lux - self.placed_lux)
+            self.placed_lux += share * (own_lux - self.placed_lux)
         elif lux != 0.0:
-            self.lamp_a += share * (lux / LUX_PER_A * 10.0 ** DENSITIES[self.thought - 1] - self.lamp_a)
+            self.lamp_a += share * (own_lux / LUX_PER_A * 10.0 ** DENSITIES[self.thought - 1] - self.lamp_a)
         self._lit(lux)
 
     def burns(self, current_a: float, share: float) -> None:
@@ -292,6 +296,9 @@ class Laboratory:
         self.filter = (self.filter - 1 + round(share * around)) % len(DENSITIES) + 1
 
     def _current_is_borne(self) -> None:
+        """The plate bears what the light asks now, unless somebody changed that light by hand since it was read."""
+        if min(self.lamp.line.changed_s, self.wheel.line.changed_s) < math.inf:
+            return
         asked = self.anode_na_per_cm2(self.noted_lux)
         if not asked <= self.most_na_per_cm2 * 1.01:
             self.hurts.append(f"a current of {asked:.3g} nA/cm2")
