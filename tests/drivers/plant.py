@@ -35,6 +35,7 @@ WIDTHS_NS = (0.0, 1e3, 1.6e5, 1e6, 1.6e7, 1.7e7, 1.99e7, 2e7, 2.01e7, 1e9)
 LUX = (0.0, 1e-5, 1e-4, 1e-3, 5e-3, 9.9e-3, 1.01e-2, 1.1e-2, 0.5, 9.0, 10.0, 10.5, 1e5, float("nan"))
 TARGETS = (Target(), Target(angle_deg=5.0), Target(pinhole_px=1.0))
 FIELDS_HZ = (59.94, 49.0)  # a gate that is too wide at the second is not open for too much of the time
+DELAYS = (0, 1, 1, 1, 2, 2, 3, 4, 5, 7, 9, 11)  # exchanges of an order before something happens
 TROUBLES = ("silent", "mute", "wrong", "gone", "disobedient", "half")
 
 
@@ -402,7 +403,7 @@ def step(plant: Plant, what: int, first: int, second: int) -> None:
     elif what < 204:
         plant.show_frame(allowed=(0.0, 0.0, 0.3)[first % 3], more=(0.0, 0.0, 0.02, 0.04)[second % 4])
     elif what < 216:
-        plant.interruption = (what - 204, partial(_happens, plant, second))
+        plant.interruption = (_of(DELAYS, what), partial(_happens, plant, second))
         _sensible(plant, first, second)
     elif what < 236:
         plant.passes((0.05, 0.1, 0.3, 0.7)[first % 4])
@@ -416,13 +417,13 @@ def _happens(plant: Plant, which: int) -> None:
     """Something goes wrong, or somebody else asks for the safe state."""
     lab, lines = plant.lab, _lines(plant)
     kind, detail, now_s = which % 16, which // 16, CLOCK.now_s
-    if kind < 3:
+    if kind < 2:
         plant.server.take(Request(number=0, command="safe"))
         plant.make_safe()
-    elif kind < 5:
+    elif kind < 4:
         _of(lines, detail).break_down(_of(TROUBLES, which // 3), back_after_s=1.0 if detail % 2 else float("inf"))
     elif kind < 8:
-        lab.opens_door(_of((0.0, 1e-4, 1e-3, 6e-3, 9e-3, 0.1, 50.0), detail))
+        lab.opens_door(_of((0.0, 1e-4, 3e-3, 6e-3, 9e-3, 0.1, 50.0), detail))
         if detail % 2:
             plant.show_frame()
         plant.passes(2.3)
@@ -471,7 +472,7 @@ def _sensible(plant: Plant, first: int, second: int) -> None:
             plant.place(1e-4, Target())
         return
     plant.passes(0.02)
-    volts, lux = _of((600.0, 800.0, 865.0, 899.0, 899.0), first), _of((1e-4, 2e-3, 5e-3, 9e-3, 10.0), second)
+    volts, lux = _of((600.0, 800.0, 865.0, 899.0, 899.0), first), _of((1e-4, 2e-3, 5e-3, 9e-3, 5.2), second)
     target = TARGETS[2] if lux > 1.0 else TARGETS[0]
     width_ns = 1.6e7 if plant.setup.field_hz > 50.0 else 1.9e7
     if not state.dark and first % 4:
