@@ -147,6 +147,7 @@ class Laboratory:
     beat_s: float = -math.inf
     stamp_s: float = -math.inf
     fault_s: float = math.inf
+    cold_s: float = -math.inf  # when the tube was last seen safe
     stopped_by: str = ""
     """What nothing may be made hotter after: the end of the server, a safe action since the present order began."""
     demands: dict[str, float] = field(default_factory=dict)
@@ -250,19 +251,29 @@ class Laboratory:
         self.volts, self.supply.line.changed_s = 0.0, math.inf
 
     def places(self, lux: float, target: Target, point: bool, share: float) -> None:
-        """A person places a target and sets the light: that of the lamp, behind the filter that is thought to stand."""
+        """A person places a target and sets the light to what a meter should read, as far as known with what comes in.
+
+        Where there is a lamp it is that of the lamp, behind the filter that is thought to stand.
+        """
         if (target, point) != self.before and self.open[0] > 0.0 and self.gate.line.changed_s == math.inf:
             self.hurts.append("a target moved before an open gate")
         self.before = (target, point)
+        own_lux = max(0.0, lux - (self.door_lux if self.door_seen else 0.0))
         if not self.has_lamp:
-            self.placed_lux += share * (lux - self.placed_lux)
+            self.placed_lux += share * (own_lux - self.placed_lux)
         elif lux != 0.0:
-            self.lamp_a += share * (lux / LUX_PER_A * 10.0 ** DENSITIES[self.thought - 1] - self.lamp_a)
+            self.lamp_a += share * (own_lux / LUX_PER_A * 10.0 ** DENSITIES[self.thought - 1] - self.lamp_a)
         self._lit(lux)
 
     def burns(self, current_a: float, share: float) -> None:
         self.lamp_a += share * (current_a - self.lamp_a)
         self._lit(LUX_PER_A * current_a * 10.0 ** -DENSITIES[self.thought - 1])
+
+    def opens_door(self, lux: float) -> None:
+        """Light comes in, or less than before; more than before nobody has seen yet."""
+        if lux > self.door_lux:
+            self.door_seen = self.door_noted = False
+        self.door_lux = lux
 
     def _lit(self, lux: float) -> None:
         self.light_shown = False
@@ -285,6 +296,9 @@ class Laboratory:
         self.filter = (self.filter - 1 + round(share * around)) % len(DENSITIES) + 1
 
     def _current_is_borne(self) -> None:
+        """The plate bears what the light asks now, unless somebody changed that light by hand since it was read."""
+        if min(self.lamp.line.changed_s, self.wheel.line.changed_s) < math.inf:
+            return
         asked = self.anode_na_per_cm2(self.noted_lux)
         if not asked <= self.most_na_per_cm2 * 1.01:
             self.hurts.append(f"a current of {asked:.3g} nA/cm2")
@@ -303,6 +317,7 @@ class Laboratory:
         """Look for a tube that is hot though something demands the safe state."""
         if self.open[0] == 0.0 and self.volts == 0.0:
             self.demands.clear()
+            self.cold_s = CLOCK.now_s
         since_s, why = self._demand()
         if CLOCK.now_s - since_s > SAFE_AFTER_S:
             for hot, line in ((self.open[0] > 0.0, self.gate.line), (self.volts > 0.0, self.supply.line)):
@@ -310,7 +325,7 @@ class Laboratory:
                     self.hurts.append(f"the {line.name} was hot {why} for {CLOCK.now_s - since_s:.2f} s")
 
     def _demand(self) -> tuple[float, str]:
-        """Since when something demands the safe state, and why; for ever from now where nothing does."""
+        """Since when something demands the safe state of a hot tube, and why; a time to come where nothing does."""
         now_s, lines = CLOCK.now_s, (self.gate.line, self.supply.line)
         present = {
             "under too much current": not self.anode_na_per_cm2(self.known_lux) <= 1.3 * self.most_na_per_cm2,
@@ -328,7 +343,7 @@ class Laboratory:
             **{f"with a {line.name} changed by hand": line.changed_s + NOTICED_AFTER_S for line in lines},
             **{f"with a broken {line.name}": line.since_s + NOTICED_AFTER_S for line in lines if line.is_seen_broken},
         }
-        return min(((since_s, why) for why, since_s in all_since_s.items()), default=(math.inf, ""))
+        return min((max(since_s, self.cold_s), why) for why, since_s in all_since_s.items())
 
     def _gets_safe(self, line: Wire) -> None:
         """An instrument gets safe now: it must not be late, but for one whose port is back only now."""
