@@ -333,10 +333,10 @@ class TubeBench(LightControl):
     def make_safe(self, reason: str) -> SafeStateReport:
         """Make the tube safe, whatever another thread does meanwhile, and return what was achieved.
 
-        A tube that was made safe, with nothing ordered since, is left as it is.
+        A tube that was made safe, with nothing ordered and nothing failed since, is left as it is.
         """
         with self._making_safe:
-            if self._is_stopped and self.report is not None and self.report.whole:
+            if self._is_stopped and self.fault is None and self.report is not None and self.report.whole:
                 return self.report
             self._is_stopped = True
             dangerous: dict[Role, Station] = {role: self.stations[role] for role in DANGEROUS if role in self.stations}
