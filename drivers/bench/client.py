@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
@@ -58,8 +59,7 @@ class BenchClient:
     """A bench whose ports, drivers and interlock live in a server process of our own; see `TubeBench` for its commands.
 
     A thread shows the server that this process lives and when the run itself last did, watches the server, and makes
-    the tube safe over the server's own ports when that ends or falls silent. Nothing has to be opened, started or
-    allocated for it then.
+    the tube safe over the server's own ports when that ends or falls silent: with nothing opened, started or allocated.
     """
 
     wires_left_out: tuple[str, ...] = ()
@@ -75,9 +75,8 @@ class BenchClient:
         self._replies: dict[int, queue.SimpleQueue[Reply]] = {}
         self._ports: dict[Role, int] = {}
         self._drivers: dict[Role, Any] = {}
-        self._stamp_s = time.monotonic()
+        self._stamp_s, self._leave_number = time.monotonic(), -1
         self._left = self._over = False
-        self._leave_number = -1
         self._taking_over = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -243,7 +242,9 @@ class BenchClient:
         """Return a driver on the server's own port, ready for the safe action."""
         one = next(each for each in self._setup.wires.instruments if each.role == role)
         model = model_of(one)
-        return model.driver(model.line(InheritedPort(self._ports[role], name=model.title), one.address))
+        open_again = partial(model.open_port, str(one.port), exclusive=False)
+        port = InheritedPort(self._ports[role], name=model.title, open_again=open_again)
+        return model.driver(model.line(port, one.address))
 
     # Leaving
 

@@ -104,6 +104,8 @@ class Connection:
                 data, descriptors, _, _ = socket.recv_fds(self._socket, LARGEST_BYTES, 8)
             except BlockingIOError:
                 return messages
+            except ConnectionResetError:
+                continue  # the other side left with messages unread; its last ones are still to be taken
             except OSError:
                 data, descriptors = b"", []
             if not data:

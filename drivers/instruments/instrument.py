@@ -74,6 +74,9 @@ class InstrumentModel:
 
         With `exclusive` False the port opens although another program has locked it, for the safe action only.
         """
+        return self.line(self.open_port(port, exclusive=exclusive), address)
+
+    def open_port(self, port: str, *, exclusive: bool = True) -> SerialPort:
+        """Open a serial port as the instrument needs it."""
         handshake = self.hardware_handshake
-        opened = SerialPort(port, name=self.title, baud=self.baud, hardware_handshake=handshake, exclusive=exclusive)
-        return self.line(opened, address)
+        return SerialPort(port, name=self.title, baud=self.baud, hardware_handshake=handshake, exclusive=exclusive)

@@ -6,6 +6,7 @@ import os
 import select
 import termios
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 import serial
@@ -160,23 +161,22 @@ class SerialPort(_DescriptorPort):
 
 
 class InheritedPort(_DescriptorPort):
-    """A serial port that another process opened and set up; it needs no free descriptor and no path.
+    """A serial port that another process opened and set up; it needs no free descriptor, and closes this one.
 
-    Parameters
-    ----------
-    descriptor
-        File descriptor of the open port; this object closes it.
-    name
-        Name of the instrument, for sentences.
+    `open_again` opens the port by its path, once it was gone; None: nobody knows the path.
     """
 
-    def __init__(self, descriptor: int, *, name: str) -> None:
+    def __init__(self, descriptor: int, *, name: str, open_again: "Callable[[], SerialPort] | None" = None) -> None:
         super().__init__(descriptor, name=name, place=f"the inherited descriptor {descriptor}")
+        self._open_again = open_again
         os.set_blocking(descriptor, False)
 
     def reopen(self) -> None:
-        """Raise InstrumentDisconnected: only the process with the path of the port can open it."""
-        raise self._disconnected("no path to open it by")
+        """Open the port again; InstrumentDisconnected where it is not there, or its path is not known."""
+        if self._open_again is None:
+            raise self._disconnected("no path to open it by")
+        self._opened = self._open_again()
+        self._descriptor = self._opened.fileno()
 
 
 def usb_ports() -> dict[str, tuple[str, str]]:

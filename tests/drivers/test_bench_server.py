@@ -188,3 +188,12 @@ def test_nobody_waits_for_a_client_that_reads_nothing():
                 break
         assert connection.gone
         connection.close()
+
+
+def test_the_last_words_of_a_side_that_leaves_messages_unread_arrive():
+    ours, theirs = map(Connection, socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+    ours.send(Beat())
+    theirs.send(Reply(number=7))
+    theirs.close()
+    assert [message for message, _ in ours.receive(0.1)] == [Reply(number=7)]
+    assert ours.gone
