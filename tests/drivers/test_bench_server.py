@@ -197,3 +197,4 @@ def test_the_last_words_of_a_side_that_leaves_messages_unread_arrive():
     theirs.close()
     assert [message for message, _ in ours.receive(0.1)] == [Reply(number=7)]
     assert ours.gone
+    ours.close()
