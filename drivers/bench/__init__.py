@@ -1,1 +1,1 @@
-"""What stands between acquisition and the tube: interlock, bench, watchdog, safe action, dose."""
+"""What stands between acquisition and the tube: interlock, bench server and its client, safe action, dose."""

@@ -177,7 +177,7 @@ class VirtualBench:
         if self._asked.bench == "in-process":
             self.left_out = (
                 "All wires were left out, as asked: camera and instruments live inside this process, "
-                "and no watchdog guards them.",
+                "and no other process makes the tube safe.",
             )
         elif not aravis_library.is_available():
             self.left_out = (

@@ -18,7 +18,7 @@ class VirtualInstruments:
     """The serial instruments of one virtual bench, each a process of its own.
 
     They live in sessions of their own, so that Ctrl-C at the terminal does not unplug them, and outlive a killed
-    bench until their lines have been quiet for some seconds, so that a watchdog can still reach them.
+    bench until their lines have been quiet for some seconds, so that a bench server can still reach them.
 
     Parameters
     ----------

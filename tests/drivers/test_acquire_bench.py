@@ -88,7 +88,7 @@ def inside(tmp_path_factory):
 def test_a_run_without_wires_is_whole_and_says_what_it_left_out(inside):
     session, left_out, gate_open, mcp_v = inside
     assert [len(entry.read()) for entry in session.stacks] == [3, 3, 3]
-    assert "no watchdog guards them" in left_out[0]
+    assert "no other process makes the tube safe" in left_out[0]
     assert not gate_open
     assert mcp_v < 5.0
 
