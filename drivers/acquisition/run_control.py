@@ -12,7 +12,7 @@ from types import FrameType
 LOOK_S = 0.05
 
 URGENT = (signal.SIGTERM, signal.SIGHUP)
-GRACE_S, STUCK_S = 5.0, 40.0
+GRACE_S, STUCK_S = 5.0, 15.0
 """How long a run that was ended by a signal may take to leave, once the tube is safe and in all, s."""
 
 STOPPING = "stopping after this step; Ctrl-C again shuts the gate now"
