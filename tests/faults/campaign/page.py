@@ -1,5 +1,6 @@
 """The page of the campaign: a row for each kind of fault, and what no software can know."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,8 @@ BEYOND_SOFTWARE = """## What no software can know
 - **Client and bench server frozen at once, or the whole machine, as by a suspend.** Nobody is left to give an order. An
   inhibitor of suspend is held while the tube is hot, which the campaign cannot strike. Cure: a retriggered gate, a
   one-shot that shuts the gate unit unless it is triggered anew within a second.
+- **Both processes ended at once**, as when a camera library aborts a client without memory just as the server is killed.
+  Cure: the same relay; `charact safe` afterwards.
 - **An instrument that neither hears nor obeys.** No order reaches it; the last line on the terminal says so. Cure: an
   interlock relay that breaks the supply's enable input and the gate's drive.
 - **A gate that answers as if it obeyed.** What is read back is what was set. Cure: a monitor output of the gate unit,
@@ -90,7 +93,7 @@ def _milliseconds(seconds: Sequence[float | None]) -> str:
 
 def _sentences(outcomes: Sequence[Outcome]) -> Iterator[str]:
     """The end that came most often, and how many others there were."""
-    ends = [outcome.sentence.replace("|", "/") for outcome in outcomes if not outcome.endured]
+    ends = [re.sub(r"/\S*/", "", outcome.sentence).replace("|", "/") for outcome in outcomes if not outcome.endured]
     if not ends:
         return
     kinds = sorted(set(ends), key=lambda end: (-ends.count(end), end))
