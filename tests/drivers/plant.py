@@ -187,14 +187,16 @@ class Plant:
             self.say_light(zero=True)
 
     def show_dark_frame(self) -> None:
-        """Take a frame with the light out."""
+        """Take a frame with the light out, once all that was asked before is done, as a client waits for it."""
+        self.obey()
         lab, bright = self.lab, self.lab.looking and self.lab.own_lux + self.lab.door_lux > 1e-5
         if lab.looking and not bright:
             lab.truly_dark_seen = True
         self.ask("dark_frame_seen", FrameLevels(mean=0.8 if bright else 0.05, saturated=lab.saturated))
 
     def show_frame(self, *, allowed: float = 0.0, more: float = 0.0) -> None:
-        """Take a frame; some light in view may saturate a few more pixels."""
+        """Take a frame, once all that was asked before is done; some light in view may saturate a few more pixels."""
+        self.obey()
         lab = self.lab
         levels = FrameLevels(mean=0.2, saturated=min(1.0, lab.saturated + more), allowed=allowed)
         if CLOCK.now_s >= self.hung_until_s:

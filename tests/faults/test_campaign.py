@@ -93,7 +93,8 @@ def test_a_run_that_is_left_alone_completes_what_was_struck(rig):
 def test_every_fault_of_the_campaign_can_be_drawn_and_has_a_limit():
     for kind in KINDS:
         fault = draw_fault(kind, np.random.default_rng(SEED))
-        assert 0.0 < fault.limit_s <= 2.0, kind
+        # Lost packets leave the tube as planned: they end a run only once more frames are broken than may be.
+        assert 0.0 < fault.limit_s <= (5.0 if kind == "packet loss" else 2.0), kind
 
 
 def test_the_page_shows_median_and_worst_and_what_broke():

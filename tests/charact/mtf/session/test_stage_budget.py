@@ -152,7 +152,8 @@ def test_a_curve_told_twice_with_the_same_errors_tells_no_more_than_once(seed):
     sd, doubled, halved = (
         np.std(found.product(found.stages, np.array([0.2]), "horizontal")) for found in (once, same, independent)
     )
-    assert doubled == pytest.approx(sd, rel=0.02)
+    # Two standard deviations of n draws each differ by 1/sqrt(n) of themselves; 4.5 standard errors are allowed.
+    assert doubled == pytest.approx(sd, rel=4.5 / np.sqrt(len(once.posterior.draws)))
     assert halved < 0.85 * sd
 
 
